@@ -2,17 +2,14 @@
 
 use jostle_proto as proto;
 
+use crate::convert::error::refusal;
 use crate::convert::states::phase;
-use crate::swarm::error::SwarmError;
 use crate::swarm::frame::{Event, EventKind};
 use crate::swarm::history::{Entry, Page};
 use crate::swarm::sender::Sender;
 
-/// Returns the error with which a swarm at a step rejects a command.
-pub type WordRefusal = fn(SwarmError, u64) -> proto::Error;
-
 /// Returns the message of an event.
-pub fn event(swarm: &str, event: Event, word: WordRefusal) -> proto::Event {
+pub fn event(swarm: &str, event: Event) -> proto::Event {
     let stamp = event.stamp;
     proto::Event {
         swarm: swarm.to_owned(),
@@ -46,7 +43,7 @@ pub fn event(swarm: &str, event: Event, word: WordRefusal) -> proto::Event {
                 args: args(&sender),
                 client: sender.client.clone(),
                 request_id: sender.request_id.clone(),
-                error: word(error, stamp.step),
+                error: refusal(error, stamp.step),
             },
             EventKind::Lapsed(ids) => proto::EventKind::Lapsed { ids },
             EventKind::Fault(reason) => proto::EventKind::Fault { reason },
@@ -64,10 +61,10 @@ pub fn event(swarm: &str, event: Event, word: WordRefusal) -> proto::Event {
 }
 
 /// Returns a page of events.
-pub fn events(swarm: &str, page: Page<Event>, word: WordRefusal) -> proto::Events {
+pub fn events(swarm: &str, page: Page<Event>) -> proto::Events {
     let events = page.records.into_iter();
     proto::Events {
-        events: events.map(|it| event(swarm, it, word)).collect(),
+        events: events.map(|it| event(swarm, it)).collect(),
         oldest: page.oldest,
         newest: page.newest,
     }

@@ -38,7 +38,7 @@ pub mod validate;
 
 pub use controllers::controllers;
 pub use decode::{decode_event, decode_spec, decode_state};
-pub use events::{WordRefusal, event, events, journal};
+pub use events::{event, events, journal};
 pub use experiments::{order_page, progress, results_page};
 pub use figures::metrics;
 pub use payload::Payload;

@@ -16,7 +16,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread;
-use std::time::{Duration, SystemTime};
+use std::time::Duration;
 
 use fail::fail_point;
 use jostle_proto::keys;
@@ -25,7 +25,7 @@ use jostle_results::recording::{Recorder, RecordingError, parts, sweep};
 use tracing::{info, warn};
 
 pub use self::error::RecordError;
-pub use self::source::{Choice, Source};
+pub use self::source::Source;
 use self::status::Entry;
 pub use self::status::{Phase, Status};
 use self::writer::RecordingWriter;
@@ -54,17 +54,6 @@ const STOP_TIMEOUT: Duration = Duration::from_secs(3);
 
 /// The reason of a recording that a client has stopped.
 const STOPPED: &str = "stopped";
-
-/// What to record. Further settings are in [`Source`].
-#[derive(Clone, Debug)]
-pub struct NewRecording {
-    /// Its name; the swarm's name and a number if not given.
-    pub name: Option<String>,
-    /// The size at which it ends.
-    pub max_bytes: u64,
-    /// Whether a client deletes it after it has fetched it.
-    pub temporary: bool,
-}
 
 /// A piece of a finished part.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -134,27 +123,12 @@ impl Recordings {
     /// Starts a recording. Returns its name, which is generated if it is not given.
     pub fn begin(
         &self,
-        new: &NewRecording,
+        name: Option<&str>,
+        mut status: Status,
         source: Source,
     ) -> Result<(String, Status), RecordError> {
-        let name = self.admit(new.name.as_deref(), &source.swarm)?;
-        let began = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH);
-        let status = Status {
-            swarm: source.swarm.clone(),
-            format: Format::Mcap,
-            every: source.choice.every,
-            drop_when_behind: source.choice.drops,
-            max_bytes: Some(new.max_bytes),
-            steps_left: source.choice.steps,
-            temporary: new.temporary,
-            phase: Phase::Recording,
-            reason: None,
-            frames: 0,
-            missed: 0,
-            parts: 0,
-            bytes: 0,
-            began_unix_secs: began.unwrap_or_default().as_secs(),
-        };
+        let name = self.admit(name, &status.swarm)?;
+        status.every = Some(source.every);
         let folder = self.0.jobs.folder(&name);
         let recorder = Recorder::to_folder(&folder, status.format, source.about(&status));
         let recorder = recorder.map_err(|error| match error {
@@ -337,7 +311,7 @@ impl Recordings {
     ) -> Result<(), RecordError> {
         let is_background = status.drop_when_behind;
         let writer = RecordingWriter {
-            swarm: source.swarm,
+            swarm: status.swarm.clone(),
             subscription: source.subscription.clone(),
             missed: status.missed,
             recorder,
@@ -371,7 +345,8 @@ impl Recordings {
         let progress = |recorder: &Recorder, has_ended: bool| {
             let mut state = self.lock();
             let entry = state.entries.get_mut(name)?;
-            entry.progress(recorder);
+            entry.status.count(recorder.progress());
+            entry.size = recorder.size();
             let (size, status) = (entry.size, has_ended.then(|| entry.report()));
             if let Some(max_bytes) = entry.status.max_bytes.filter(|it| size >= *it) {
                 return Some(format!(
@@ -444,7 +419,8 @@ impl Recordings {
     /// Ends a running recording, and waits for its writer.
     fn end(&self, name: &str) -> Result<(), RecordError> {
         let running = |state: &State| state.entries.get(name)?.subscription.clone();
-        let Some(subscription) = running(&self.lock()) else {
+        let subscription = running(&self.lock());
+        let Some(subscription) = subscription else {
             // It has not been resumed yet.
             let status = self.find(name)?;
             self.finish(name, status, Phase::Ended, Some(STOPPED.to_owned()));

@@ -1,18 +1,20 @@
 //! The status of a recording: in memory, and in its folder.
 
 use std::sync::Arc;
+use std::time::SystemTime;
 
-use jostle_results::recording::{Format, Recorder, Written};
+use jostle_results::recording::{Format, Written};
 use serde::{Deserialize, Serialize};
 
 use crate::jobs::StatusFile;
 use crate::swarm::output::Subscription;
 
 /// What a recording is doing.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Phase {
     /// It is running.
+    #[default]
     Recording,
     /// It is over, as its reason says.
     Ended,
@@ -22,7 +24,7 @@ pub enum Phase {
 
 /// The status of a recording, as it is stored. While it is running, the counts are those when the last
 /// part was finished.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Status {
     /// The swarm.
     pub swarm: String,
@@ -64,6 +66,16 @@ impl StatusFile for Status {
 }
 
 impl Status {
+    /// The status of a new recording.
+    pub fn new(swarm: String) -> Self {
+        let began = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH);
+        Status {
+            swarm,
+            began_unix_secs: began.unwrap_or_default().as_secs(),
+            ..Status::default()
+        }
+    }
+
     pub(super) fn count(&mut self, written: Written) {
         let Written {
             frames,
@@ -97,12 +109,6 @@ impl Entry {
     /// Whether it was running when the daemon ended and has not been resumed.
     pub(super) fn is_interrupted(&self) -> bool {
         self.status.phase == Phase::Recording && self.subscription.is_none()
-    }
-
-    /// Notes the progress of the writer.
-    pub(super) fn progress(&mut self, recorder: &Recorder) {
-        self.status.count(recorder.progress());
-        self.size = recorder.size();
     }
 
     /// The present status.

@@ -6,10 +6,9 @@ use std::time::{Duration, Instant, SystemTime};
 use fail::fail_point;
 use jostle_results::recording::{About, Frame, Moment, Recorder, RecordingError, Written};
 
-use crate::convert::error::refusal;
 use crate::convert::{self, Payload};
 use crate::swarm::frame::{self, Event};
-use crate::swarm::output::{End, Next, Subscription};
+use crate::swarm::output::{End, Item, Subscription};
 
 /// The maximum duration of a part: at most as much is lost by a crash.
 const PART_DURATION: Duration = Duration::from_secs(60);
@@ -54,14 +53,12 @@ impl RecordingWriter {
         loop {
             let parts = self.recorder.written().parts;
             match self.subscription.next(due) {
-                Next::Frame(frame, taken) => self.frame(&frame, taken)?,
-                Next::Event(event, taken) => self.event(*event, taken)?,
-                Next::Timeout => {}
-                Next::End(End::Closed(reason)) => return Ok(reason),
-                Next::End(End::Deleted) => return Ok(Some("its swarm was deleted".to_owned())),
-                Next::End(End::Complete) => {
-                    return Ok(Some("all its steps are recorded".to_owned()));
-                }
+                Ok(Some(Item::Frame(frame, taken))) => self.frame(&frame, taken)?,
+                Ok(Some(Item::Event(event, taken))) => self.event(*event, taken)?,
+                Ok(None) => {}
+                Err(End::Closed(reason)) => return Ok(reason),
+                Err(End::Deleted) => return Ok(Some("its swarm was deleted".to_owned())),
+                Err(End::Complete) => return Ok(Some("all its steps are recorded".to_owned())),
             }
             let now = Instant::now();
             let is_due = now >= *due.get_or_insert_with(|| now + part_duration());
@@ -126,7 +123,7 @@ impl RecordingWriter {
             time: event.stamp.time,
             taken,
         };
-        let event = Payload::json(&convert::event(&self.swarm, event, refusal));
+        let event = Payload::json(&convert::event(&self.swarm, event));
         self.recorder.event(&moment, &event.bytes)
     }
 }

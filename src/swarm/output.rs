@@ -54,16 +54,12 @@ pub enum Overflow {
     Block(Box<dyn Fn() + Send + Sync>),
 }
 
-/// The result of a wait for the next item.
-pub enum Next {
+/// A queued item.
+pub enum Item {
     /// A state and when it was enqueued.
     Frame(Arc<Frame>, SystemTime),
     /// An event and when it was enqueued.
     Event(Box<Event>, SystemTime),
-    /// The wait timed out.
-    Timeout,
-    /// The subscription has ended and its queue is empty.
-    End(End),
 }
 
 /// Why a subscription has ended.
@@ -148,8 +144,11 @@ impl Output {
     /// once it has.
     pub fn has_room(&self) -> bool {
         // No short-circuit: each full subscription must know that the thread waits.
-        let subscriptions = self.subscriptions().into_iter();
-        subscriptions.fold(true, |all, it| it.has_room() && all)
+        let mut has_room = true;
+        for subscription in self.subscriptions() {
+            has_room &= subscription.has_room();
+        }
+        has_room
     }
 
     /// Queues a frame for the publisher if it has a reader. Only for the thread of the swarm.
@@ -218,7 +217,7 @@ pub struct Subscription {
 
 #[derive(Default)]
 struct Contents {
-    waiting: VecDeque<Next>,
+    waiting: VecDeque<Item>,
     /// The frames among them, and their individuals.
     frames: usize,
     individuals: usize,
@@ -239,16 +238,16 @@ impl Contents {
             || self.individuals >= times * limits.individuals
     }
 
-    fn remove(&mut self, index: usize) -> Option<Next> {
-        let next = self.waiting.remove(index)?;
-        if let Next::Frame(frame, _) = &next {
+    fn remove(&mut self, index: usize) -> Option<Item> {
+        let item = self.waiting.remove(index)?;
+        if let Item::Frame(frame, _) = &item {
             self.frames -= 1;
             self.individuals -= frame.configuration.n();
         }
-        Some(next)
+        Some(item)
     }
 
-    fn remove_oldest(&mut self, is_kind: fn(&Next) -> bool) {
+    fn remove_oldest(&mut self, is_kind: fn(&Item) -> bool) {
         let oldest = self.waiting.iter().position(is_kind);
         oldest.and_then(|index| self.remove(index));
     }
@@ -264,26 +263,30 @@ impl Subscription {
     }
 
     /// Waits for the next item, at most until then.
-    pub fn next(&self, until: Option<Instant>) -> Next {
+    ///
+    /// # Errors
+    ///
+    /// [`End`] if the queue is empty and the subscription has ended.
+    pub fn next(&self, until: Option<Instant>) -> Result<Option<Item>, End> {
         let mut contents = self.lock();
         loop {
-            if let Some(next) = contents.remove(0) {
+            if let Some(item) = contents.remove(0) {
                 // Half empty, so that the swarm is not woken for every single step.
                 let is_half_empty = 2 * contents.frames <= self.limits.frames;
                 if is_half_empty && !contents.is_full(&self.limits, 1) {
                     self.unblock(contents);
                 }
-                return next;
+                return Ok(Some(item));
             }
             if let Some(end) = &contents.end {
-                return Next::End(end.clone());
+                return Err(end.clone());
             }
             // Without an end, a wait of the longest duration is one without an end, too.
             let left = until.map_or(Duration::MAX, |until| {
                 until.saturating_duration_since(Instant::now())
             });
             if left.is_zero() {
-                return Next::Timeout;
+                return Ok(None);
             }
             contents.is_reader_waiting = true;
             let waited = self.changed.wait_timeout(contents, left);
@@ -299,11 +302,10 @@ impl Subscription {
             std::mem::take(&mut contents.waiting)
         };
         let (mut frames, mut events) = (VecDeque::new(), Vec::new());
-        for next in waiting {
-            match next {
-                Next::Frame(frame, _) => frames.push_back(frame),
-                Next::Event(event, _) => events.push(*event),
-                Next::Timeout | Next::End(_) => {}
+        for item in waiting {
+            match item {
+                Item::Frame(frame, _) => frames.push_back(frame),
+                Item::Event(event, _) => events.push(*event),
             }
         }
         (frames, events)
@@ -365,11 +367,11 @@ impl Subscription {
         let is_full = contents.waiting.len() - contents.frames == MAX_EVENTS;
         let drops_oldest = matches!(self.limits.overflow, Overflow::DropOldest);
         if is_full && drops_oldest {
-            contents.remove_oldest(|it| matches!(it, Next::Event(..)));
+            contents.remove_oldest(|it| matches!(it, Item::Event(..)));
         }
         if !is_full || drops_oldest {
-            let next = Next::Event(Box::new(event.clone()), SystemTime::now());
-            contents.waiting.push_back(next);
+            let item = Item::Event(Box::new(event.clone()), SystemTime::now());
+            contents.waiting.push_back(item);
         }
         if matches!(event.kind, EventKind::Deleted) {
             contents.end = Some(End::Deleted);
@@ -394,13 +396,13 @@ impl Subscription {
         let frame = frame();
         contents.frames += 1;
         contents.individuals += frame.configuration.n();
-        let next = Next::Frame(frame, SystemTime::now());
-        contents.waiting.push_back(next);
+        let item = Item::Frame(frame, SystemTime::now());
+        contents.waiting.push_back(item);
         while matches!(limits.overflow, Overflow::DropOldest)
             && contents.individuals > limits.individuals
             && contents.frames > 1
         {
-            contents.remove_oldest(|it| matches!(it, Next::Frame(..)));
+            contents.remove_oldest(|it| matches!(it, Item::Frame(..)));
             contents.dropped += 1;
         }
         self.notify_reader(contents);
@@ -450,18 +452,19 @@ mod tests {
     fn a_subscription_receives_every_state_and_event_until_it_is_dropped() {
         let output = Output::new("demo".to_owned());
         let push_event = |number| {
-            let stamp = Stamp {
-                epoch: 0,
-                step: 0,
-                time: 0.0,
-                phase: Phase::Faulted("why".into()),
-                seq: 0,
-            };
+            let (phase, kind) = (Phase::Faulted("why".into()), EventKind::Created);
+            let (epoch, step, time, seq) = (0, 0, 0.0, 0);
             output.push_event(&Event {
                 number,
-                stamp,
+                stamp: Stamp {
+                    epoch,
+                    step,
+                    time,
+                    phase,
+                    seq,
+                },
                 unix_secs: None,
-                kind: EventKind::Created,
+                kind,
             });
         };
         let state = |step| output.state((0, step), || unreachable!("an odd step is not copied"));
@@ -475,16 +478,12 @@ mod tests {
         });
         state(3);
         push_event(3);
-        assert_eq!(
-            subscription.steps_left(),
-            Some(4),
-            "the first state is no step"
-        );
+        assert_eq!(subscription.steps_left(), Some(4));
         state(7);
         push_event(4);
         let next = || subscription.next(Some(Instant::now()));
-        assert!(matches!(next(), Next::Event(event, _) if event.number == 3));
-        assert!(matches!(next(), Next::End(End::Complete)));
+        assert!(matches!(next(), Ok(Some(Item::Event(event, _))) if event.number == 3));
+        assert!(matches!(next(), Err(End::Complete)));
         assert!(output.has_room(), "the swarm does not wait after the end");
         drop(subscription);
         push_event(5);

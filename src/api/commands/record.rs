@@ -13,7 +13,7 @@ use crate::api::responder::Responder;
 use crate::convert::commands::{CommandError, DEFAULT_TIMEOUT, check_name};
 use crate::convert::{self, Payload};
 use crate::health::RecordingCounts;
-use crate::recording::{Choice, NewRecording, Phase, RecordError, Recordings, Source, Status};
+use crate::recording::{Phase, RecordError, Recordings, Source, Status};
 use crate::swarm::error::SwarmError;
 use crate::swarm::handle::Message;
 use crate::swarm::outcome::{Outcome, Rejection, ReplyTo};
@@ -46,24 +46,22 @@ impl Context {
                 }
                 let handle = self.find(&args.swarm)?;
                 let tapped = handle.clone();
+                let status = Status {
+                    every: args.every,
+                    steps_left: args.steps,
+                    drop_when_behind: args.drop_when_behind,
+                    max_bytes: Some(args.max_bytes.unwrap_or(DEFAULT_MAX_RECORDING_BYTES)),
+                    temporary: args.temporary,
+                    ..Status::new(args.swarm)
+                };
                 handle.send(Message::Query(ReplyTo::new(
                     move |answered| match answered {
                         Ok((_, Outcome::State(now))) => {
-                            let choice = Choice {
-                                every: args.every,
-                                steps: args.steps,
-                                drops: args.drop_when_behind,
-                            };
-                            let source = Source::subscribe(&tapped, &now, choice);
+                            let source = Source::subscribe(&tapped, &now, &status);
                             files.submit(move |recordings| {
-                                let new = NewRecording {
-                                    name: args.recording,
-                                    max_bytes: args
-                                        .max_bytes
-                                        .unwrap_or(DEFAULT_MAX_RECORDING_BYTES),
-                                    temporary: args.temporary,
-                                };
-                                reply(&responder, node, recordings.begin(&new, source));
+                                let name = args.recording.as_deref();
+                                let begun = recordings.begin(name, status, source);
+                                reply(&responder, node, begun);
                             });
                         }
                         Ok(_) => responder.reject(&CommandError::Internal, None),
@@ -162,13 +160,7 @@ pub fn resume(recordings: &Recordings, files: &Executor<Recordings>, host: &Arc<
         handle.send(Message::Query(ReplyTo::new(
             move |answered| match answered {
                 Ok((_, Outcome::State(now))) => {
-                    let choice = Choice {
-                        every: standing.every,
-                        steps: standing.steps_left,
-                        drops: standing.drop_when_behind,
-                    };
-                    let source = Source::subscribe(&tapped, &now, choice);
-                    resume(Some(source));
+                    resume(Some(Source::subscribe(&tapped, &now, &standing)));
                 }
                 Err(Rejection {
                     error: SwarmError::Gone,

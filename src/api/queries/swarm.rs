@@ -8,7 +8,6 @@ use crate::api::context::Context;
 use crate::api::incoming::{Incoming, page};
 use crate::api::responder::Responder;
 use crate::convert::commands::{CommandError, DEFAULT_TIMEOUT};
-use crate::convert::error::refusal;
 use crate::convert::{self, Payload};
 use crate::store::Store;
 use crate::swarm::frame::{Frame, Stamp};
@@ -117,7 +116,7 @@ impl Context {
                 Payload::json(&convert::reply(&name, stamp, parameters))
             }
             "events" => {
-                let events = convert::events(&name, handle.history.events(after, limit), refusal);
+                let events = convert::events(&name, handle.history.events(after, limit));
                 Payload::json(&convert::reply(&name, stamp, events))
             }
             "journal" => {

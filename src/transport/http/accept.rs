@@ -137,25 +137,18 @@ pub async fn record_completion(request: Request, next: Next) -> Response {
     response
 }
 
-/// The body of a request, which is read within [`BODY_TIMEOUT`].
-pub struct WholeBody(pub Bytes);
-
-impl<S: Send + Sync> FromRequest<S> for WholeBody {
-    type Rejection = Response;
-
-    async fn from_request(request: Request, state: &S) -> Result<Self, Response> {
-        let slot = request.extensions().get::<Arc<Slot>>().cloned();
-        match timeout(BODY_TIMEOUT, Bytes::from_request(request, state)).await {
-            Ok(Ok(body)) => Ok(WholeBody(body)),
-            Ok(Err(rejection)) => Err(rejection.into_response()),
-            Err(_) => {
-                if let Some(slot) = slot {
-                    slot.count_closed(CloseReason::BodyTimeout);
-                }
-                let message = format!("the body did not arrive within {BODY_TIMEOUT:?}\n");
-                let close = [(CONNECTION, HeaderValue::from_static("close"))];
-                Err((StatusCode::REQUEST_TIMEOUT, close, message).into_response())
+/// The body of a request, which is read within [`BODY_TIMEOUT`], or the response if it is not.
+pub async fn whole_body(request: Request) -> Result<Bytes, Response> {
+    let slot = request.extensions().get::<Arc<Slot>>().cloned();
+    match timeout(BODY_TIMEOUT, Bytes::from_request(request, &())).await {
+        Ok(body) => body.map_err(IntoResponse::into_response),
+        Err(_) => {
+            if let Some(slot) = slot {
+                slot.count_closed(CloseReason::BodyTimeout);
             }
+            let message = format!("the body did not arrive within {BODY_TIMEOUT:?}\n");
+            let close = [(CONNECTION, HeaderValue::from_static("close"))];
+            Err((StatusCode::REQUEST_TIMEOUT, close, message).into_response())
         }
     }
 }

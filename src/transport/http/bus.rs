@@ -84,14 +84,15 @@ impl Bus {
             }
             query.wait()
         };
-        let no_reply = || {
+        // zenoh blocks the thread that sends while it removes what a session has declared.
+        let reply = match spawn_blocking(sending).await {
+            Ok(Ok(replies)) => replies.recv_async().await.ok(),
+            _ => None,
+        };
+        let reply = reply.ok_or_else(|| {
             let message = format!("no reply to {rest:?}: check the list of swarms");
             error(ErrorCode::NotFound, message)
-        };
-        // zenoh blocks the thread that sends while it removes what a session has declared.
-        let replies = spawn_blocking(sending).await.map_err(|_| no_reply())?;
-        let replies = replies.map_err(|_| no_reply())?;
-        let reply = replies.recv_async().await.map_err(|_| no_reply())?;
+        })?;
         let (is_ok, payload, encoding) = match reply.result() {
             Ok(sample) => (true, sample.payload(), sample.encoding()),
             Err(error) => (false, error.payload(), error.encoding()),
@@ -134,7 +135,7 @@ pub fn error(code: ErrorCode, message: impl Into<String>) -> Error {
     Error {
         code,
         message: message.into(),
-        details: serde_json::Map::new().into_iter().collect(),
+        details: serde_json::Map::new(),
         step: None,
     }
 }

@@ -43,27 +43,14 @@ pub enum CloseReason {
     BodyTimeout,
 }
 
-impl CloseReason {
-    /// All of them.
-    const ALL: [CloseReason; 5] = [
-        CloseReason::Evicted,
-        CloseReason::Refused,
-        CloseReason::HandshakeTimeout,
-        CloseReason::HeaderTimeout,
-        CloseReason::BodyTimeout,
-    ];
-
-    /// Its label in the metrics.
-    fn label(self) -> &'static str {
-        match self {
-            CloseReason::Evicted => "evicted",
-            CloseReason::Refused => "refused",
-            CloseReason::HandshakeTimeout => "handshake_timeout",
-            CloseReason::HeaderTimeout => "header_timeout",
-            CloseReason::BodyTimeout => "body_timeout",
-        }
-    }
-}
+/// The reasons in the metrics.
+const LABELS: [&str; 5] = [
+    "evicted",
+    "refused",
+    "handshake_timeout",
+    "header_timeout",
+    "body_timeout",
+];
 
 /// The connections in numbers.
 #[derive(Debug)]
@@ -95,13 +82,9 @@ struct Entry {
     peer: IpAddr,
     /// When the last request was answered, or the connection was accepted.
     last_complete: Instant,
-    socket: Option<Socket>,
+    /// The user of an open WebSocket, if there are users.
+    socket: Option<Option<String>>,
     evicted: Arc<Notify>,
-}
-
-/// An open WebSocket.
-struct Socket {
-    person: Option<String>,
 }
 
 impl Connections {
@@ -131,9 +114,8 @@ impl Connections {
         HttpFigures {
             open: self.lock().entries.len() as u64,
             accept_failures: self.accept_failures.load(Ordering::Relaxed),
-            closed: CloseReason::ALL.map(|reason| {
-                let count = self.closed[reason as usize].load(Ordering::Relaxed);
-                (reason.label(), count)
+            closed: std::array::from_fn(|reason| {
+                (LABELS[reason], self.closed[reason].load(Ordering::Relaxed))
             }),
         }
     }
@@ -143,16 +125,13 @@ impl Connections {
     /// peer. Returns `None` if there is none to evict.
     pub fn register(self: &Arc<Self>, peer: IpAddr) -> Option<Arc<Slot>> {
         let mut registry = self.lock();
-        let of_peer = |entry: &Entry| entry.peer == peer;
-        let used = registry.entries.values().filter(|it| of_peer(it)).count();
+        let of_peer = |entry: &&Entry| entry.peer == peer;
+        let used = registry.entries.values().filter(of_peer).count();
         let is_peer_full = !peer.to_canonical().is_loopback() && used >= self.max_per_peer;
         if is_peer_full || registry.entries.len() >= self.max {
-            let evicted = registry.evict(|entry| !is_peer_full || of_peer(entry));
-            if evicted.is_none() {
-                self.count_closed(CloseReason::Refused);
-                return None;
-            }
-            self.count_closed(CloseReason::Evicted);
+            let evicted = registry.evict(|entry| !is_peer_full || of_peer(&entry));
+            self.count_closed(evicted.map_or(CloseReason::Refused, |()| CloseReason::Evicted));
+            evicted?;
         }
         let id = registry.next_id;
         registry.next_id += 1;
@@ -222,8 +201,8 @@ impl Slot {
         let mut registry = self.connections.lock();
         let max = MAX_SOCKETS.min((self.connections.max * 3 / 4).max(1));
         let entries = registry.entries.values();
-        let sockets: Vec<&Socket> = entries.filter_map(|it| it.socket.as_ref()).collect();
-        let of_person = sockets.iter().filter(|it| it.person.as_deref() == person);
+        let sockets: Vec<_> = entries.filter_map(|it| it.socket.as_ref()).collect();
+        let of_person = sockets.iter().filter(|it| it.as_deref() == person);
         if sockets.len() >= max {
             return Err(format!("{max} tabs are open: close one"));
         }
@@ -235,8 +214,7 @@ impl Slot {
             ));
         }
         if let Some(entry) = registry.entries.get_mut(&self.id) {
-            let person = person.map(str::to_owned);
-            entry.socket = Some(Socket { person });
+            entry.socket = Some(person.map(str::to_owned));
         }
         Ok(())
     }
@@ -280,7 +258,7 @@ mod tests {
         assert!(fourth.upgrade(None).is_err(), "three quarters");
         // Sockets reach a cap only if it is that of one peer.
         let mut registry = connections.lock();
-        registry.entries.get_mut(&fourth.id).unwrap().socket = Some(Socket { person: None });
+        registry.entries.get_mut(&fourth.id).unwrap().socket = Some(None);
         drop(registry);
         assert!(connections.register(LOCAL).is_none(), "all are WebSockets");
         let HttpFigures { open, closed, .. } = connections.figures();

@@ -7,14 +7,16 @@ use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError, Weak};
 use std::time::Duration;
 
-use axum::body::Bytes;
+use axum::extract::ws::Message;
 use jostle_proto::keys;
+use serde_json::value::RawValue;
 use tokio::sync::{broadcast, watch};
 use tokio::task::spawn_blocking;
 use tokio::time::{Instant, MissedTickBehavior, interval};
 use tracing::debug;
-use zenoh::Wait;
+use zenoh::bytes::ZBytes;
 use zenoh::pubsub::Subscriber;
+use zenoh::{Session, Wait};
 
 use crate::transport::http::bus::Bus;
 use crate::transport::zenoh::session_pool::Lease;
@@ -29,17 +31,65 @@ const HEARTBEAT_INTERVAL: Duration = Duration::from_secs(1);
 
 /// The messages of one swarm.
 pub struct Feed {
-    /// Its newest state, in CBOR; empty before the first.
-    pub states: watch::Sender<Bytes>,
-    /// Its newest order, in JSON.
-    pub orders: watch::Sender<Bytes>,
-    /// Its events, in JSON.
-    pub events: broadcast::Sender<Bytes>,
-    subscribers: Option<Subscribers>,
+    /// Its newest state.
+    pub states: watch::Sender<Option<Message>>,
+    /// Its newest order.
+    pub orders: watch::Sender<Option<Message>>,
+    /// Its events, each with whether it is the last: the swarm is deleted.
+    pub events: broadcast::Sender<(Message, bool)>,
+    /// The subscribers to states, orders and events, and the session that declared them.
+    subscribers: Option<([Subscriber<()>; 3], Lease)>,
 }
 
-/// The subscribers to states, orders and events, and the session that declared them.
-type Subscribers = ([Subscriber<()>; 3], Lease);
+impl Feed {
+    /// Subscribes to a swarm. zenoh blocks the thread that declares while it removes what a session
+    /// has declared.
+    fn subscribe(bus: &Bus, swarm: &str) -> zenoh::Result<Self> {
+        let session = bus.pool.lease()?;
+        let (states, orders) = (watch::Sender::default(), watch::Sender::default());
+        let events = broadcast::Sender::new(EVENT_CAPACITY);
+        let (state, order, event) = (states.clone(), orders.clone(), events.clone());
+        let on_state = move |payload: &ZBytes| {
+            let bytes = payload.to_bytes().into_owned();
+            state.send_replace(Some(Message::Binary(bytes.into())));
+        };
+        let on_order = move |payload: &ZBytes| {
+            if let Ok(document) = payload.try_to_string() {
+                order.send_replace(Some(wrapped("order", &document)));
+            }
+        };
+        let on_event = move |payload: &ZBytes| {
+            if let Ok(document) = payload.try_to_string() {
+                let kind = field(&document, "event").and_then(|event| field(event, "kind"));
+                let is_last = kind == Some("\"deleted\"");
+                // There may be no receiver.
+                let _ = event.send((wrapped("event", &document), is_last));
+            }
+        };
+        let prefix = &bus.prefix;
+        let subscribers = [
+            subscriber(&session, keys::state(prefix, swarm), on_state)?,
+            subscriber(&session, keys::order(prefix, swarm), on_order)?,
+            subscriber(&session, keys::event(prefix, swarm), on_event)?,
+        ];
+        Ok(Feed {
+            states,
+            orders,
+            events,
+            subscribers: Some((subscribers, session)),
+        })
+    }
+}
+
+fn subscriber(
+    session: &Session,
+    key: String,
+    on_sample: impl Fn(&ZBytes) + Send + Sync + 'static,
+) -> zenoh::Result<Subscriber<()>> {
+    let declared = session.declare_subscriber(key);
+    let declared = declared.callback(move |sample| on_sample(sample.payload()));
+    declared.wait()
+}
 
 impl Drop for Feed {
     fn drop(&mut self) {
@@ -54,8 +104,8 @@ impl Drop for Feed {
 pub struct Feeds {
     bus: Bus,
     watched: Mutex<HashMap<String, Weak<Feed>>>,
-    /// The list of swarms, in JSON; empty while no tab is open.
-    pub list: watch::Sender<Bytes>,
+    /// The list of swarms; `None` while no tab is open.
+    pub list: watch::Sender<Option<Message>>,
 }
 
 impl Feeds {
@@ -64,21 +114,19 @@ impl Feeds {
         let feeds = Arc::new(Feeds {
             bus,
             watched: Mutex::default(),
-            list: watch::Sender::new(Bytes::new()),
+            list: watch::Sender::default(),
         });
         tokio::spawn(list(Arc::downgrade(&feeds)));
         feeds
     }
 
     /// The feed of a swarm and its current state; `None` if there is no such swarm.
-    pub async fn watch(&self, swarm: &str) -> Option<(Arc<Feed>, Bytes)> {
+    pub async fn watch(&self, swarm: &str) -> Option<(Arc<Feed>, Message)> {
         let feed = self.feed(swarm).await?;
         // Queried after the subscription, so that no state is missed.
-        let state = self
-            .bus
-            .query(&format!("{swarm}/state"), "", None, None)
-            .await;
-        Some((feed, state.ok()?.ok()?))
+        let key = format!("{swarm}/state");
+        let state = self.bus.query(&key, "", None, None).await.ok()?.ok()?;
+        Some((feed, Message::Binary(state)))
     }
 
     /// Queries the list of swarms, and sends it if it has changed or `is_due`. Returns `None` if it was
@@ -86,49 +134,22 @@ impl Feeds {
     pub async fn refresh(&self, is_due: bool) -> Option<()> {
         let reply = self.bus.query("@node/get/swarms", "", None, None).await;
         let document = reply.ok()?.ok()?;
-        let is_new = *self.list.borrow() != document;
-        (is_new || is_due).then(|| drop(self.list.send_replace(document)))
+        let result = field(std::str::from_utf8(&document).ok()?, "result")?;
+        let list = Some(wrapped("swarms", field(result, "swarms")?));
+        let is_new = *self.list.borrow() != list;
+        (is_new || is_due).then(|| drop(self.list.send_replace(list)))
     }
 
     async fn feed(&self, swarm: &str) -> Option<Arc<Feed>> {
         if let Some(feed) = self.lock().get(swarm).and_then(Weak::upgrade) {
             return Some(feed);
         }
-        let (states, orders) = (
-            watch::Sender::new(Bytes::new()),
-            watch::Sender::new(Bytes::new()),
-        );
-        let events = broadcast::Sender::new(EVENT_CAPACITY);
-        let pool = self.bus.pool.clone();
-        let of = |key: fn(&str, &str) -> String| key(&self.bus.prefix, swarm);
-        let [state, order, event] = [of(keys::state), of(keys::order), of(keys::event)];
-        let (sender, newest_of) = (events.clone(), [states.clone(), orders.clone()]);
-        let declaring = move || {
-            let session = pool.lease()?;
-            let newest = |key: String, sender: watch::Sender<Bytes>| {
-                let declared = session.declare_subscriber(key).callback(move |sample| {
-                    sender.send_replace(Bytes::from(sample.payload().to_bytes().into_owned()));
-                });
-                declared.wait()
-            };
-            let each = session.declare_subscriber(event).callback(move |sample| {
-                // There may be no receiver.
-                let _ = sender.send(Bytes::from(sample.payload().to_bytes().into_owned()));
-            });
-            let [states, orders] = newest_of;
-            let subscribers = [newest(state, states)?, newest(order, orders)?, each.wait()?];
-            zenoh::Result::Ok((subscribers, session))
-        };
-        // zenoh blocks the thread that declares while it removes what a session has declared.
-        let subscribers = spawn_blocking(declaring).await.ok()?;
-        let subscribers = subscribers
-            .inspect_err(|error| debug!(swarm, %error, "failed to subscribe for the page"));
-        let feed = Arc::new(Feed {
-            states,
-            orders,
-            events,
-            subscribers: Some(subscribers.ok()?),
+        let (bus, name) = (self.bus.clone(), swarm.to_owned());
+        let subscribed = spawn_blocking(move || Feed::subscribe(&bus, &name)).await;
+        let subscribed = subscribed.ok()?.inspect_err(|error| {
+            debug!(swarm, %error, "failed to subscribe for the page");
         });
+        let feed = Arc::new(subscribed.ok()?);
         let mut watched = self.lock();
         watched.retain(|_, feed| feed.strong_count() > 0);
         // Another tab may have inserted one meanwhile.
@@ -156,7 +177,7 @@ async fn list(feeds: Weak<Feeds>) {
         };
         if feeds.list.receiver_count() == 0 {
             // The next tab must not receive an old list.
-            feeds.list.send_replace(Bytes::new());
+            feeds.list.send_replace(None);
             continue;
         }
         let is_due = sent.elapsed() >= HEARTBEAT_INTERVAL;
@@ -164,4 +185,15 @@ async fn list(feeds: Weak<Feeds>) {
             sent = Instant::now();
         }
     }
+}
+
+/// The field of a JSON object, in JSON.
+fn field<'a>(object: &'a str, name: &str) -> Option<&'a str> {
+    let fields: HashMap<&str, &'a RawValue> = serde_json::from_str(object).ok()?;
+    Some(fields.get(name)?.get())
+}
+
+/// The message with one field that contains a JSON document.
+fn wrapped(name: &str, document: &str) -> Message {
+    Message::Text(format!("{{\"{name}\":{document}}}").into())
 }

@@ -26,7 +26,9 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 
 use axum::Router;
-use axum::extract::{DefaultBodyLimit, Extension, Path, Query, RawQuery, State, WebSocketUpgrade};
+use axum::extract::{
+    DefaultBodyLimit, Extension, Path, Query, RawQuery, Request, State, WebSocketUpgrade,
+};
 use axum::http::header::CONTENT_TYPE;
 use axum::http::{HeaderMap, StatusCode};
 use axum::middleware::{from_fn, from_fn_with_state, map_response};
@@ -41,7 +43,7 @@ use tokio::task::JoinHandle;
 use tokio_rustls::TlsAcceptor;
 
 use crate::health::Watch;
-use crate::transport::http::accept::{WholeBody, accept, record_completion};
+use crate::transport::http::accept::{accept, record_completion, whole_body};
 use crate::transport::http::bus::{error, reject};
 use crate::transport::http::connections::{Connections, Slot, max_connections};
 use crate::transport::http::credentials::PROTOCOL;
@@ -230,21 +232,16 @@ async fn healthz(State(server): SharedServer) -> Response {
         true => StatusCode::OK,
         false => StatusCode::SERVICE_UNAVAILABLE,
     };
-    let reason_list: Vec<_> = reasons
-        .iter()
-        .map(|reason| json!({"code": reason.code(), "message": reason.to_string()}))
-        .collect();
+    let listed = |code: &str, message: String| json!({"code": code, "message": message});
+    let reason_list = reasons.iter().map(|it| listed(it.code(), it.to_string()));
     let warnings = watch.warnings();
-    let warnings: Vec<_> = warnings
-        .iter()
-        .map(|warning| json!({"code": warning.code(), "message": warning.to_string()}))
-        .collect();
+    let warnings = warnings.iter().map(|it| listed(it.code(), it.to_string()));
     let document = json!({
         "healthy": reasons.is_empty(),
         "node": node,
         "uptime_secs": watch.uptime().as_secs_f64(),
-        "reasons": reason_list,
-        "warnings": warnings,
+        "reasons": reason_list.collect::<Vec<_>>(),
+        "warnings": warnings.collect::<Vec<_>>(),
     });
     let json = [(CONTENT_TYPE, "application/json")];
     (status, json, format!("{document}\n")).into_response()
@@ -313,47 +310,36 @@ async fn get(
 }
 
 async fn command(
-    server: SharedServer,
+    State(server): SharedServer,
     Path((swarm, verb)): Path<(String, String)>,
-    headers: HeaderMap,
-    body: Result<WholeBody, Response>,
+    request: Request,
 ) -> Response {
-    send(server, &format!("{swarm}/cmd/{verb}"), &headers, body).await
+    send(server, format!("{swarm}/cmd/{verb}"), request).await
 }
 
 async fn node_command(
-    server: SharedServer,
+    State(server): SharedServer,
     Path(verb): Path<String>,
-    headers: HeaderMap,
-    body: Result<WholeBody, Response>,
+    request: Request,
 ) -> Response {
-    send(server, &format!("@node/cmd/{verb}"), &headers, body).await
+    send(server, format!("@node/cmd/{verb}"), request).await
 }
 
 /// Sends a command, which needs a token.
-async fn send(
-    State(server): SharedServer,
-    rest: &str,
-    headers: &HeaderMap,
-    body: Result<WholeBody, Response>,
-) -> Response {
-    if !server.credentials.may_command(headers) {
+async fn send(server: Arc<Server>, rest: String, request: Request) -> Response {
+    let headers = request.headers().clone();
+    let body = whole_body(request).await;
+    if !server.credentials.may_command(&headers) {
         return server.unauthorized();
     }
     let body = match body {
-        Ok(WholeBody(body)) => body,
+        Ok(body) => body,
         Err(rejection) => return rejection,
     };
     // A command is not cancelled when the client disconnects.
-    let reply = tokio::spawn({
-        let (server, rest) = (server.clone(), rest.to_owned());
-        let token = server.credentials.token(headers).map(str::to_owned);
-        async move {
-            server
-                .bus
-                .query(&rest, "", Some(body), token.as_deref())
-                .await
-        }
+    let reply = tokio::spawn(async move {
+        let token = server.credentials.token(&headers);
+        server.bus.query(&rest, "", Some(body), token).await
     });
     match reply.await {
         Ok(Ok(reply)) => reply.into_response(),
@@ -406,48 +392,27 @@ mod tests {
     #[test]
     fn only_loopback_or_tls_addresses_are_accepted() {
         assert!(matches!(check("", false), Ok(None)));
-        for local in ["127.0.0.1:8080", "localhost:0", "[::1]:1", "http://[::1]:1"] {
-            assert!(
-                matches!(check(local, false), Ok(Some(place)) if !place.is_secure),
-                "{local}"
-            );
-        }
-        for secure in ["https://0.0.0.0:8443", "https://localhost:0"] {
-            assert!(
-                matches!(check(secure, true), Ok(Some(place)) if place.is_secure),
-                "{secure}"
-            );
-            let rejected = check(secure, false);
-            assert!(
-                matches!(rejected, Err(GatewayError::NoUsers(_))),
-                "{secure}"
-            );
-        }
-        for open in [
-            "0.0.0.0:8080",
-            "[::]:1",
-            "10.0.0.1:8080",
-            "http://10.0.0.1:8080",
+        let local = "127.0.0.1:8080 localhost:0 [::1]:1 http://[::1]:1";
+        let secure = "https://0.0.0.0:8443 https://localhost:0";
+        let open = "0.0.0.0:8080 [::]:1 10.0.0.1:8080 http://10.0.0.1:8080";
+        let invalid = "8080 :8080 example.org:80 127.0.0.1 https:// ftp://127.0.0.1:1";
+        for (addresses, has_users, expected) in [
+            (local, false, "plain"),
+            (secure, true, "TLS"),
+            (secure, false, "no users"),
+            (open, true, "not loopback"),
+            (invalid, true, "no address"),
         ] {
-            let rejected = check(open, true);
-            assert!(
-                matches!(rejected, Err(GatewayError::NotLoopback(_))),
-                "{open}"
-            );
-        }
-        for invalid in [
-            "8080",
-            ":8080",
-            "example.org:80",
-            "127.0.0.1",
-            "https://",
-            "ftp://127.0.0.1:1",
-        ] {
-            let rejected = check(invalid, true);
-            assert!(
-                matches!(rejected, Err(GatewayError::NoAddress(_))),
-                "{invalid}"
-            );
+            for address in addresses.split(' ') {
+                let checked = match check(address, has_users) {
+                    Ok(Some(Place { is_secure, .. })) => ["plain", "TLS"][usize::from(is_secure)],
+                    Err(GatewayError::NoUsers(_)) => "no users",
+                    Err(GatewayError::NotLoopback(_)) => "not loopback",
+                    Err(GatewayError::NoAddress(_)) => "no address",
+                    other => panic!("{address}: {other:?}"),
+                };
+                assert_eq!(checked, expected, "{address}");
+            }
         }
     }
 }

@@ -109,29 +109,14 @@ mod tests {
 
     #[test]
     fn only_loopback_names_that_cannot_be_rebound_are_accepted() {
-        for own in [
-            "localhost",
-            "LocalHost:8080",
-            "127.0.0.1",
-            "127.0.0.1:1",
-            "127.9.9.9:80",
-            "[::1]",
-            "[::1]:8080",
-        ] {
+        let own = "localhost LocalHost:8080 127.0.0.1 127.0.0.1:1 127.9.9.9:80 [::1] [::1]:8080";
+        for own in own.split(' ') {
             assert!(is_own(&HeaderValue::from_static(own)), "{own}");
         }
-        for foreign in [
-            "",
-            "evil.example",
-            "evil.example:8080",
-            "127.0.0.1.evil.example",
-            "localhost.evil.example:8080",
-            "localhost:8080:8080",
-            "10.0.0.1:8080",
-            "0.0.0.0:8080",
-            "[::]:8080",
-            "[::1",
-        ] {
+        // The last one is empty.
+        let foreign = "evil.example evil.example:8080 127.0.0.1.evil.example \
+             localhost.evil.example:8080 localhost:8080:8080 10.0.0.1:8080 0.0.0.0:8080 [::]:8080 [::1 ";
+        for foreign in foreign.split(' ') {
             assert!(!is_own(&HeaderValue::from_static(foreign)), "{foreign}");
         }
     }

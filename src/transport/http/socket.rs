@@ -3,10 +3,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use axum::body::Bytes;
 use axum::extract::ws::{CloseFrame, Message, Utf8Bytes, WebSocket, close_code};
-use serde::Deserialize;
-use serde_json::value::RawValue;
 use tokio::sync::broadcast::error::RecvError;
 use tokio::sync::{broadcast, watch};
 use tokio::time::timeout;
@@ -19,31 +16,6 @@ const SEND_TIMEOUT: Duration = Duration::from_secs(150);
 
 /// The time for sending a close frame.
 const CLOSE_TIMEOUT: Duration = Duration::from_secs(1);
-
-/// The part of the list that is sent.
-#[derive(Deserialize)]
-struct Document<'a> {
-    #[serde(borrow)]
-    result: ListResult<'a>,
-}
-
-#[derive(Deserialize)]
-struct ListResult<'a> {
-    #[serde(borrow)]
-    swarms: &'a RawValue,
-}
-
-/// The part of an event that is read here.
-#[derive(Deserialize)]
-struct Event<'a> {
-    #[serde(borrow)]
-    event: Kind<'a>,
-}
-
-#[derive(Deserialize)]
-struct Kind<'a> {
-    kind: &'a str,
-}
 
 /// Sends a tab the list of swarms, and the frames of `swarm` if given, until the tab disconnects or
 /// `revoked` completes.
@@ -69,7 +41,7 @@ pub async fn serve(
 async fn feed(socket: &mut WebSocket, feeds: Arc<Feeds>, swarm: Option<String>) {
     let mut lists = feeds.list.subscribe();
     lists.mark_changed();
-    let is_first = lists.borrow().is_empty();
+    let is_first = lists.borrow().is_none();
     if is_first {
         feeds.refresh(false).await;
     }
@@ -78,24 +50,20 @@ async fn feed(socket: &mut WebSocket, feeds: Arc<Feeds>, swarm: Option<String>) 
         let Some((feed, state)) = feeds.watch(&swarm).await else {
             return send_gone(socket).await;
         };
-        let subscribed = Watched::new(feed);
-        if send(socket, Message::Binary(state)).await.is_none() {
+        watched = Some(Watched::new(feed));
+        if send(socket, state).await.is_none() {
             return;
         }
-        watched = Some(subscribed);
     }
     loop {
-        let message = tokio::select! {
+        let (message, is_last) = tokio::select! {
             received = socket.recv() => match received {
                 // Other messages of a tab are ignored.
                 Some(Ok(Message::Close(_)) | Err(_)) | None => return,
                 Some(Ok(_)) => continue,
             },
             changed = lists.changed() => match changed {
-                Ok(()) => {
-                    let list = lists.borrow_and_update().clone();
-                    list_of(&list)
-                }
+                Ok(()) => (lists.borrow_and_update().clone(), false),
                 Err(_) => return,
             },
             message = next(&mut watched) => message,
@@ -103,12 +71,11 @@ async fn feed(socket: &mut WebSocket, feeds: Arc<Feeds>, swarm: Option<String>) 
         let Some(message) = message else {
             continue;
         };
-        let is_end = is_end(&message);
         if send(socket, message).await.is_none() {
             return;
         }
         // For a new swarm of the same name the tab reconnects.
-        if is_end {
+        if is_last {
             return send_gone(socket).await;
         }
     }
@@ -116,31 +83,16 @@ async fn feed(socket: &mut WebSocket, feeds: Arc<Feeds>, swarm: Option<String>) 
 
 /// Sends that there is no such swarm.
 async fn send_gone(socket: &mut WebSocket) {
-    let _ = send(socket, text(r#"{"gone":true}"#.into())).await;
+    let gone = Utf8Bytes::from_static(r#"{"gone":true}"#);
+    let _ = send(socket, Message::Text(gone)).await;
     let _ = send(socket, Message::Close(None::<CloseFrame>)).await;
-}
-
-/// Whether a message is the event that the swarm is deleted.
-fn is_end(message: &Message) -> bool {
-    let Message::Text(text) = message else {
-        return false;
-    };
-    #[derive(Deserialize)]
-    struct Wrapped<'a> {
-        #[serde(borrow)]
-        event: Option<Event<'a>>,
-    }
-    let event = serde_json::from_str::<Wrapped<'_>>(text)
-        .ok()
-        .and_then(|it| it.event);
-    event.is_some_and(|it| it.event.kind == "deleted")
 }
 
 /// The subscription of a tab to a swarm.
 struct Watched {
-    states: watch::Receiver<Bytes>,
-    orders: watch::Receiver<Bytes>,
-    events: broadcast::Receiver<Bytes>,
+    states: watch::Receiver<Option<Message>>,
+    orders: watch::Receiver<Option<Message>>,
+    events: broadcast::Receiver<(Message, bool)>,
     _feed: Arc<Feed>,
 }
 
@@ -157,8 +109,8 @@ impl Watched {
     }
 }
 
-/// The next message of the watched swarm. Never completes if there is none.
-async fn next(watched: &mut Option<Watched>) -> Option<Message> {
+/// The next message of the watched swarm, and whether it is the last. Never completes if there is none.
+async fn next(watched: &mut Option<Watched>) -> (Option<Message>, bool) {
     let Some(Watched {
         states,
         orders,
@@ -169,32 +121,16 @@ async fn next(watched: &mut Option<Watched>) -> Option<Message> {
         return std::future::pending().await;
     };
     tokio::select! {
-        Ok(()) = states.changed() => {
-            let state = states.borrow_and_update().clone();
-            (!state.is_empty()).then_some(Message::Binary(state))
-        }
-        Ok(()) = orders.changed() => wrapped("order", &orders.borrow_and_update().clone()),
+        Ok(()) = states.changed() => (states.borrow_and_update().clone(), false),
+        Ok(()) = orders.changed() => (orders.borrow_and_update().clone(), false),
         event = events.recv() => match event {
-            Ok(event) => wrapped("event", &event),
-            Err(RecvError::Lagged(missed)) => Some(text(format!("{{\"missed\":{missed}}}"))),
+            Ok((event, is_last)) => (Some(event), is_last),
+            Err(RecvError::Lagged(missed)) => {
+                (Some(Message::Text(format!("{{\"missed\":{missed}}}").into())), false)
+            }
             Err(RecvError::Closed) => std::future::pending().await,
         },
     }
-}
-
-fn list_of(document: &[u8]) -> Option<Message> {
-    let document: Document<'_> = serde_json::from_slice(document).ok()?;
-    let swarms = document.result.swarms.get();
-    Some(text(format!("{{\"swarms\":{swarms}}}")))
-}
-
-fn wrapped(name: &str, document: &[u8]) -> Option<Message> {
-    let document = std::str::from_utf8(document).ok()?;
-    (!document.is_empty()).then(|| text(format!("{{\"{name}\":{document}}}")))
-}
-
-fn text(text: String) -> Message {
-    Message::Text(Utf8Bytes::from(text))
 }
 
 /// Sends a message; `None` if the tab is disconnected or does not read.

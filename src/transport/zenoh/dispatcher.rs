@@ -181,8 +181,8 @@ impl Dispatcher {
                     self.endpoints.close_now(&swarm);
                     self.publisher.mute(&swarm, true);
                 }
-                Action::Reject(Name::Swarm(swarm)) => self.publisher.mute(&swarm, true),
-                Action::Resume(Name::Swarm(swarm)) => self.publisher.mute(&swarm, false),
+                Action::Reject(Name::Swarm(swarm)) => _ = self.publisher.mute(&swarm, true),
+                Action::Resume(Name::Swarm(swarm)) => _ = self.publisher.mute(&swarm, false),
                 Action::Reject(Name::Node) | Action::Resume(Name::Node) => {}
             }
         }
@@ -209,14 +209,11 @@ impl Dispatcher {
         let Some(handle) = self.gateway.context.host.find(swarm) else {
             return;
         };
-        let opened = match self.publisher.find(swarm) {
-            Some(_) => {
-                self.publisher.mute(swarm, false);
-                Ok(())
-            }
-            None => {
+        let opened = match self.publisher.mute(swarm, false) {
+            true => Ok(()),
+            false => {
                 let lease = self.pool.lease();
-                lease.and_then(|lease| self.publisher.open(lease, handle.output.clone()))
+                lease.and_then(|lease| self.publisher.open(lease, &handle.output))
             }
         };
         match opened.and_then(|()| self.endpoints.open(swarm)) {

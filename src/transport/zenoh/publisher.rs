@@ -22,7 +22,6 @@ use zenoh::qos::CongestionControl;
 use zenoh::{Session, Wait};
 use zenoh_ext::{AdvancedPublisher, AdvancedPublisherBuilderExt, CacheConfig, MissDetectionConfig};
 
-use crate::convert::error::refusal;
 use crate::convert::{self, Payload};
 use crate::metrics::Activity;
 use crate::swarm::frame::Frame;
@@ -113,7 +112,7 @@ impl Publisher {
     /// # Errors
     ///
     /// When zenoh rejects a publisher.
-    pub fn open(&self, lease: Lease, output: Arc<Output>) -> zenoh::Result<()> {
+    pub fn open(&self, lease: Lease, output: &Arc<Output>) -> zenoh::Result<()> {
         let (prefix, swarm) = (&self.prefix, &output.name);
         let event = lease
             .declare_publisher(keys::event(prefix, swarm))
@@ -136,11 +135,11 @@ impl Publisher {
         Ok(())
     }
 
-    /// Stops or resumes publishing a swarm whose name another daemon also holds.
-    pub fn mute(&self, swarm: &str, is_muted: bool) {
-        if let Some(publication) = self.find(swarm) {
-            publication.is_muted.store(is_muted, Ordering::Relaxed);
-        }
+    /// Stops or resumes publishing a swarm whose name another daemon also holds. Returns false if the
+    /// swarm is not open.
+    pub fn mute(&self, swarm: &str, is_muted: bool) -> bool {
+        let mute = |it: &Arc<Publication>| it.is_muted.store(is_muted, Ordering::Relaxed);
+        self.find(swarm).inspect(mute).is_some()
     }
 
     /// Publishes the rest of a swarm and forgets it. The dispatcher then receives
@@ -153,11 +152,6 @@ impl Publisher {
             // The daemon is stopping.
             reply.send();
         }
-    }
-
-    /// A swarm's publication.
-    pub fn find(&self, swarm: &str) -> Option<Arc<Publication>> {
-        self.lock().get(swarm).cloned()
     }
 
     fn run(&self, messages: &Receiver<PublishMessage>) {
@@ -206,6 +200,10 @@ impl Publisher {
         self.find(swarm).inspect(|it| it.publish()).is_some()
     }
 
+    fn find(&self, swarm: &str) -> Option<Arc<Publication>> {
+        self.lock().get(swarm).cloned()
+    }
+
     fn lock(&self) -> std::sync::MutexGuard<'_, BTreeMap<String, Arc<Publication>>> {
         self.publications
             .lock()
@@ -220,9 +218,9 @@ impl Publish for Publication {
         let _ = self.messages.send(notify);
     }
 
-    /// The swarm asks here for each frame, rather than reading a flag that zenoh's matching status
-    /// keeps up to date: the status arrives a moment after the subscription, so a paused swarm would
-    /// publish its first frame late, or, if the status were to make it publish, once per exchange.
+    /// Called for each frame. A flag alone, set by zenoh's matching status, was tried: the status
+    /// arrives a moment after the subscription, so that either the first frame of a paused swarm came
+    /// late, or each exchange made a frame, with or without a subscriber.
     fn is_watched(&self, is_moving: bool) -> bool {
         let publishers = [&self.state, &self.order];
         let is_matched = |is_moving| publishers.iter().any(|it| it.is_matched(is_moving));
@@ -239,7 +237,7 @@ impl Publication {
         }
         let swarm = &self.output.name;
         for event in events {
-            let Payload { bytes, .. } = Payload::json(&convert::event(swarm, event, refusal));
+            let Payload { bytes, .. } = Payload::json(&convert::event(swarm, event));
             report(swarm, self.event.put(bytes).wait());
         }
         let began = Instant::now();

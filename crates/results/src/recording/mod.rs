@@ -48,12 +48,13 @@ pub const FROM_STEPS: &str = "steps";
 pub const FROM_PUBLISHED: &str = "published";
 
 /// The file format of a recording.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Format {
     /// Columns, for data frames.
     Parquet,
     /// Messages, for players.
+    #[default]
     Mcap,
 }
 
