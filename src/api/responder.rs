@@ -22,8 +22,7 @@ use crate::metrics::Activity;
 use crate::persistence::reply_cache::ReplySlot;
 use crate::swarm::error::SwarmError;
 use crate::swarm::frame::Stamp;
-use crate::swarm::handle::{Handle, LastStep, Message};
-use crate::swarm::outcome::{Outcome, Rejection, ReplyTo, SwarmReply};
+use crate::swarm::handle::{Handle, LastStep, Message, Outcome, Rejection, ReplyTo, SwarmReply};
 
 /// The resolution of timers. A shorter timeout passes at once.
 const TIMER_RESOLUTION: Duration = Duration::from_millis(1);

@@ -18,9 +18,7 @@ use crate::persistence::writer::NewSwarm;
 use crate::swarm::command::WaitCondition;
 use crate::swarm::error::SwarmError;
 use crate::swarm::frame::Frame;
-use crate::swarm::handle::{CommandMessage, Handle, Message};
-use crate::swarm::outcome::{Outcome, ReplyTo, SwarmReply};
-use crate::swarm::waiters::Waiter;
+use crate::swarm::handle::{CommandMessage, Handle, Message, Outcome, ReplyTo, SwarmReply, Waiter};
 
 /// Prints and flushes a line. A closed standard output is no error.
 macro_rules! say {

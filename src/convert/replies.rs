@@ -15,7 +15,7 @@ use crate::convert::durable::snapshot;
 use crate::convert::payload::Payload;
 use crate::convert::states::{hash, phase, state, status};
 use crate::swarm::frame::{Frame, Stamp};
-use crate::swarm::outcome::Outcome;
+use crate::swarm::handle::Outcome;
 
 /// Returns the reply of `swarm` at `stamp`.
 pub fn reply<T>(swarm: &str, stamp: &Stamp, result: T) -> proto::Reply<T> {

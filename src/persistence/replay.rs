@@ -7,8 +7,8 @@ use crate::persistence::journal_reader::JournalReader;
 use crate::store::{CheckpointInfo, Store};
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::command::Command;
+use crate::swarm::handle::ReplyTo;
 use crate::swarm::journal::Replayed;
-use crate::swarm::outcome::ReplyTo;
 use crate::swarm::phase::Phase;
 use crate::swarm::worker::replay::{ReplaySource, ReplayTarget};
 

@@ -14,8 +14,8 @@ use crate::store::{self, OnCommit, Store, StoreFault, Write};
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::error::WriteFault;
 use crate::swarm::frame::{Frame, Stamp};
+use crate::swarm::handle::Outcome;
 use crate::swarm::journal::{Entry, JournalWriter, Reached, Record};
-use crate::swarm::outcome::Outcome;
 use crate::swarm::runner::{JournalFactory, PersistNew};
 use crate::swarm::sender::Sender;
 

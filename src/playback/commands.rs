@@ -4,8 +4,7 @@ use super::player::Player;
 use crate::swarm::command::{Command, Seek, Until, When};
 use crate::swarm::error::SwarmError;
 use crate::swarm::frame::EventKind;
-use crate::swarm::handle::{CommandMessage, Message};
-use crate::swarm::outcome::{DeferredReply, Outcome};
+use crate::swarm::handle::{CommandMessage, DeferredReply, Message, Outcome};
 use crate::swarm::phase::{self, PauseReason, Phase, PhaseInput};
 use crate::swarm::worker::End;
 

@@ -20,11 +20,11 @@ pub use input::{Effect, Input, Swarm};
 use crate::swarm::command::Command;
 use crate::swarm::controllers::member::Member;
 use crate::swarm::error::SwarmError;
+use crate::swarm::handle::{Outcome, ReplyTo};
 use crate::swarm::membership::{
     ControllerState, ControllerStatus, Departure, JoinOptions, MAX_MISSES, Miss, Mode, News,
     OnTimeout,
 };
-use crate::swarm::outcome::{Outcome, ReplyTo};
 use crate::swarm::phase::{self, PauseReason, Phase, PhaseInput};
 use crate::swarm::sender::Sender;
 

@@ -11,7 +11,6 @@ pub mod history;
 pub mod journal;
 pub mod membership;
 pub mod metrics;
-pub mod outcome;
 pub mod output;
 pub mod phase;
 pub mod registry;

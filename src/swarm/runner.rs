@@ -9,9 +9,8 @@ use jostle_physics::simulation::Spec;
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::error::{SwarmError, WriteFault};
 use crate::swarm::frame::{Frame, Stamp};
-use crate::swarm::handle::{Handle, Message};
+use crate::swarm::handle::{DeferredReply, Handle, Message};
 use crate::swarm::journal::JournalWriter;
-use crate::swarm::outcome::DeferredReply;
 use crate::swarm::worker::{End, Worker};
 
 /// Persists a new swarm before any client learns of it: its name, its spec and its checkpoint.

@@ -4,21 +4,11 @@ use std::time::Instant;
 
 use crate::swarm::command::WaitCondition;
 use crate::swarm::error::SwarmError;
-use crate::swarm::outcome::{Rejection, ReplyTo, SwarmReply};
+use crate::swarm::handle::{Rejection, SwarmReply, Waiter};
 use crate::swarm::phase::Phase;
 
 /// Queries that may wait at once.
 const MAX_WAITERS: usize = 1024;
-
-/// A query that waits for a condition.
-pub struct Waiter {
-    /// The condition.
-    pub condition: WaitCondition,
-    /// Whether the client no longer waits for the reply.
-    pub is_abandoned: Box<dyn Fn() -> bool + Send>,
-    /// Receives the state.
-    pub reply_to: ReplyTo,
-}
 
 /// The waiting queries of one swarm with the time since when each waits, the oldest first.
 #[derive(Default)]

@@ -9,8 +9,7 @@ use crate::api::responder::Responder;
 use crate::convert::commands::{CommandError, DEFAULT_TIMEOUT, create};
 use crate::convert::digest::RequestIdentity;
 use crate::persistence::writer::NewSwarm;
-use crate::swarm::handle::Message;
-use crate::swarm::outcome::{Rejection, ReplyTo};
+use crate::swarm::handle::{Message, Rejection, ReplyTo};
 use crate::swarm::registry::Created;
 
 impl Context {

@@ -16,8 +16,7 @@ use crate::persistence::replay;
 use crate::persistence::writer::NewSwarm;
 use crate::store::Store;
 use crate::swarm::checkpoint::Checkpoint;
-use crate::swarm::handle::Message;
-use crate::swarm::outcome::{Outcome, Rejection, ReplyTo};
+use crate::swarm::handle::{Message, Outcome, Rejection, ReplyTo};
 use crate::swarm::phase::{PauseReason, Phase};
 use crate::swarm::registry::SwarmRegistry;
 

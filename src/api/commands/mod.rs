@@ -24,8 +24,7 @@ use crate::convert::commands::{self, CommandError, truncate};
 use crate::convert::digest::RequestIdentity;
 use crate::convert::{self, Payload};
 use crate::swarm::frame::Stamp;
-use crate::swarm::handle::{CommandMessage, Handle, Message};
-use crate::swarm::outcome::Outcome;
+use crate::swarm::handle::{CommandMessage, Handle, Message, Outcome};
 
 impl Context {
     /// Executes a command to a swarm.

@@ -15,8 +15,7 @@ use crate::convert::{self, Payload};
 use crate::health::RecordingCounts;
 use crate::recording::{Phase, RecordError, Recordings, Source, Status};
 use crate::swarm::error::SwarmError;
-use crate::swarm::handle::Message;
-use crate::swarm::outcome::{Outcome, Rejection, ReplyTo};
+use crate::swarm::handle::{Message, Outcome, Rejection, ReplyTo};
 use crate::swarm::registry::SwarmRegistry;
 
 impl Context {

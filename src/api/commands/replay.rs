@@ -15,7 +15,7 @@ use crate::convert::commands::{self, CommandError, check_name};
 use crate::convert::{self, Payload};
 use crate::playback::{McapSource, ReplayError};
 use crate::swarm::command::Command;
-use crate::swarm::outcome::{Outcome, ReplyTo};
+use crate::swarm::handle::{Outcome, ReplyTo};
 use crate::swarm::registry::SwarmRegistry;
 
 /// The default timeout of opening a recording, which reads all of its index.

@@ -6,8 +6,7 @@ use crate::api::context::Context;
 use crate::api::responder::Responder;
 use crate::convert::commands::{CommandError, DEFAULT_TIMEOUT};
 use crate::convert::{self, Payload};
-use crate::swarm::handle::{Handle, Message};
-use crate::swarm::outcome::{Rejection, ReplyTo};
+use crate::swarm::handle::{Handle, Message, Rejection, ReplyTo};
 
 /// The bytes around a snapshot in a request that restores it.
 const RESTORE_BYTES: usize = 4096;

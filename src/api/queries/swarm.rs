@@ -11,8 +11,7 @@ use crate::convert::commands::{CommandError, DEFAULT_TIMEOUT};
 use crate::convert::{self, Payload};
 use crate::store::Store;
 use crate::swarm::frame::{Frame, Stamp};
-use crate::swarm::handle::{Handle, Message};
-use crate::swarm::outcome::Outcome;
+use crate::swarm::handle::{Handle, Message, Outcome};
 
 /// Nouns that a wildcard does not match: `wait` blocks, the others are expensive.
 const CONCRETE_ONLY: [&str; 3] = ["wait", "verify", "snapshot"];

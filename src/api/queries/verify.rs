@@ -15,9 +15,8 @@ use crate::persistence::replay;
 use crate::store::Store;
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::error::SwarmError;
-use crate::swarm::handle::{Handle, Message};
+use crate::swarm::handle::{Handle, Message, Outcome, Rejection, ReplyTo};
 use crate::swarm::journal::Replayed;
-use crate::swarm::outcome::{Outcome, Rejection, ReplyTo};
 
 /// The longest verification that the client waits for.
 const TIMEOUT: Duration = Duration::from_secs(3600);

@@ -8,9 +8,7 @@ use crate::api::incoming::Incoming;
 use crate::api::responder::Responder;
 use crate::convert;
 use crate::convert::commands::{CommandError, wait};
-use crate::swarm::handle::Message;
-use crate::swarm::outcome::Outcome;
-use crate::swarm::waiters::Waiter;
+use crate::swarm::handle::{Message, Outcome, Waiter};
 
 impl Context {
     pub(super) fn wait(

@@ -13,8 +13,7 @@ use jostle_proto::verbs::{
 use jostle_proto::{MAX_LABEL_LENGTH, Request, keys};
 
 use crate::swarm::command::{Command, When};
-use crate::swarm::handle::CommandMessage;
-use crate::swarm::outcome::ReplyTo;
+use crate::swarm::handle::{CommandMessage, ReplyTo};
 use crate::swarm::sender::Sender;
 
 pub mod control;

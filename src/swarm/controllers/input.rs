@@ -7,8 +7,8 @@ use jostle_physics::simulation::Simulation;
 
 use crate::swarm::command::Command;
 use crate::swarm::error::SwarmError;
+use crate::swarm::handle::ReplyTo;
 use crate::swarm::membership::{News, Put};
-use crate::swarm::outcome::ReplyTo;
 use crate::swarm::phase::{PauseReason, Phase};
 use crate::swarm::sender::Sender;
 

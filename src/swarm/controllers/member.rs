@@ -2,8 +2,8 @@
 
 use std::time::Instant;
 
+use crate::swarm::handle::ReplyTo;
 use crate::swarm::membership::{ControllerState, Mode, Put, Puts};
-use crate::swarm::outcome::ReplyTo;
 
 /// A controller that has joined.
 pub struct Member {

@@ -6,8 +6,8 @@ use std::time::Duration;
 use jostle_physics::simulation::Spec;
 
 use super::*;
+use crate::swarm::handle::Rejection;
 use crate::swarm::membership::{ControllerSettings, Put, Puts};
-use crate::swarm::outcome::Rejection;
 
 const DEADLINE: Duration = Duration::from_secs(1);
 

@@ -4,7 +4,7 @@ use std::sync::{Arc, OnceLock, PoisonError};
 use std::time::Instant;
 
 use crate::swarm::frame::{self, Event, EventKind, Frame, Stamp, Summary};
-use crate::swarm::outcome::Outcome;
+use crate::swarm::handle::Outcome;
 use crate::swarm::worker::Worker;
 
 impl Worker {

@@ -8,7 +8,7 @@ use jostle_physics::simulation::ChangeError;
 use crate::swarm::command::Command;
 use crate::swarm::error::SwarmError;
 use crate::swarm::frame::{self, EventKind};
-use crate::swarm::outcome::{Rejection, ReplyTo};
+use crate::swarm::handle::{Rejection, ReplyTo};
 use crate::swarm::phase::{self, PhaseInput};
 use crate::swarm::schedule::Scheduled;
 use crate::swarm::sender::Sender;

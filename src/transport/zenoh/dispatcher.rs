@@ -12,7 +12,7 @@ use tracing::{info, warn};
 use crate::api::incoming::{Incoming, Target};
 use crate::convert::commands::CommandError;
 use crate::metrics::Activity;
-use crate::swarm::outcome::DeferredReply;
+use crate::swarm::handle::DeferredReply;
 use crate::transport::zenoh::claims::{Action, Gate, Name, Reserved};
 use crate::transport::zenoh::gateway::Gateway;
 use crate::transport::zenoh::messages::DispatchMessage;

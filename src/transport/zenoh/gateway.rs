@@ -16,7 +16,7 @@ use crate::api::context::{Context, Peers};
 use crate::api::incoming::{Admission, Incoming, Peer, Received, Target};
 use crate::convert::Payload;
 use crate::convert::error::CommandError;
-use crate::swarm::outcome::DeferredReply;
+use crate::swarm::handle::DeferredReply;
 use crate::swarm::runner::SwarmObserver;
 use crate::transport::zenoh::claims::{Claims, Gate, Name};
 use crate::transport::zenoh::messages::DispatchMessage;

@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::sync::mpsc::SyncSender;
 
 use crate::api::incoming::Incoming;
-use crate::swarm::outcome::DeferredReply;
+use crate::swarm::handle::DeferredReply;
 
 /// Requests that may be queued for the dispatcher; further ones are rejected with `busy`.
 pub const MAX_QUEUED: usize = 1024;

@@ -25,7 +25,7 @@ use zenoh_ext::{AdvancedPublisher, AdvancedPublisherBuilderExt, CacheConfig, Mis
 use crate::convert::{self, Payload};
 use crate::metrics::Activity;
 use crate::swarm::frame::Frame;
-use crate::swarm::outcome::DeferredReply;
+use crate::swarm::handle::DeferredReply;
 use crate::swarm::output::{Output, Publish};
 use crate::transport::zenoh::messages::DispatchMessage;
 use crate::transport::zenoh::publish_schedule::{MAX_BATCH_WINDOW, PublishScheduler};

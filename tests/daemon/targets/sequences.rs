@@ -21,14 +21,14 @@ use jostled::swarm::command::{Command, Until, WaitCondition, When};
 use jostled::swarm::error::SwarmError;
 use jostled::swarm::error::WriteFault;
 use jostled::swarm::frame::{EventKind, Frame, Stamp};
-use jostled::swarm::handle::{CommandMessage, Handle, Message};
+use jostled::swarm::handle::{
+    CommandMessage, DeferredReply, Handle, Message, Outcome, ReplyTo, SwarmReply, Waiter,
+};
 use jostled::swarm::journal::{JournalWriter, NoWriter};
-use jostled::swarm::outcome::{DeferredReply, Outcome, ReplyTo, SwarmReply};
 use jostled::swarm::phase::Phase;
 use jostled::swarm::registry::{Created, Limits, SwarmRegistry};
 use jostled::swarm::runner::{JournalFactory, PersistNew, SwarmObserver};
 use jostled::swarm::sender::Sender;
-use jostled::swarm::waiters::Waiter;
 
 use model::{Came, Doing, FAST, LIMIT, Model, SLOW, Step, Told};
 
