@@ -235,6 +235,11 @@ impl Responder {
         if timeout < TIMER_RESOLUTION {
             return expire();
         }
+        // While this is locked no reply is sent, which would leave the task until the deadline.
+        let incoming = lock(&self.0.incoming);
+        if incoming.is_none() {
+            return;
+        }
         let deadline = Instant::now() + timeout;
         // A runtime that is shutting down drops the task.
         let task = self.0.replies.runtime.spawn(async move {
@@ -242,6 +247,7 @@ impl Responder {
             expire();
         });
         lock(&self.0.deadlines).push(task.abort_handle());
+        drop(incoming);
     }
 
     /// Returns a function that does not keep the request pending: whether it needs a reply no more.
@@ -334,6 +340,8 @@ mod tests {
     #![expect(clippy::unwrap_used, reason = "tests")]
 
     use std::sync::mpsc::{RecvTimeoutError, TryRecvError};
+
+    use tokio::time::{sleep, timeout};
 
     use super::*;
     use crate::api::incoming::fixture::{LONG, Sent, code, request};
@@ -440,8 +448,25 @@ mod tests {
         responder.complete(|| Ok(Payload::json(&"in time")));
         let reply = replies.recv_timeout(LONG).unwrap();
         assert!(reply.is_ok() || code(reply) == "deadline_exceeded");
-        tokio::time::sleep(Duration::from_millis(50)).await;
+        sleep(Duration::from_millis(50)).await;
         assert!(replies.try_recv().is_err());
+    }
+
+    #[tokio::test]
+    async fn a_request_with_a_reply_keeps_no_deadline() {
+        let sender = Replies::start().unwrap();
+        let (incoming, _replies) = request(false);
+        let responder = sender.responder(&incoming, "key".into());
+        responder.set_deadline(LONG, CommandError::deadline, None);
+        responder.complete(|| Ok(Payload::json(&1)));
+        responder.set_deadline(LONG, CommandError::deadline, None);
+        // The runtime drops the task of an aborted deadline when it next polls it.
+        let kept = async {
+            while Arc::weak_count(&responder.0) > 0 {
+                sleep(Duration::from_millis(1)).await;
+            }
+        };
+        assert!(timeout(LONG / 4, kept).await.is_ok());
     }
 
     #[tokio::test]
