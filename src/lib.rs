@@ -4,8 +4,8 @@
 //!
 //! 1. [`metrics`]
 //! 2. [`swarm`], [`store`], [`auth`]
-//! 3. [`convert`], [`persistence`], [`playback`], [`recording`], [`experiments`], [`jobs`],
-//!    [`health`], [`backup`], [`config`]
+//! 3. [`convert`], [`persistence`], [`playback`], `recording`, `experiments`, `jobs`, [`health`],
+//!    [`backup`], [`config`]
 //! 4. [`api`]: requests of clients
 //! 5. [`transport`]: zenoh and HTTP
 //! 6. [`app`]: start and stop
@@ -24,13 +24,13 @@ pub mod backup;
 pub mod cli;
 pub mod config;
 pub mod convert;
-pub mod experiments;
+mod experiments;
 pub mod health;
-pub mod jobs;
+mod jobs;
 pub mod metrics;
 pub mod persistence;
 pub mod playback;
-pub mod recording;
+mod recording;
 pub mod store;
 pub mod swarm;
 pub mod transport;

@@ -69,10 +69,12 @@ fn with_settings(command: Command, mut resolved: Resolved) -> ExitCode {
     let _failpoints = std::env::var_os("FAILPOINTS").map(|_| fail::FailScenario::setup());
     match &command {
         Command::Backup { target, json } => {
-            return backup::back_up(&config.data_dir, target, *json);
+            let done = jostled::backup::take(&config.data_dir, target);
+            return backup::report("backed up", done, target, *json);
         }
         Command::Restore { source, json } => {
-            return backup::restore(source, &config.data_dir, *json);
+            let done = jostled::backup::restore(source, &config.data_dir);
+            return backup::report("restored", done, &config.data_dir, *json);
         }
         _ => {}
     }

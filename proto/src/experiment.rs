@@ -1,5 +1,7 @@
 //! Experiments: grids of runs that a daemon executes, and their results.
 
+use std::fmt;
+
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -97,6 +99,12 @@ pub enum ExperimentPhase {
     Cancelled,
     /// It cannot go on.
     Failed,
+}
+
+impl fmt::Display for ExperimentPhase {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.serialize(formatter)
+    }
 }
 
 impl ExperimentPhase {

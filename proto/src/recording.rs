@@ -116,10 +116,11 @@ pub struct Recording {
 }
 
 /// What a recording is doing.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum RecordingPhase {
     /// It goes on, also when the daemon restarts.
+    #[default]
     Recording,
     /// It is over, as its reason says: stopped, complete, as large as it may be, or its swarm was
     /// deleted.

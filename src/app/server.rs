@@ -25,7 +25,7 @@ use crate::transport::zenoh::session_pool::SessionPool;
 /// A running daemon.
 pub struct Server {
     /// The swarms it hosts.
-    pub host: Arc<SwarmRegistry>,
+    pub registry: Arc<SwarmRegistry>,
     /// Its store.
     pub store: Store,
     pub(super) connection: Connection,
@@ -33,11 +33,13 @@ pub struct Server {
     pub(super) publisher: Arc<Publisher>,
     pub(super) replies: Replies,
     pub(super) messages: SyncSender<DispatchMessage>,
-    pub(super) endpoints: Vec<String>,
-    pub(super) watch: Arc<Watch>,
+    /// The zenoh endpoints it listens on, such as `tcp/127.0.0.1:7447`.
+    pub endpoints: Vec<String>,
+    /// Its health checks.
+    pub watch: Arc<Watch>,
     pub(super) gateway: Option<Gateway>,
     pub(super) credentials: Credentials,
-    pub(super) lab: ExperimentManager,
+    pub(super) experiments: ExperimentManager,
     pub(super) recordings: Recordings,
 }
 
@@ -51,11 +53,6 @@ pub(super) struct Connection {
 }
 
 impl Server {
-    /// The zenoh endpoints it listens on, such as `tcp/127.0.0.1:7447`.
-    pub fn endpoints(&self) -> &[String] {
-        &self.endpoints
-    }
-
     /// The address of its HTTP server, if it has one.
     pub fn http(&self) -> Option<SocketAddr> {
         self.gateway.as_ref().map(Gateway::address)
@@ -73,11 +70,6 @@ impl Server {
             return None;
         };
         Some(format!("http://{}/#token={}", self.http()?, token.text()))
-    }
-
-    /// Its health checks.
-    pub fn watch(&self) -> &Arc<Watch> {
-        &self.watch
     }
 
     /// The id of its zenoh session.

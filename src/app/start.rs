@@ -74,7 +74,7 @@ async fn open(config: &Config) -> Result<Server, ServerError> {
     let (core, received, claim_subscribers) = Core::start(config, rights, store, session, pool)?;
     let files = Files::open(config, &core).await?;
     progress::publish(
-        files.lab.clone(),
+        files.experiments.clone(),
         core.session.clone(),
         config.prefix.clone(),
         config.node.clone(),
@@ -101,12 +101,12 @@ async fn open(config: &Config) -> Result<Server, ServerError> {
     };
 
     recover(&core).await?;
-    commands::resume(&files.recordings, &files.recording_files, &core.host);
+    commands::resume(&files.recordings, &files.recording_files, &core.registry);
     context.is_recovering.store(false, Ordering::Release);
     let set_point_subscribers = set_points::listen(
         &core.session,
         &config.prefix,
-        core.host.clone(),
+        core.registry.clone(),
         core.rights.clone(),
         core.claims.clone(),
     )
@@ -119,7 +119,7 @@ async fn open(config: &Config) -> Result<Server, ServerError> {
         "serving"
     );
     Ok(Server {
-        host: core.host,
+        registry: core.registry,
         store: core.store,
         connection: Connection {
             session: core.session,
@@ -135,7 +135,7 @@ async fn open(config: &Config) -> Result<Server, ServerError> {
         watch,
         gateway,
         credentials,
-        lab: files.lab,
+        experiments: files.experiments,
         recordings: files.recordings,
     })
 }
@@ -224,7 +224,7 @@ struct Core {
     publisher: Arc<Publisher>,
     messages: SyncSender<DispatchMessage>,
     claims: Arc<Claims>,
-    host: Arc<SwarmRegistry>,
+    registry: Arc<SwarmRegistry>,
     idempotency: IdempotencyCache,
 }
 
@@ -249,7 +249,7 @@ impl Core {
             })
             .map_err(|error| rejected(&error))?;
         let observer = Arc::new(messages.clone());
-        let host = SwarmRegistry::new(config.limits, observer, Box::new(store.clone()));
+        let registry = SwarmRegistry::new(config.limits, observer, Box::new(store.clone()));
         let has_users = rights.current().users().is_some();
         let core = Core {
             idempotency: IdempotencyCache::new(store.clone(), has_users),
@@ -261,7 +261,7 @@ impl Core {
             publisher,
             messages,
             claims,
-            host: Arc::new(host),
+            registry: Arc::new(registry),
         };
         Ok((core, received, subscribers))
     }
@@ -269,7 +269,7 @@ impl Core {
 
 /// The experiments and recordings, which have folders beside the store.
 struct Files {
-    lab: ExperimentManager,
+    experiments: ExperimentManager,
     experiment_files: Executor<ExperimentManager>,
     recordings: Recordings,
     recording_files: Executor<Recordings>,
@@ -287,14 +287,14 @@ impl Files {
             move || ExperimentManager::open(&folder, threads)
         });
         let opened = opened.await.expect("opening does not panic");
-        let lab = opened.map_err(unusable(&experiments))?;
-        let (host, quota_bytes) = (core.host.clone(), config.recordings_quota_bytes);
-        let opened = Recordings::open(&recordings, quota_bytes, host);
+        let experiments = opened.map_err(unusable(&experiments))?;
+        let (registry, quota_bytes) = (core.registry.clone(), config.recordings_quota_bytes);
+        let opened = Recordings::open(&recordings, quota_bytes, registry);
         let recordings = opened.map_err(unusable(&recordings))?;
         let uploads = Uploads::open(&replays).map_err(unusable(&replays))?;
         Ok(Files {
-            experiment_files: Executor::start("experiments", lab.clone())?,
-            lab,
+            experiment_files: Executor::start("experiments", experiments.clone())?,
+            experiments,
             recording_files: Executor::start("recordings", recordings.clone())?,
             recordings,
             uploads: Arc::new(uploads),
@@ -327,14 +327,14 @@ fn context(
             session: core.session.clone(),
             claims: core.claims.clone(),
         }),
-        host: core.host.clone(),
+        host: core.registry.clone(),
         replies: core.replies.clone(),
         rights: core.rights.clone(),
         started: Instant::now(),
         store: core.store.clone(),
         idempotency: core.idempotency.clone(),
         schemas: queries::schemas(),
-        lab: files.lab.clone(),
+        lab: files.experiments.clone(),
         experiment_files: files.experiment_files.clone(),
         uploads: files.uploads.clone(),
         recordings: files.recordings.clone(),
@@ -381,7 +381,6 @@ fn start_dispatcher(
     Ok(activity)
 }
 
-/// Starts the health checks.
 fn start_watch(
     core: &Core,
     files: &Files,
@@ -392,7 +391,7 @@ fn start_watch(
     let (session, claims) = (core.session.clone(), core.claims.clone());
     let replies = core.replies.clone();
     let watched = Watched {
-        host: core.host.clone(),
+        host: core.registry.clone(),
         store: core.store.clone(),
         rights: core.rights.clone(),
         recordings: files.recordings.clone(),
@@ -422,13 +421,12 @@ fn credentials(config: &Config, core: &Core) -> Result<Credentials, ServerError>
     })
 }
 
-/// Recovers the swarms of the previous run.
 async fn recover(core: &Core) -> Result<(), ServerError> {
-    let (host, store) = (core.host.clone(), core.store.clone());
+    let (registry, store) = (core.registry.clone(), core.store.clone());
     let idempotency = core.idempotency.clone();
-    let recovered = spawn_blocking(move || recovery::recover(&host, &store, &idempotency));
-    recovered.await.expect("recovery does not panic")?;
-    Ok(())
+    let recovered = spawn_blocking(move || recovery::recover(&registry, &store, &idempotency));
+    let recovered = recovered.await.expect("recovery does not panic");
+    recovered.map(drop).map_err(ServerError::Recovery)
 }
 
 /// Has the dispatcher declare the daemon's own keys. Returns once they are declared, or once it is

@@ -32,9 +32,9 @@ impl Server {
     pub async fn stop(self) -> bool {
         info!("stopping");
         self.reject_requests();
-        let (lab, host) = (self.lab.clone(), self.host.clone());
-        let experiments = spawn_blocking(move || lab.stop(EXPERIMENT_STOP_TIMEOUT));
-        let swarms = spawn_blocking(move || host.stop(SWARM_STOP_TIMEOUT));
+        let (experiments, registry) = (self.experiments.clone(), self.registry.clone());
+        let experiments = spawn_blocking(move || experiments.stop(EXPERIMENT_STOP_TIMEOUT));
+        let swarms = spawn_blocking(move || registry.stop(SWARM_STOP_TIMEOUT));
         warn_of_late(swarms, "swarms were still in a step").await;
         warn_of_late(experiments, "experiments were still in a step").await;
 

@@ -3,25 +3,11 @@
 use std::path::Path;
 use std::process::ExitCode;
 
-use crate::backup::{self, BackupError, Manifest};
+use crate::backup::{BackupError, Manifest};
 use crate::cli::{fail, print};
 
-/// Backs up the data folder into `target`.
-pub fn back_up(data_dir: &Path, target: &Path, as_json: bool) -> ExitCode {
-    conclude("backed up", backup::take(data_dir, target), target, as_json)
-}
-
-/// Restores the backup in `source` into the data folder.
-pub fn restore(source: &Path, data_dir: &Path, as_json: bool) -> ExitCode {
-    conclude(
-        "restored",
-        backup::restore(source, data_dir),
-        data_dir,
-        as_json,
-    )
-}
-
-fn conclude(
+/// Prints that a backup of swarms was `done` in `folder`.
+pub fn report(
     done: &str,
     manifest: Result<Manifest, BackupError>,
     folder: &Path,

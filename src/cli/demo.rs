@@ -28,25 +28,20 @@ macro_rules! say {
     }};
 }
 
-/// The name of the swarm.
 const NAME: &str = "demo";
 /// A seed with a typical drift: with one in ten seeds the drift is close to zero.
 const SEED: u64 = 12;
 /// Time units per second of wall clock.
 const RATE: f64 = 20.0;
-/// When individuals are informed.
 const INFORMED_AT: f64 = 50.0;
-/// How many are informed.
 const INFORMED: u64 = 10;
 /// The pause before a displaced wait is retried.
 const RETRY_DELAY: Duration = Duration::from_millis(500);
 /// The time at the end over which the last line averages.
 const LAST: f64 = 200.0;
 
-/// Why the demo ended early.
 #[derive(Debug, Error)]
 pub enum DemoError {
-    /// A command was rejected.
     #[error("a command of the demo was rejected: {0}")]
     Command(#[from] CommandError),
     /// The swarm was deleted or the daemon stops.
@@ -70,7 +65,7 @@ impl From<SwarmError> for DemoError {
 /// [`DemoError::Gone`] if the swarm was deleted, [`DemoError::Command`] if a step failed.
 pub async fn run(server: &Server, lasting: Option<Duration>) -> Result<(), DemoError> {
     let swarm = create_swarm(server).await?;
-    let endpoint = server.endpoints().first().cloned().unwrap_or_default();
+    let endpoint = server.endpoints.first().cloned().unwrap_or_default();
     say!("swarm {NAME}: 50 bodies four times as long as wide, {RATE} time units a second;");
     say!("at t = {INFORMED_AT} ten of them get a direction of their own, +x");
     if endpoint == "tcp/127.0.0.1:7447" {
@@ -128,8 +123,8 @@ async fn create_swarm(server: &Server) -> Result<Handle, DemoError> {
         spec,
         exist_ok: false,
     };
-    let host = &server.host;
-    let spec = create::spec(&args, host.limits())?;
+    let registry = &server.registry;
+    let spec = create::spec(&args, registry.limits())?;
     let register = Box::new(NewSwarm {
         store: server.store.clone(),
         name: NAME.to_owned(),
@@ -137,10 +132,11 @@ async fn create_swarm(server: &Server) -> Result<Handle, DemoError> {
         identity: None,
     });
     let (reply_to, created) = reply();
-    host.create(NAME, spec, false, register, || reply_to)
+    registry
+        .create(NAME, spec, false, register, || reply_to)
         .map_err(CommandError::from)?;
     created.await?;
-    host.find(NAME).ok_or(DemoError::Gone)
+    registry.find(NAME).ok_or(DemoError::Gone)
 }
 
 /// Runs to a time or without end; returns the step of that time, or the current step if a client has
@@ -186,7 +182,6 @@ fn frame(outcome: Outcome) -> Result<Arc<Frame>, DemoError> {
     }
 }
 
-/// Prints a line each second, until the swarm is deleted.
 async fn print_lines(server: &Server, swarm: &Handle) -> Result<(), DemoError> {
     let mut tick = tokio::time::interval(Duration::from_secs(1));
     tick.tick().await;

@@ -3,15 +3,15 @@
 pub mod arguments;
 pub mod auth;
 pub mod backup;
-pub mod demo;
-pub mod duration;
+mod demo;
+mod duration;
 pub mod explain;
 pub mod man;
 pub mod process;
 pub mod run;
 pub mod serve;
 pub mod settings;
-pub mod systemd;
+mod systemd;
 
 use std::fmt::Display;
 use std::io::Write as _;

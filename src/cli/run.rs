@@ -79,18 +79,12 @@ impl Options {
     }
 }
 
-/// Which runs of an experiment to execute.
 #[derive(Clone, Debug, PartialEq, Eq)]
 enum Which {
     /// All of them.
     All,
     /// Part `number` of `of`, which count from 1.
-    Part {
-        /// The number of the part.
-        number: usize,
-        /// Number of parts.
-        of: usize,
-    },
+    Part { number: usize, of: usize },
     /// Those with these numbers, such as `17,18,40-60`.
     Runs(String),
 }
@@ -126,7 +120,6 @@ impl Which {
     }
 }
 
-/// Parses the part of `--part`, such as `3/40`.
 fn part(text: &str) -> Result<Which, String> {
     let parsed = text.split_once('/').and_then(|(number, of)| {
         let (number, of) = (number.parse().ok()?, of.parse().ok()?);
@@ -290,7 +283,6 @@ fn describe(progress: &Progress) -> String {
     text
 }
 
-/// Prints the summary.
 fn conclude(options: &Options, output: &Path, outcome: &Outcome, progress: &Progress) {
     let (runs, finished, faults) = (outcome.runs, outcome.finished, &outcome.faults);
     if let Some(error) = &outcome.checkpoint_error {

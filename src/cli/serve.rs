@@ -71,7 +71,7 @@ async fn serve(config: &Config, mode: Mode) -> i32 {
             return code.into();
         }
     };
-    for endpoint in server.endpoints() {
+    for endpoint in &server.endpoints {
         // A closed standard output is no error.
         let _ = writeln!(std::io::stdout(), "listening on {endpoint}");
     }
@@ -90,7 +90,7 @@ async fn serve(config: &Config, mode: Mode) -> i32 {
         };
         let _ = writeln!(std::io::stdout(), "page on {page}");
     }
-    let notifier = systemd::notify_status(server.watch().clone(), server.host.clone());
+    let notifier = systemd::notify_status(server.watch.clone(), server.registry.clone());
     let notifier = tokio::spawn(notifier);
     let code = match mode {
         Mode::Serve => {

@@ -114,12 +114,10 @@ pub fn default(argument: &Arg) -> String {
     values.iter().map(|it| it.to_string_lossy()).collect()
 }
 
-/// The flag of a setting.
 fn flag(name: &str) -> String {
     format!("--{}", name.replace('_', "-"))
 }
 
-/// The environment variable of a setting.
 fn variable(name: &str) -> String {
     format!("JOSTLED_{}", name.to_uppercase())
 }

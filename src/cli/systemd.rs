@@ -19,7 +19,7 @@ const STATUS_INTERVAL: Duration = Duration::from_secs(10);
 
 /// Sends ready, then the status whenever it changes, and a watchdog message at half the allowed
 /// interval unless the daemon needs a restart. Does not return if there is a supervisor.
-pub async fn notify_status(watch: Arc<Watch>, host: Arc<SwarmRegistry>) {
+pub async fn notify_status(watch: Arc<Watch>, registry: Arc<SwarmRegistry>) {
     if std::env::var_os("NOTIFY_SOCKET").is_none() {
         return;
     }
@@ -35,7 +35,7 @@ pub async fn notify_status(watch: Arc<Watch>, host: Arc<SwarmRegistry>) {
         if watchdog.is_some() && !reasons.iter().any(Reason::needs_restart) {
             notify(&[NotifyState::Watchdog]);
         }
-        let status = status(host.handles().0.len(), &reasons);
+        let status = status(registry.handles().0.len(), &reasons);
         if status != sent {
             notify(&[NotifyState::Status(&status)]);
             sent = status;
@@ -43,7 +43,6 @@ pub async fn notify_status(watch: Arc<Watch>, host: Arc<SwarmRegistry>) {
     }
 }
 
-/// Sends that the daemon is stopping.
 pub fn notify_stopping() {
     notify(&[NotifyState::Stopping]);
 }

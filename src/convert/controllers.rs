@@ -9,7 +9,6 @@ same_variants! { Mode, verbs::Mode: Lockstep, FreeRunning }
 same_variants! { OnTimeout, verbs::OnTimeout: Hold, Free, Pause }
 same_variants! { Departure, verbs::Departure: Left, Lost, Late }
 
-/// Converts the news of a controller.
 pub(super) fn news(news: verbs::News) -> News {
     let missed = news.missed.into_iter().map(|miss| Miss {
         controller: miss.controller,
@@ -25,7 +24,6 @@ pub(super) fn news(news: verbs::News) -> News {
     }
 }
 
-/// Converts the news of a controller.
 pub(super) fn news_to_proto(news: News) -> verbs::News {
     let missed = news.missed.into_iter().map(|miss| verbs::Miss {
         controller: miss.controller,
@@ -43,7 +41,6 @@ pub(super) fn news_to_proto(news: News) -> verbs::News {
     }
 }
 
-/// Returns the list of the joined controllers.
 pub fn controllers(seen: &Frame) -> proto::ControllerList {
     let controllers = seen.controllers.iter().map(|it| proto::Controller {
         controller: it.controller.clone(),
@@ -67,7 +64,6 @@ pub fn controllers(seen: &Frame) -> proto::ControllerList {
     }
 }
 
-/// Returns the controllers for which the swarm waits.
 pub(super) fn waiting_for(seen: &Frame) -> Vec<proto::Awaited> {
     let awaited = seen.controllers.iter().filter_map(|it| {
         Some(proto::Awaited {

@@ -6,6 +6,9 @@ use jostle_convert::SnapshotError;
 use jostle_proto as proto;
 use jostle_proto::keys;
 use jostle_proto::snapshot::{Doing, Member, Pending, Sent, Waiting};
+use serde::Deserialize as _;
+use serde::de::IntoDeserializer as _;
+use serde::de::value::Error as ValueError;
 
 use crate::convert::controllers::{news, news_to_proto};
 use crate::swarm::checkpoint::Checkpoint;
@@ -14,9 +17,6 @@ use crate::swarm::membership::{self, ControllerSettings, ControllerState};
 use crate::swarm::phase::{PauseReason, Phase};
 use crate::swarm::schedule::Scheduled;
 use crate::swarm::sender::Sender;
-
-/// Parses the command in a stored request.
-pub type ReadOrder<'a> = &'a dyn Fn(&Sender) -> Result<Command, String>;
 
 /// Returns the snapshot of a checkpoint.
 pub fn snapshot(swarm: &str, checkpoint: &Checkpoint) -> proto::Snapshot {
@@ -63,19 +63,17 @@ pub fn snapshot(swarm: &str, checkpoint: &Checkpoint) -> proto::Snapshot {
     }
 }
 
-/// Returns the checkpoint in a snapshot.
+/// Returns the checkpoint in a snapshot; `read` parses the commands in it.
 pub fn checkpoint(
     snapshot: &proto::Snapshot,
-    read: ReadOrder<'_>,
+    read: &dyn Fn(&Sender) -> Result<Command, String>,
 ) -> Result<Checkpoint, SnapshotError> {
     let simulation = jostle_convert::snapshot::from_proto(snapshot)?;
     let scheduled = snapshot.scheduled.iter().map(|waiting| {
         let sender = sender(&waiting.sent)?;
-        let order = read(&sender).map_err(SnapshotError::Unreadable)?;
-        let input = waiting.line;
         let scheduled = Scheduled {
-            input,
-            command: order,
+            input: waiting.line,
+            command: read(&sender).map_err(SnapshotError::Unreadable)?,
             sender,
         };
         Ok((waiting.at_step, scheduled))
@@ -148,13 +146,10 @@ fn membership(member: &Member) -> Result<(String, ControllerState), SnapshotErro
 }
 
 fn pause_reason(text: &str) -> Result<PauseReason, SnapshotError> {
-    PauseReason::ALL
-        .into_iter()
-        .find(|reason| reason.to_string() == text)
-        .ok_or_else(|| SnapshotError::Unreadable(format!("nothing is paused because {text:?}")))
+    let reason: Result<_, ValueError> = PauseReason::deserialize(text.into_deserializer());
+    reason.map_err(|_| SnapshotError::Unreadable(format!("nothing is paused because {text:?}")))
 }
 
-/// The stored form of a sender.
 pub(crate) fn sent(sender: &Sender) -> Sent {
     Sent {
         verb: sender.verb.to_owned(),
@@ -165,7 +160,6 @@ pub(crate) fn sent(sender: &Sender) -> Sent {
     }
 }
 
-/// The sender in its stored form.
 pub(crate) fn sender(sent: &Sent) -> Result<Arc<Sender>, SnapshotError> {
     let mut known = keys::SWARM_VERBS.iter().chain(&keys::OWN_VERBS);
     let known = known.find(|verb| **verb == sent.verb);

@@ -2,13 +2,12 @@
 
 use jostle_proto as proto;
 
-use crate::convert::error::refusal;
+use crate::convert::error::CommandError;
 use crate::convert::states::phase;
 use crate::swarm::frame::{Event, EventKind};
 use crate::swarm::history::{Entry, Page};
 use crate::swarm::sender::Sender;
 
-/// Returns the message of an event.
 pub fn event(swarm: &str, event: Event) -> proto::Event {
     let stamp = event.stamp;
     proto::Event {
@@ -43,7 +42,7 @@ pub fn event(swarm: &str, event: Event) -> proto::Event {
                 args: args(&sender),
                 client: sender.client.clone(),
                 request_id: sender.request_id.clone(),
-                error: refusal(error, stamp.step),
+                error: CommandError::from(error).to_wire(Some(stamp.step)),
             },
             EventKind::Lapsed(ids) => proto::EventKind::Lapsed { ids },
             EventKind::Fault(reason) => proto::EventKind::Fault { reason },
@@ -60,7 +59,6 @@ pub fn event(swarm: &str, event: Event) -> proto::Event {
     }
 }
 
-/// Returns a page of events.
 pub fn events(swarm: &str, page: Page<Event>) -> proto::Events {
     let events = page.records.into_iter();
     proto::Events {
@@ -70,7 +68,6 @@ pub fn events(swarm: &str, page: Page<Event>) -> proto::Events {
     }
 }
 
-/// Returns a page of executed commands.
 pub fn journal(page: Page<Entry>) -> proto::Journal {
     let entries = page.records.into_iter().map(|entry| proto::JournalEntry {
         seq: entry.stamp.seq,

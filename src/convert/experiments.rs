@@ -3,16 +3,13 @@
 use jostle_proto as proto;
 use jostle_results::table::OrderSeries;
 
-use crate::experiments::{Phase, Report};
+use crate::experiments::Report;
 
-same_variants! { Phase, proto::ExperimentPhase: Queued, Running, Paused, Finished, Cancelled, Failed }
-
-/// Returns the progress of an experiment.
 pub fn progress(report: Report) -> proto::Progress {
     let progress = report.progress;
     proto::Progress {
         name: report.name,
-        phase: report.phase.into(),
+        phase: report.phase,
         runs: progress.runs as u64,
         finished: progress.finished as u64,
         faulted: progress.faulted as u64,

@@ -5,7 +5,6 @@ use jostle_proto as proto;
 use crate::convert::states::phase;
 use crate::health::metrics::{Figures, SwarmFigures};
 
-/// Returns the metrics of the daemon and its swarms.
 pub fn metrics(figures: &Figures) -> proto::Metrics {
     let Figures { totals, store, .. } = figures;
     proto::Metrics {

@@ -9,10 +9,8 @@ const INITIAL_CAPACITY: usize = 512;
 /// Maximum size of a reply that is cached with its state.
 const MAX_CACHED_BYTES: usize = 4096;
 
-/// An encoded payload.
 #[derive(Clone, Debug)]
 pub struct Payload {
-    /// The bytes.
     pub bytes: Vec<u8>,
     /// Their encoding: [`proto::JSON`] or [`proto::CBOR`].
     pub encoding: &'static str,
@@ -29,7 +27,6 @@ impl Payload {
         }
     }
 
-    /// Encodes a message as JSON.
     pub fn json<T: Serialize>(message: &T) -> Self {
         let mut bytes = Vec::with_capacity(INITIAL_CAPACITY);
         // All numbers are finite and all keys are strings, so this cannot fail.
@@ -37,7 +34,6 @@ impl Payload {
         Payload::new(bytes, proto::JSON)
     }
 
-    /// Encodes a message as CBOR.
     pub fn cbor<T: Serialize>(message: &T) -> Self {
         Payload::new(proto::to_cbor(message), proto::CBOR)
     }

@@ -4,34 +4,30 @@ use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use jostle_proto as proto;
 
-use crate::recording::{Format, Phase, Piece, Status};
+use crate::recording::{Format, Piece, Status};
 
-same_variants! { Phase, proto::RecordingPhase: Recording, Ended, Failed }
-
-/// Returns the state of a recording.
-pub fn recording(name: String, standing: Status) -> proto::Recording {
+pub fn recording(name: String, status: Status) -> proto::Recording {
     proto::Recording {
         recording: name,
-        swarm: standing.swarm,
-        format: match standing.format {
+        swarm: status.swarm,
+        format: match status.format {
             Format::Mcap => proto::RecordingFormat::Mcap,
             Format::Parquet => proto::RecordingFormat::Parquet,
         },
-        every: standing.every,
-        phase: standing.phase.into(),
-        reason: standing.reason,
-        frames: standing.frames,
-        missed: standing.missed,
-        parts: standing.parts,
-        bytes: standing.bytes,
-        began_unix_secs: standing.began_unix_secs,
-        drop_when_behind: standing.drop_when_behind,
-        max_bytes: standing.max_bytes,
-        temporary: standing.temporary,
+        every: status.every,
+        phase: status.phase,
+        reason: status.reason,
+        frames: status.frames,
+        missed: status.missed,
+        parts: status.parts,
+        bytes: status.bytes,
+        began_unix_secs: status.began_unix_secs,
+        drop_when_behind: status.drop_when_behind,
+        max_bytes: status.max_bytes,
+        temporary: status.temporary,
     }
 }
 
-/// Returns a piece of a file of a recording.
 pub fn recording_piece(
     name: String,
     part: u64,
@@ -48,12 +44,9 @@ pub fn recording_piece(
     }
 }
 
-/// Returns the states of all recordings.
 pub fn recordings(all: Vec<(String, Status)>) -> proto::Recordings {
     let all = all.into_iter();
     proto::Recordings {
-        recordings: all
-            .map(|(name, standing)| recording(name, standing))
-            .collect(),
+        recordings: all.map(|(name, status)| recording(name, status)).collect(),
     }
 }

@@ -104,7 +104,6 @@ fn json<T: Serialize>(swarm: &str, stamp: &Stamp, result: T) -> Payload {
     Payload::json(&reply(swarm, stamp, result))
 }
 
-/// Encodes the reply to `create`.
 pub fn created(swarm: &str, stamp: &Stamp, spec: &Spec, seen: &Frame, is_new: bool) -> Payload {
     let result = CreateResult {
         created: is_new,

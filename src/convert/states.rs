@@ -73,7 +73,6 @@ pub fn status(seen: &Frame, history_from: Option<proto::HistoryFrom>) -> proto::
     }
 }
 
-/// Returns the entry of a swarm in a list.
 pub fn summary(swarm: &str, summary: &Summary) -> proto::SwarmSummary {
     proto::SwarmSummary {
         swarm: swarm.to_owned(),
@@ -91,7 +90,6 @@ pub fn summary(swarm: &str, summary: &Summary) -> proto::SwarmSummary {
     }
 }
 
-/// Returns the position of a playback.
 pub fn replay(replay: &Replay) -> proto::Replay {
     proto::Replay {
         of: replay.of.to_string(),
@@ -132,7 +130,6 @@ pub fn parameters(seen: &Frame, limits: Limits) -> proto::Parameters {
     proto::Parameters { parameters }
 }
 
-/// Returns the limits of the daemon.
 pub fn limits(limits: Limits, max_clients: usize, max_message_bytes: u64) -> proto::Limits {
     proto::Limits {
         max_individuals: limits.max_individuals as u64,
@@ -144,7 +141,6 @@ pub fn limits(limits: Limits, max_clients: usize, max_message_bytes: u64) -> pro
     }
 }
 
-/// Converts the phase of a swarm.
 pub(super) fn phase(phase: &Phase) -> proto::Phase {
     match phase {
         Phase::Paused(_) => proto::Phase::Paused,
@@ -182,7 +178,6 @@ fn informed(seen: &Frame) -> u64 {
     weights.iter().filter(|weight| **weight > 0.0).count() as u64
 }
 
-/// Returns the hash of a state in hexadecimal.
 pub(super) fn hash(seen: &Frame) -> String {
     hexadecimal(&seen.hash.unwrap_or_default())
 }

@@ -3,12 +3,12 @@
 use std::fmt::Display;
 
 use jostle_experiment::PlanError;
+use jostle_proto::ExperimentPhase as Phase;
 use thiserror::Error;
 
 /// Why a request about experiments is rejected. It has changed nothing.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 pub enum ExperimentError {
-    /// The file is not an experiment.
     #[error("invalid experiment: {reason}")]
     Plan {
         /// What is wrong, and where.
@@ -16,60 +16,40 @@ pub enum ExperimentError {
         /// The line from 1, if the error is in one line.
         line: Option<usize>,
     },
-    /// The file contains an invalid name.
     #[error("invalid experiment name {0:?}")]
     Name(String),
-    /// No experiment has this name.
     #[error("unknown experiment {0:?}: the node's get/experiments lists the experiments")]
     Unknown(String),
-    /// No run has this name.
     #[error("experiment {name:?} has no run {run:?}: its results list the finished runs")]
     UnknownRun {
-        /// The experiment.
         name: String,
         /// The requested name, truncated.
         run: String,
     },
-    /// The run is not finished.
     #[error("run {run:?} of experiment {name:?} is not finished: retry when it is")]
-    Unfinished {
-        /// The experiment.
-        name: String,
-        /// The run.
-        run: String,
-    },
-    /// The experiment stores no time series.
+    Unfinished { name: String, run: String },
     #[error(
         "experiment {0:?} does not measure the order over time: submit it under another name with \
          order_every in [measure]"
     )]
     NoSeries(String),
-    /// An experiment from another file has this name.
     #[error(
         "another experiment has the name {0:?}: submit this one under another name, or delete that \
          one"
     )]
     Exists(String),
-    /// The phase does not permit it.
     #[error("experiment {name:?} is {phase}: {remedy}")]
     Phase {
-        /// The experiment.
         name: String,
-        /// Its phase.
-        phase: &'static str,
-        /// The remedy.
+        phase: Phase,
         remedy: &'static str,
     },
-    /// The maximum number is reached.
     #[error("there are {0} experiments, the maximum: delete one that is over")]
     TooMany(usize),
-    /// A file of the experiment cannot be written.
     #[error("cannot write the experiment: {0}")]
     Unkept(String),
-    /// A file of the experiment cannot be read.
     #[error("cannot read the experiment: {0}")]
     Unreadable(String),
-    /// The daemon is stopping.
     #[error("the daemon is stopping: retry after it has restarted")]
     Stopping,
 }

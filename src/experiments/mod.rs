@@ -15,15 +15,15 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use jostle_experiment::{Folder, Plan};
-use jostle_proto::keys;
+use jostle_proto::{ExperimentPhase as Phase, keys};
 use jostle_results::table::OrderSeries;
 use parking_lot::{Condvar, Mutex, MutexGuard};
 use tracing::{info, warn};
 
 pub use self::error::ExperimentError;
 use self::results::{ResultsCache, Rows};
+pub use self::status::Report;
 use self::status::{Entry, Status};
-pub use self::status::{Phase, Report};
 use crate::jobs::JobDirectory;
 
 /// Maximum number of experiments: a list of them fits a message.
@@ -135,7 +135,6 @@ impl ExperimentManager {
         Ok((true, self.report(&name)?))
     }
 
-    /// Pauses an experiment.
     pub fn pause(&self, name: &str) -> Result<Report, ExperimentError> {
         let _serialized = self.begin_change()?;
         match self.phase(name)? {
@@ -192,7 +191,6 @@ impl ExperimentManager {
         Ok(report)
     }
 
-    /// The report of an experiment.
     pub fn report(&self, name: &str) -> Result<Report, ExperimentError> {
         self.entry(name, |entry| entry.report(name))
     }
@@ -393,7 +391,7 @@ fn read_text(folder: &Path) -> Result<String, ExperimentError> {
 fn wrong_phase(name: &str, phase: Phase, remedy: &'static str) -> ExperimentError {
     ExperimentError::Phase {
         name: name.to_owned(),
-        phase: phase.word(),
+        phase,
         remedy,
     }
 }

@@ -19,7 +19,6 @@ pub type Rows = Arc<Vec<(u64, ResultRow)>>;
 pub struct ResultsCache(Mutex<Option<(String, u64, Rows)>>);
 
 impl ResultsCache {
-    /// The rows in `folder`.
     pub fn rows(&self, name: &str, folder: &Path, plan: &Plan) -> Result<Rows, ExperimentError> {
         // The list is only appended to.
         let list = fs::metadata(folder.join("runs.jsonl"));

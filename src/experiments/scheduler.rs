@@ -6,10 +6,11 @@ use std::thread;
 use std::time::Duration;
 
 use jostle_experiment::{Control, Execution, Folder, Outcome, Subset, execute};
+use jostle_proto::ExperimentPhase as Phase;
 use parking_lot::MutexGuard;
 use tracing::{info, warn};
 
-use super::status::{Entry, Phase};
+use super::status::Entry;
 use super::{ExperimentManager, State};
 
 /// The interval of the checkpoints of a run: at most as much is repeated after a crash.
@@ -43,7 +44,6 @@ impl ExperimentManager {
         }
     }
 
-    /// Starts the thread that executes an experiment.
     fn start(&self, name: &str, entry: &mut Entry) -> Result<(), String> {
         let plan = entry.plan.clone().ok_or("its plan is unknown")?;
         let control = Arc::new(Control::new());
@@ -69,7 +69,6 @@ impl ExperimentManager {
         Ok(())
     }
 
-    /// An execution has ended.
     fn ended(&self, name: &str, outcome: Result<Outcome, String>) {
         let mut state = self.lock();
         let is_stopping = state.is_stopping;
@@ -88,7 +87,7 @@ impl ExperimentManager {
             }
         }
         let phase = entry.status.phase;
-        info!(experiment = name, phase = phase.word(), "ended");
+        info!(experiment = name, phase = phase.to_string(), "ended");
         if phase.is_over()
             && let Err(error) = self.0.jobs.write_status(name, &entry.status)
         {

@@ -3,55 +3,15 @@
 use std::sync::Arc;
 
 use jostle_experiment::{Control, Plan, Progress};
+use jostle_proto::ExperimentPhase as Phase;
 use serde::{Deserialize, Serialize};
 
 use crate::jobs::StatusFile;
 
-/// What an experiment is doing.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Phase {
-    /// It waits for earlier ones.
-    Queued,
-    /// Its runs are executed.
-    Running,
-    /// Its runs are suspended until it is resumed.
-    Paused,
-    /// Every run is finished.
-    Finished,
-    /// A client cancelled it.
-    Cancelled,
-    /// An error ended it.
-    Failed,
-}
-
-impl Phase {
-    /// Its name in messages.
-    pub fn word(self) -> &'static str {
-        match self {
-            Phase::Queued => "queued",
-            Phase::Running => "running",
-            Phase::Paused => "paused",
-            Phase::Finished => "finished",
-            Phase::Cancelled => "cancelled",
-            Phase::Failed => "failed",
-        }
-    }
-
-    /// Whether it changes only on request.
-    pub fn is_over(self) -> bool {
-        matches!(self, Phase::Finished | Phase::Cancelled | Phase::Failed)
-    }
-}
-
-/// The progress of an experiment.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Report {
-    /// Its name.
     pub name: String,
-    /// What it is doing.
     pub phase: Phase,
-    /// Its runs.
     pub progress: Progress,
     /// Why it failed, or which runs ended early.
     pub message: Option<String>,
@@ -91,7 +51,6 @@ impl Status {
     }
 }
 
-/// An experiment in memory.
 pub(super) struct Entry {
     /// As of the end of the last execution, but for the phase and the message.
     pub(super) status: Status,

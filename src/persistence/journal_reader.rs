@@ -20,20 +20,13 @@ const PAGE_LINES: usize = 1000;
 /// Why a line cannot be read. Iteration ends after it.
 #[derive(Debug, Error)]
 pub enum LineError {
-    /// The store cannot be read.
     #[error(transparent)]
     Store(#[from] StoreError),
-    /// It is damaged.
     #[error(
         "line {number} of its journal is damaged ({problem}): this is the last state that is certain; \
          reset it, or delete it and restore a snapshot"
     )]
-    Damaged {
-        /// Its number.
-        number: u64,
-        /// The problem.
-        problem: String,
-    },
+    Damaged { number: u64, problem: String },
     /// It was deleted during the iteration.
     #[error("line {0} of its journal is no longer stored: retry")]
     Gone(u64),
@@ -139,7 +132,6 @@ fn parse_entry(row: &Row) -> Result<ReplayEntry, String> {
     Ok((line, command))
 }
 
-/// Parses the command of a sender.
 pub fn parse_command(sender: &Sender) -> Result<Command, String> {
     parse_request(sender).map(|(command, _)| command)
 }

@@ -1,8 +1,8 @@
 //! Between the swarms and the store: writes journals and checkpoints, and recovers swarms from them.
 
 pub mod checkpoints;
-pub mod journal_reader;
-pub mod recovery;
-pub mod replay;
-pub mod reply_cache;
+pub(crate) mod journal_reader;
+pub(crate) mod recovery;
+pub(crate) mod replay;
+pub(crate) mod reply_cache;
 pub mod writer;

@@ -1,11 +1,11 @@
 //! Recovers all stored swarms when the daemon starts.
 
 use std::collections::BTreeMap;
+use std::error::Error;
 use std::sync::Arc;
 use std::sync::mpsc::channel;
 
 use jostle_physics::simulation::Spec;
-use thiserror::Error;
 use tracing::{error, info, warn};
 
 use crate::convert::commands::CommandError;
@@ -22,7 +22,7 @@ use crate::swarm::handle::{Rejection, ReplyTo};
 use crate::swarm::history;
 use crate::swarm::journal::{Entry, Line, Record};
 use crate::swarm::phase::{PauseReason, Phase};
-use crate::swarm::registry::{RegistryError, SwarmRegistry};
+use crate::swarm::registry::SwarmRegistry;
 use crate::swarm::sender::Sender;
 use crate::swarm::worker::replay::{ReplayEntry, ReplaySource, ReplayTarget};
 
@@ -32,52 +32,30 @@ const MAX_HISTORY_LINES: u64 = 10_000;
 /// Lines before a checkpoint whose replies may be missing.
 const MAX_REPLY_LINES: u64 = 1000;
 
-/// Why a swarm cannot be recovered.
-#[derive(Debug, Error)]
-pub enum RecoveryError {
-    /// The store cannot be read.
-    #[error(transparent)]
-    Store(#[from] StoreError),
-    /// The stored data of a swarm cannot be parsed.
-    #[error("swarm {swarm}: {problem}")]
-    Unreadable {
-        /// Its name.
-        swarm: String,
-        /// The problem.
-        problem: String,
-    },
-    /// The thread of a swarm cannot be started.
-    #[error("swarm {0}: {1}")]
-    Host(String, RegistryError),
-}
-
 /// The number of checkpoints after which the reply to a command is certainly stored.
 const SETTLED_CHECKPOINTS: usize = 8;
 
 /// Recovers every swarm, and waits until all are replayed. Returns their number.
 ///
-/// A swarm that cannot be recovered stays in the store, and an error is logged.
-///
-/// # Errors
-///
-/// [`RecoveryError::Store`] if the list of swarms or the replies cannot be read.
+/// A swarm that cannot be recovered stays in the store, and an error is logged. The error is about the
+/// list of swarms or the replies.
 pub fn recover(
-    host: &Arc<SwarmRegistry>,
+    registry: &Arc<SwarmRegistry>,
     store: &Store,
     replies: &impl ReplyCache,
-) -> Result<usize, RecoveryError> {
+) -> Result<usize, StoreError> {
     replies.fill(store.answers()?);
     let (replayed, all_replayed) = channel();
     let mut count = 0;
     for (swarm, metadata) in store.swarms()? {
         let started = load(store, replies, &swarm, &metadata).and_then(|(spec, source)| {
             let replayed = replayed.clone();
-            host.recover(&swarm, spec, source, move || {
+            let answer = move || {
                 ReplyTo::new(move |_| {
                     let _ = replayed.send(());
                 })
-            })
-            .map_err(|error| RecoveryError::Host(swarm.clone(), error))
+            };
+            Ok(registry.recover(&swarm, spec, source, answer)?)
         });
         match started {
             Ok(()) => count += 1,
@@ -92,24 +70,14 @@ pub fn recover(
     Ok(recovered)
 }
 
-/// Loads the spec, a checkpoint and the journal of a swarm.
 fn load(
     store: &Store,
     replies: &impl ReplyCache,
     swarm: &str,
     metadata: &[u8],
-) -> Result<(Spec, ReplaySource), RecoveryError> {
-    let unreadable = |problem: String| RecoveryError::Unreadable {
-        swarm: swarm.to_owned(),
-        problem,
-    };
-    let metadata: SwarmMetadata =
-        ciborium::from_reader(metadata).map_err(|error| unreadable(error.to_string()))?;
-    let spec = jostle_convert::spec::from_proto(
-        &metadata.spec,
-        jostle_convert::value::count(metadata.spec.n),
-    )
-    .map_err(|error| unreadable(error.to_string()))?;
+) -> Result<(Spec, ReplaySource), Box<dyn Error>> {
+    let SwarmMetadata { spec } = ciborium::from_reader(metadata)?;
+    let spec = jostle_convert::spec::from_proto(&spec, jostle_convert::value::count(spec.n))?;
     let mut chosen = None;
     let mut problem = "it has no checkpoint".to_owned();
     let checkpoints = store.checkpoints(swarm)?;
@@ -140,7 +108,7 @@ fn load(
         // A reply was lost: a replay from an older checkpoint produces it again.
         chosen.get_or_insert((checkpoint, tail));
     }
-    let (checkpoint, mut tail) = chosen.ok_or_else(|| unreadable(problem))?;
+    let (checkpoint, mut tail) = chosen.ok_or(problem)?;
     truncate(store, swarm, &checkpoint, &mut tail);
     let entries = history_before(store, swarm, &checkpoint)?;
     let (replies, swarm) = (replies.clone(), swarm.to_owned());
@@ -217,7 +185,7 @@ fn has_replies(
     checkpoint: &Checkpoint,
     replies: &impl ReplyCache,
     replied: u64,
-) -> Result<bool, RecoveryError> {
+) -> Result<bool, StoreError> {
     let after = replied.max(checkpoint.lines.saturating_sub(MAX_REPLY_LINES));
     let mut missing = Vec::new();
     for line in read_lines(store, swarm, after, checkpoint.lines)? {
@@ -249,7 +217,7 @@ fn history_before(
     store: &Store,
     swarm: &str,
     checkpoint: &Checkpoint,
-) -> Result<Vec<history::Entry>, RecoveryError> {
+) -> Result<Vec<history::Entry>, StoreError> {
     let until = checkpoint.lines;
     let dt = checkpoint.simulation.state.parameters.dt;
     let (mut inputs, mut entries) = (BTreeMap::new(), Vec::new());

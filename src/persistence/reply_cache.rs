@@ -23,7 +23,6 @@ pub trait ReplyCache: Clone + Send + 'static {
 
 /// Where the reply to a request is written.
 pub trait ReplySlot: Send {
-    /// Stores the reply.
     fn write(self: Box<Self>, reply: &Result<Payload, Payload>);
 
     /// Removes the request, which changed nothing; waiting retries get the error.

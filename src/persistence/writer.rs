@@ -19,14 +19,11 @@ use crate::swarm::journal::{Entry, JournalWriter, Reached, Record};
 use crate::swarm::runner::{JournalFactory, PersistNew};
 use crate::swarm::sender::Sender;
 
-/// The stored metadata of a swarm.
 #[derive(Serialize, Deserialize)]
 pub(crate) struct SwarmMetadata {
-    /// The spec from which it was created.
     pub(crate) spec: proto::Spec,
 }
 
-/// Writes the journal of one swarm to the store.
 struct StoreWriter {
     store: Store,
     swarm: String,
@@ -105,7 +102,6 @@ impl PersistNew for NewSwarm {
     }
 }
 
-/// The writes to the store for an entry.
 pub(crate) fn writes(swarm: &str, entry: Entry) -> Vec<Write> {
     let swarm = swarm.to_owned();
     match entry {
@@ -170,7 +166,6 @@ fn fault(fault: StoreFault) -> WriteFault {
     }
 }
 
-/// The stored form of a journal record.
 #[derive(Serialize, Deserialize)]
 #[serde(remote = "Record")]
 enum Stored {

@@ -6,7 +6,7 @@ use crate::swarm::error::SwarmError;
 use crate::swarm::frame::EventKind;
 use crate::swarm::handle::{CommandMessage, DeferredReply, Message, Outcome};
 use crate::swarm::phase::{self, PauseReason, Phase, PhaseInput};
-use crate::swarm::worker::End;
+use crate::swarm::runner::End;
 
 /// The tolerance between a requested time and a frame's, since decimals are rounded; frames are
 /// further apart.
@@ -21,14 +21,14 @@ impl Player {
                 self.waiters.add(waiter);
                 self.reply_to_waiters();
             }
-            Message::TakeCheckpoint(answer) => answer.send(Err(self.refusal(SwarmError::Recorded))),
+            Message::TakeCheckpoint(answer) => self.reject(answer, SwarmError::Recorded),
             Message::Seek(seek, sender, answer) => match self.find(seek) {
                 Ok(frame) => {
                     self.applied(&sender);
                     self.jump_to(frame);
                     answer.send(Ok((self.stamp(), Outcome::Done)));
                 }
-                Err(error) => answer.send(Err(self.refusal(error))),
+                Err(error) => self.reject(answer, error),
             },
             Message::Command(command) => return self.command(command),
             Message::RecordingFailed(recording, reason) => {
@@ -60,7 +60,7 @@ impl Player {
                 self.applied(&sender);
                 reply_to.send(Ok((self.stamp(), outcome)));
             }
-            Err(error) => reply_to.send(Err(self.refusal(error))),
+            Err(error) => self.reject(reply_to, error),
         }
         self.reply_to_waiters();
         None

@@ -25,11 +25,10 @@ pub type ReadCommand<'a> = &'a dyn Fn(&str, &str) -> Result<Command, String>;
 
 /// An open recording.
 pub struct McapSource {
-    /// The name of the recorded swarm.
     pub(super) swarm: Arc<str>,
     pub(super) spec: Spec,
     /// The size of the largest group.
-    pub(super) max_individuals: usize,
+    pub max_individuals: usize,
     files: Vec<File>,
     ranges: Vec<ByteRange>,
     index: Vec<FrameIndex>,
@@ -39,7 +38,6 @@ pub struct McapSource {
     parameters: Vec<(usize, Parameters)>,
 }
 
-/// The bytes of a frame.
 struct ByteRange {
     file: usize,
     offset: u64,
@@ -147,8 +145,8 @@ impl McapSource {
         let (shown, command) = convert::decode_event(bytes)?;
         if let Some((verb, args)) = command {
             // A command that only an older daemon accepts changes no parameters.
-            if let Ok(order) = read_command(&verb, &args.to_string()) {
-                self.apply(&order);
+            if let Ok(command) = read_command(&verb, &args.to_string()) {
+                self.apply(&command);
             }
         }
         let after = self.index.len();
@@ -157,11 +155,10 @@ impl McapSource {
         Ok(())
     }
 
-    /// Stores the parameters after a command.
-    fn apply(&mut self, order: &Command) {
+    fn apply(&mut self, command: &Command) {
         let before = self.parameters[self.parameters.len() - 1].1;
         let mut now = before;
-        match order {
+        match command {
             Command::Change(Change::Set(settings)) => now = settings.of(before),
             Command::Batch(changes) => {
                 for change in changes {

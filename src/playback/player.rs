@@ -2,25 +2,26 @@
 //! publishes its own.
 
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
-use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 
 use jostle_physics::simulation::{Rate, Spec};
+use parking_lot::Mutex;
 use tracing::warn;
 
 use crate::playback::mcap::{BYTES_PER_ENTRY, McapSource};
 use crate::playback::source::{FrameIndex, RecordedFrame};
 use crate::swarm::error::SwarmError;
 use crate::swarm::frame::{self, Event, EventKind, Frame, Replay, Stamp, Summary};
-use crate::swarm::handle::{Handle, Message, Outcome, Rejection, receive};
+use crate::swarm::handle::{Handle, Message, Outcome, Rejection, ReplyTo, receive};
 use crate::swarm::history::History;
 use crate::swarm::metrics::SwarmMetrics;
 use crate::swarm::output::Output;
 use crate::swarm::phase::{PauseReason, Phase};
-use crate::swarm::runner::{Playback, Runner};
+use crate::swarm::registry::memory_of;
+use crate::swarm::runner::{Built, End, Playback};
 use crate::swarm::sender::Sender;
 use crate::swarm::waiters::Waiters;
-use crate::swarm::worker::End;
 
 /// The intervals at which the summary is renewed and the rate is measured while it plays.
 const SUMMARY_PERIOD: Duration = Duration::from_millis(100);
@@ -31,53 +32,25 @@ impl Playback for McapSource {
         &self.spec
     }
 
-    fn max_individuals(&self) -> usize {
-        self.max_individuals
-    }
-
     fn memory_bytes(&self) -> u64 {
         let text: usize = self.events.iter().map(|event| event.what.len()).sum();
         let entries = self.events.len() + 2 * self.index().len();
-        (text + BYTES_PER_ENTRY * entries) as u64
+        let contents = (text + BYTES_PER_ENTRY * entries) as u64;
+        memory_of(self.max_individuals).saturating_add(contents)
     }
 
     fn start(
         self: Box<Self>,
         handle: &Handle,
         min_interval: Duration,
-    ) -> Result<Box<dyn Runner>, SwarmError> {
-        Ok(Box::new(Player::new(*self, handle, min_interval)?))
+    ) -> Result<Built, SwarmError> {
+        let player = Player::new(*self, handle, min_interval)?;
+        let state = (player.stamp(), player.frame());
+        let run = |messages: &Receiver<Message>| player.run(messages);
+        Ok((state, Box::new(run)))
     }
 }
 
-impl Runner for Player {
-    fn look(&self) -> (Stamp, Arc<Frame>) {
-        (self.stamp(), self.frame())
-    }
-
-    fn run(mut self: Box<Self>, messages: &Receiver<Message>) -> End {
-        let metrics = self.metrics.clone();
-        loop {
-            metrics.activity.begin();
-            let next = self.play(Instant::now());
-            metrics.activity.end();
-            let end = match receive(messages, next) {
-                Ok(message) => {
-                    metrics.activity.begin();
-                    self.handle(message)
-                }
-                Err(RecvTimeoutError::Timeout) => None,
-                Err(RecvTimeoutError::Disconnected) => Some(End::Stopped),
-            };
-            if let Some(end) = end {
-                metrics.activity.end();
-                return end;
-            }
-        }
-    }
-}
-
-/// A recording that is played.
 pub struct Player {
     pub(super) source: McapSource,
     spec: Arc<Spec>,
@@ -91,7 +64,6 @@ pub struct Player {
     /// The number of the present frame, from 0.
     pub(super) at: usize,
     frame: RecordedFrame,
-    /// The number of events before the present frame.
     passed: usize,
     pub(super) phase: Phase,
     pub(super) rate: Rate,
@@ -106,7 +78,6 @@ pub struct Player {
 }
 
 impl Player {
-    /// A player at the first frame, paused.
     fn new(
         mut source: McapSource,
         handle: &Handle,
@@ -141,6 +112,27 @@ impl Player {
         player.publish_event(EventKind::Created);
         player.renew_summary();
         Ok(player)
+    }
+
+    fn run(mut self, messages: &Receiver<Message>) -> End {
+        let metrics = self.metrics.clone();
+        loop {
+            metrics.activity.begin();
+            let next = self.play(Instant::now());
+            metrics.activity.end();
+            let end = match receive(messages, next) {
+                Ok(message) => {
+                    metrics.activity.begin();
+                    self.handle(message)
+                }
+                Err(RecvTimeoutError::Timeout) => None,
+                Err(RecvTimeoutError::Disconnected) => Some(End::Stopped),
+            };
+            if let Some(end) = end {
+                metrics.activity.end();
+                return end;
+            }
+        }
     }
 
     /// Advances to the frame that is due. Returns when the next one is, if it plays.
@@ -215,7 +207,6 @@ impl Player {
         self.set_frame(target);
     }
 
-    /// Reads and publishes a frame.
     fn set_frame(&mut self, number: usize) {
         match self.source.frame(number) {
             Ok(frame) => {
@@ -234,7 +225,6 @@ impl Player {
         }
     }
 
-    /// The number of events before a frame.
     fn events_before(&self, frame: usize) -> usize {
         let events = &self.source.events;
         events.partition_point(|event| event.after <= frame)
@@ -291,7 +281,6 @@ impl Player {
         self.renew_summary();
     }
 
-    /// Counts and publishes a command that was executed.
     pub(super) fn applied(&mut self, sender: &Arc<Sender>) {
         self.seq += 1;
         self.publish_event(EventKind::Command(sender.clone()));
@@ -307,11 +296,9 @@ impl Player {
         self.waiters = waiters;
     }
 
-    pub(super) fn refusal(&self, error: SwarmError) -> Rejection {
-        Rejection {
-            step: Some(self.source.index()[self.at].step),
-            error,
-        }
+    pub(super) fn reject(&self, reply_to: ReplyTo, error: SwarmError) {
+        let step = Some(self.source.index()[self.at].step);
+        reply_to.send(Err(Rejection { step, error }));
     }
 
     pub(super) fn stamp(&self) -> Stamp {
@@ -393,6 +380,6 @@ impl Player {
             real_time_factor: self.real_time_factor.filter(|_| self.phase.is_moving()),
             is_replay: true,
         };
-        *self.summary.lock().unwrap_or_else(PoisonError::into_inner) = Some(summary);
+        *self.summary.lock() = Some(summary);
     }
 }

@@ -56,7 +56,7 @@ impl Uploads {
         piece: &[u8],
     ) -> Result<u64, ReplayError> {
         if length > MAX_UPLOAD_BYTES {
-            return Err(ReplayError::TooLong { length });
+            return Err(ReplayError::TooLong(length));
         }
         let end = offset.saturating_add(piece.len() as u64);
         let unkept = |error: io::Error| ReplayError::Unkept(error.to_string());
@@ -72,7 +72,7 @@ impl Uploads {
             by_name.insert(name.to_owned(), upload);
         }
         let Some(upload) = by_name.get_mut(name) else {
-            return Err(ReplayError::Piece { received: 0 });
+            return Err(ReplayError::Piece(0));
         };
         upload.touched = Instant::now();
         let received = upload.received;
@@ -80,7 +80,7 @@ impl Uploads {
             return Ok(received);
         }
         if offset != received || end > length || length != upload.length {
-            return Err(ReplayError::Piece { received });
+            return Err(ReplayError::Piece(received));
         }
         if let Err(error) = upload.file.write_all(piece) {
             // It is unknown how much was written.
@@ -172,6 +172,6 @@ mod tests {
         assert_eq!(begin("b"), Ok(2));
         assert!(!uploads.path("a0").exists());
         let lost = uploads.receive("a0", 2, 4, b"cd");
-        assert_eq!(lost, Err(ReplayError::Piece { received: 0 }));
+        assert_eq!(lost, Err(ReplayError::Piece(0)));
     }
 }

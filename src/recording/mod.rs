@@ -14,20 +14,22 @@ use std::fs::File;
 use std::io::{self, Read as _, Seek as _, SeekFrom};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 use std::thread;
 use std::time::Duration;
 
 use fail::fail_point;
+pub use jostle_proto::RecordingPhase as Phase;
 use jostle_proto::keys;
 pub use jostle_results::recording::Format;
 use jostle_results::recording::{Recorder, RecordingError, parts, sweep};
+use parking_lot::{Condvar, Mutex, MutexGuard};
 use tracing::{info, warn};
 
 pub use self::error::RecordError;
 pub use self::source::Source;
 use self::status::Entry;
-pub use self::status::{Phase, Status};
+pub use self::status::Status;
 use self::writer::RecordingWriter;
 use crate::jobs::JobDirectory;
 use crate::swarm::handle::Message;
@@ -55,7 +57,6 @@ const STOP_TIMEOUT: Duration = Duration::from_secs(3);
 /// The reason of a recording that a client has stopped.
 const STOPPED: &str = "stopped";
 
-/// A piece of a finished part.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Piece {
     /// The number of finished parts.
@@ -75,6 +76,7 @@ struct Shared {
     jobs: JobDirectory<Status>,
     registry: Arc<SwarmRegistry>,
     quota_bytes: u64,
+    /// Nothing between two changes can panic.
     state: Mutex<State>,
     changed: Condvar,
 }
@@ -251,7 +253,6 @@ impl Recordings {
         (self.lock().bytes(), self.0.quota_bytes)
     }
 
-    /// The status of every recording, by name.
     pub fn list(&self) -> Vec<(String, Status)> {
         let state = self.lock();
         let entries = state.entries.iter();
@@ -269,8 +270,8 @@ impl Recordings {
         let subscriptions = entries.filter_map(|it| it.subscription.as_ref());
         subscriptions.for_each(|it| it.end(None));
         let changed = &self.0.changed;
-        let waited = changed.wait_timeout_while(state, timeout, |state| state.running() > 0);
-        waited.unwrap_or_else(PoisonError::into_inner).0.running()
+        changed.wait_while_for(&mut state, |state| state.running() > 0, timeout);
+        state.running()
     }
 
     /// Checks the limits, and returns the name of a new recording.
@@ -301,7 +302,6 @@ impl Recordings {
         }
     }
 
-    /// Starts the thread that writes a recording.
     fn start(
         &self,
         name: &str,
@@ -429,8 +429,9 @@ impl Recordings {
         subscription.end(Some(STOPPED.to_owned()));
         let changed = &self.0.changed;
         let is_running = |state: &mut State| running(state).is_some();
-        let waited = changed.wait_timeout_while(self.lock(), STOP_TIMEOUT, is_running);
-        match waited.unwrap_or_else(PoisonError::into_inner).1.timed_out() {
+        let mut state = self.lock();
+        changed.wait_while_for(&mut state, is_running, STOP_TIMEOUT);
+        match is_running(&mut state) {
             true => Err(RecordError::Ending(name.to_owned())),
             false => Ok(()),
         }
@@ -443,8 +444,7 @@ impl Recordings {
     }
 
     fn lock(&self) -> MutexGuard<'_, State> {
-        // Nothing between two changes can panic.
-        self.0.state.lock().unwrap_or_else(PoisonError::into_inner)
+        self.0.state.lock()
     }
 }
 

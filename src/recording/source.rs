@@ -56,7 +56,6 @@ impl Source {
         }
     }
 
-    /// The metadata of its recording.
     pub fn about(&self, status: &Status) -> About {
         let json = |Payload { bytes, .. }| String::from_utf8_lossy(&bytes).into_owned();
         let spec = Payload::json(&jostle_convert::spec::to_proto(&self.spec, self.now.seed));

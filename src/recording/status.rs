@@ -3,30 +3,17 @@
 use std::sync::Arc;
 use std::time::SystemTime;
 
+use jostle_proto::RecordingPhase as Phase;
 use jostle_results::recording::{Format, Written};
 use serde::{Deserialize, Serialize};
 
 use crate::jobs::StatusFile;
 use crate::swarm::output::Subscription;
 
-/// What a recording is doing.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Phase {
-    /// It is running.
-    #[default]
-    Recording,
-    /// It is over, as its reason says.
-    Ended,
-    /// An error ended it.
-    Failed,
-}
-
 /// The status of a recording, as it is stored. While it is running, the counts are those when the last
 /// part was finished.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Status {
-    /// The swarm.
     pub swarm: String,
     /// The format of its parts. Earlier versions recorded Parquet as well.
     pub format: Format,
@@ -45,11 +32,8 @@ pub struct Status {
     /// Whether a client deletes it after it has fetched it.
     #[serde(default)]
     pub temporary: bool,
-    /// What it is doing.
     pub phase: Phase,
-    /// Why it ended or failed.
     pub reason: Option<String>,
-    /// The number of states.
     pub frames: u64,
     /// The number of dropped states.
     pub missed: u64,
@@ -57,7 +41,6 @@ pub struct Status {
     pub parts: u64,
     /// The bytes of these parts.
     pub bytes: u64,
-    /// When it was started.
     pub began_unix_secs: u64,
 }
 
@@ -66,7 +49,6 @@ impl StatusFile for Status {
 }
 
 impl Status {
-    /// The status of a new recording.
     pub fn new(swarm: String) -> Self {
         let began = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH);
         Status {
@@ -86,7 +68,6 @@ impl Status {
     }
 }
 
-/// A recording in memory.
 pub(super) struct Entry {
     /// Its status; while it is running, `missed` and `steps_left` are those of its start.
     pub(super) status: Status,
@@ -111,7 +92,6 @@ impl Entry {
         self.status.phase == Phase::Recording && self.subscription.is_none()
     }
 
-    /// The present status.
     pub(super) fn report(&self) -> Status {
         let mut status = self.status.clone();
         if let Some(subscription) = &self.subscription {

@@ -13,13 +13,9 @@ use crate::swarm::output::{End, Item, Subscription};
 /// The maximum duration of a part: at most as much is lost by a crash.
 const PART_DURATION: Duration = Duration::from_secs(60);
 
-/// Writes a recording.
 pub struct RecordingWriter {
-    /// The swarm's name.
     pub swarm: String,
-    /// The source.
     pub subscription: Arc<Subscription>,
-    /// The destination.
     pub recorder: Recorder,
     /// The states that were dropped before it resumed.
     pub missed: u64,
@@ -75,7 +71,6 @@ impl RecordingWriter {
         }
     }
 
-    /// The metadata at the end of a part.
     fn closing(&self) -> About {
         let (_, dropped) = self.subscription.frames();
         About::from([("missed".to_owned(), (self.missed + dropped).to_string())])

@@ -66,11 +66,6 @@ impl Command {
         }
     }
 
-    /// Whether it is durable before it is executed. `delete` is not: it journals the end itself.
-    pub fn is_write_ahead(&self) -> bool {
-        !self.is_group_committed() && !matches!(self, Command::Delete)
-    }
-
     /// Whether it is executed before it is durable, since it is sent thousands of times a second.
     pub fn is_group_committed(&self) -> bool {
         matches!(

@@ -34,7 +34,6 @@ const MAX_CONTROLLERS: usize = 256;
 /// Departures that are kept.
 const MAX_DEPARTURES: usize = 256;
 
-/// Every controller that has joined a swarm.
 #[derive(Default)]
 pub struct Controllers {
     members: BTreeMap<String, Member>,
@@ -58,13 +57,11 @@ impl Controllers {
         }
     }
 
-    /// The persisted state of each.
     pub fn states(&self) -> Vec<(String, ControllerState)> {
         let state = |(name, member): (&String, &Member)| (name.clone(), member.state.clone());
         self.members.iter().map(state).collect()
     }
 
-    /// All of them, for replies to queries.
     pub fn statuses(&self, now: Instant) -> Vec<ControllerStatus> {
         let members = self.members.iter();
         let status = |(name, member): (&String, &Member)| ControllerStatus {
@@ -79,7 +76,6 @@ impl Controllers {
         members.map(status).collect()
     }
 
-    /// Whether no controller has joined.
     pub fn is_empty(&self) -> bool {
         self.members.is_empty()
     }
@@ -89,21 +85,11 @@ impl Controllers {
         self.targets().next().is_some()
     }
 
-    /// Checks that a controller has joined.
-    ///
-    /// # Errors
-    ///
-    /// [`SwarmError::NotJoined`], with the reason of its departure if it had joined.
-    pub fn check_joined(&mut self, controller: &str) -> Result<(), SwarmError> {
-        self.find(controller).map(drop)
-    }
-
     /// The next deadline or end of a lease.
     pub fn due(&self) -> Option<Instant> {
         self.deadlines().map(|(_, due)| due).min()
     }
 
-    /// The controllers whose deadline or lease has ended.
     pub fn overdue(&self, now: Instant) -> Vec<String> {
         let overdue = self.deadlines().filter(|(_, due)| *due <= now);
         overdue.map(|(name, _)| name.clone()).collect()
@@ -130,11 +116,8 @@ impl Controllers {
         members.filter_map(put).collect()
     }
 
-    /// Executes an input.
-    ///
-    /// # Errors
-    ///
-    /// Why a command was rejected; then `reply_to` is not taken, and only counters have changed.
+    /// Executes an input. If a command is rejected, its `reply_to` is not taken, and only counters have
+    /// changed.
     pub fn on(&mut self, input: Input, swarm: &mut Swarm) -> Result<Outcome, SwarmError> {
         match input {
             Input::Command(command, sender, reply_to) => {
@@ -274,8 +257,7 @@ impl Controllers {
         match self.members.contains_key(name) {
             true if !options.again => return Err(SwarmError::HasJoined(name.clone())),
             false if self.members.len() == MAX_CONTROLLERS => {
-                let limit = MAX_CONTROLLERS;
-                return Err(SwarmError::TooManyControllers { limit });
+                return Err(SwarmError::TooManyControllers(MAX_CONTROLLERS));
             }
             _ => {}
         }
@@ -477,7 +459,8 @@ impl Controllers {
         lockstep.map(|member| member.state.target)
     }
 
-    fn find(&mut self, controller: &str) -> Result<&mut Member, SwarmError> {
+    /// A controller that has joined. The error has the reason of its departure if it had.
+    pub fn find(&mut self, controller: &str) -> Result<&mut Member, SwarmError> {
         let member = self.members.get_mut(controller);
         member.ok_or_else(|| {
             let left = self.departures.iter().rev().find(|it| it.0 == controller);

@@ -1,14 +1,14 @@
 //! The handle of a swarm, the messages it accepts, and its replies: the outcome of a message, or why it
 //! was rejected.
 
+use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel};
-use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
 use jostle_physics::simulation::{ChangeKind, ChangeOutcome, Rate, Spec};
+use parking_lot::Mutex;
 
 use crate::swarm::checkpoint::Checkpoint;
-
 use crate::swarm::command::{Command, Seek, WaitCondition, When};
 use crate::swarm::error::SwarmError;
 use crate::swarm::frame::{Frame, Stamp, Summary};
@@ -16,7 +16,7 @@ use crate::swarm::history::History;
 use crate::swarm::membership::{News, Put};
 use crate::swarm::metrics::{SwarmMetrics, Totals};
 use crate::swarm::output::Output;
-use crate::swarm::scheduler::{CpuScheduler, Share};
+use crate::swarm::scheduler::CpuScheduler;
 use crate::swarm::sender::Sender;
 
 /// A message to the thread of a swarm. Messages are handled in the order of arrival.
@@ -181,10 +181,8 @@ impl DeferredReply {
 impl Drop for ReplyTo {
     fn drop(&mut self) {
         if let Some(reply) = self.0.take() {
-            reply(Err(Rejection {
-                step: None,
-                error: SwarmError::Gone,
-            }));
+            let error = SwarmError::Gone;
+            reply(Err(Rejection { step: None, error }));
         }
     }
 }
@@ -195,8 +193,7 @@ pub struct LastStep(Arc<Mutex<Option<Summary>>>);
 impl LastStep {
     /// The step; `None` until the swarm is built.
     pub fn get(&self) -> Option<u64> {
-        let summary = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        Some(summary.as_ref()?.stamp.step)
+        Some(self.0.lock().as_ref()?.stamp.step)
     }
 }
 
@@ -253,11 +250,6 @@ impl Handle {
         }
     }
 
-    /// Its share of the cores.
-    pub(crate) fn cpu_share(&self) -> Share {
-        self.cores.share(self.waker())
-    }
-
     /// Its metrics since the daemon started.
     pub fn totals(&self) -> Totals {
         let (frames, frames_dropped) = self.output.to_publish.frames();
@@ -280,10 +272,7 @@ impl Handle {
 
     /// Its summary; `None` until it is built.
     pub fn summary(&self) -> Option<Summary> {
-        self.summary
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .clone()
+        self.summary.lock().clone()
     }
 }
 

@@ -3,7 +3,9 @@
 //! The thread of the swarm records a command before it replies, so a client finds its command here.
 
 use std::collections::VecDeque;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
+
+use parking_lot::Mutex;
 
 use crate::swarm::frame::{Event, EventKind, Stamp};
 use crate::swarm::sender::Sender;
@@ -17,14 +19,12 @@ const MAX_ENTRIES: (usize, usize) = (4096, 256 * 1024);
 /// Bytes of a record without its text.
 const RECORD_BYTES: usize = 64;
 
-/// A command that was applied.
 #[derive(Clone, Debug)]
 pub struct Entry {
     /// The stamp of the swarm after it; its `seq` numbers the entry.
     pub stamp: Stamp,
     /// The wall-clock time, in seconds since 1970, if known.
     pub unix_secs: Option<f64>,
-    /// The command and its client.
     pub sender: Arc<Sender>,
 }
 
@@ -57,33 +57,31 @@ impl History {
             });
         }
         let bytes = RECORD_BYTES + event.kind.bytes();
-        lock(&self.events).push(event.number, bytes, event.clone(), MAX_EVENTS);
+        self.events
+            .lock()
+            .push(event.number, bytes, event.clone(), MAX_EVENTS);
     }
 
     /// Adds a command that has no event in this history.
     pub fn record_command(&self, entry: Entry) {
         let bytes = RECORD_BYTES + entry.sender.bytes();
         let number = entry.stamp.seq;
-        lock(&self.entries).push(number, bytes, entry, MAX_ENTRIES);
+        let mut entries = self.entries.lock();
+        entries.push(number, bytes, entry, MAX_ENTRIES);
     }
 
     /// At most `limit` events after number `after`.
     pub fn events(&self, after: u64, limit: usize) -> Page<Event> {
-        lock(&self.events).after(after, limit)
+        self.events.lock().after(after, limit)
     }
 
     /// At most `limit` commands applied after `seq`.
     pub fn entries(&self, seq: u64, limit: usize) -> Page<Entry> {
-        lock(&self.entries).after(seq, limit)
+        self.entries.lock().after(seq, limit)
     }
 }
 
-fn lock<T>(ring: &Mutex<Ring<T>>) -> MutexGuard<'_, Ring<T>> {
-    // A panic between two assignments of a ring could at worst miscount its bytes.
-    ring.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
-/// Numbered records within bounds.
+/// Numbered records within bounds. A panic between two assignments could at worst miscount its bytes.
 struct Ring<T> {
     records: VecDeque<(u64, usize, T)>,
     bytes: usize,

@@ -5,7 +5,9 @@
 //! a second, such as `step`, are executed before they are durable (group commit).
 
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
+
+use parking_lot::Mutex;
 
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::error::WriteFault;
@@ -74,11 +76,7 @@ pub enum Entry {
 /// Writes the entries of one swarm, in the order of calls. The entries of one call are written
 /// together or not at all.
 pub trait JournalWriter: Send + Sync {
-    /// Writes entries, and waits until they are durable.
-    ///
-    /// # Errors
-    ///
-    /// [`WriteFault`]: none of them was written.
+    /// Writes entries, and waits until they are durable. After an error none of them was written.
     fn commit(&self, entries: Vec<Entry>) -> Result<(), WriteFault>;
 
     /// Queues entries. They are written within milliseconds, and retried while that fails. Once they
@@ -145,10 +143,6 @@ struct Progress {
     ahead: usize,
 }
 
-fn lock(progress: &Mutex<Progress>) -> MutexGuard<'_, Progress> {
-    progress.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
 /// A step that is durable once queued entries are.
 pub struct Reached {
     progress: Arc<Mutex<Progress>>,
@@ -159,7 +153,7 @@ pub struct Reached {
 impl Reached {
     /// The entries are durable.
     pub fn is_durable(self) {
-        let mut progress = lock(&self.progress);
+        let mut progress = self.progress.lock();
         if progress.interruptions == self.interruptions {
             progress.step = progress.step.max(self.step);
         }
@@ -246,7 +240,7 @@ impl Journal {
         let mut replay = self.replay.take().unwrap_or_default();
         let unsettled = std::mem::take(&mut replay.unsettled).into_iter();
         self.lines = lines;
-        lock(&self.progress).step = step;
+        self.progress.lock().step = step;
         self.queued_step = step;
         // The outcome of a command that was to be scheduled is read after the command is applied.
         for (at, record) in unsettled.filter(|(_, record)| !replay.has_outcome(record)) {
@@ -261,24 +255,20 @@ impl Journal {
             return step;
         }
         self.interrupt(step);
-        lock(&self.progress).step
+        self.progress.lock().step
     }
 
     /// Ends a run at `step`: the steps that it was to reach beyond are not durable.
     pub fn interrupt(&mut self, step: u64) {
         let is_interrupted = self.queued_step > step;
         self.queued_step = self.queued_step.min(step);
-        let mut progress = lock(&self.progress);
+        let mut progress = self.progress.lock();
         progress.step = progress.step.min(step);
         progress.interruptions += u64::from(is_interrupted);
     }
 
     /// Writes records at an epoch and step, and waits until they are durable. Returns the number of
-    /// the first one.
-    ///
-    /// # Errors
-    ///
-    /// [`WriteFault`]: none was written.
+    /// the first one. After an error none was written.
     pub fn commit(
         &mut self,
         (epoch, step): (u64, u64),
@@ -296,7 +286,7 @@ impl Journal {
             self.lines = before;
             return Err(fault);
         }
-        let mut progress = lock(&self.progress);
+        let mut progress = self.progress.lock();
         progress.step = progress.step.max(step);
         Ok(before + 1)
     }
@@ -330,7 +320,7 @@ impl Journal {
 
     fn reached(&mut self, step: u64) -> Reached {
         self.queued_step = self.queued_step.max(step);
-        let mut progress = lock(&self.progress);
+        let mut progress = self.progress.lock();
         progress.ahead += 1;
         Reached {
             progress: self.progress.clone(),
@@ -341,7 +331,7 @@ impl Journal {
 
     /// Whether so many commands were executed before they are durable that the next one must wait.
     pub fn is_far_ahead(&self) -> bool {
-        lock(&self.progress).ahead >= MAX_AHEAD
+        self.progress.lock().ahead >= MAX_AHEAD
     }
 
     /// Queues a checkpoint.
@@ -353,17 +343,8 @@ impl Journal {
     }
 
     /// Writes the end of the swarm, and waits until it is durable.
-    ///
-    /// # Errors
-    ///
-    /// [`WriteFault`]: it was not written.
     pub fn end(&self, stamp: Stamp, sender: Arc<Sender>) -> Result<(), WriteFault> {
         self.writer.commit(vec![Entry::End(stamp, sender)])
-    }
-
-    /// Begins at step 0 again.
-    pub fn reset(&mut self) {
-        self.interrupt(0);
     }
 
     fn line(&mut self, epoch: u64, step: u64, record: Record) -> Line {

@@ -21,7 +21,6 @@ pub fn deadline(secs: f64) -> Option<Duration> {
     is_valid.then(|| Duration::from_secs_f64(secs).max(Duration::from_nanos(1)))
 }
 
-/// How a controller takes part in a swarm.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Mode {
     /// The swarm steps when all controllers in lockstep have advanced.
@@ -37,51 +36,39 @@ pub enum OnTimeout {
     Hold,
     /// Its individuals become uninformed.
     Free,
-    /// The swarm pauses.
     Pause,
 }
 
 /// How a controller takes part, as it requested when it joined.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ControllerSettings {
-    /// Its mode.
     pub mode: Mode,
     /// How long the swarm waits for it in lockstep, or how long its set-points hold otherwise.
     pub deadline: Duration,
-    /// What happens when it misses its deadline.
     pub on_timeout: OnTimeout,
     /// Whether it may drive individuals directly.
     pub driving: bool,
 }
 
-/// The options of `join`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct JoinOptions {
-    /// Its name.
     pub controller: String,
     /// The individuals to steer; without it those that it claimed before, or none.
     pub selection: Option<Selection>,
-    /// How it takes part.
     pub settings: ControllerSettings,
     /// Whether it rejoins and may replace itself.
     pub again: bool,
 }
 
-/// Why a controller has left.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Departure {
-    /// It sent `leave`.
     Left,
-    /// Its liveliness token was lost.
     Lost,
-    /// It missed too many deadlines.
     Late,
 }
 
-/// A deadline that fired.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Miss {
-    /// The controller.
     pub controller: String,
     /// The step at which the swarm waited.
     pub step: u64,
@@ -94,20 +81,15 @@ pub struct Miss {
 pub struct News {
     /// Deadlines that fired, including its own.
     pub missed: Vec<Miss>,
-    /// Controllers that have left.
     pub left: Vec<(String, Departure)>,
     /// Its individuals that were removed from the group.
     pub removed: Vec<u32>,
 }
 
-/// The persisted state of a controller.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ControllerState {
-    /// How it takes part.
     pub settings: ControllerSettings,
-    /// The individuals it may steer.
     pub claims: BTreeSet<u32>,
-    /// The individuals it has steered.
     pub steered: BTreeSet<u32>,
     /// The step that it has advanced to.
     pub target: u64,
@@ -115,7 +97,6 @@ pub struct ControllerState {
     pub from: u64,
     /// The `advance` that has no reply yet.
     pub advance: Option<Arc<Sender>>,
-    /// Deadlines missed in a row.
     pub misses: u32,
     /// What its next reply contains.
     pub news: News,
@@ -126,18 +107,13 @@ pub struct ControllerState {
 /// Set-points that wait for the next step.
 #[derive(Clone, Debug)]
 pub struct Put {
-    /// The number of the put.
     pub sequence: u64,
-    /// The set-points.
     pub set: SetPoints,
-    /// The put as it was sent.
     pub sender: Arc<Sender>,
 }
 
-/// The number of puts by outcome.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Puts {
-    /// Applied.
     pub applied: u64,
     /// Not newer than an earlier one, or of another epoch.
     pub stale: u64,
@@ -147,15 +123,11 @@ pub struct Puts {
     pub rejected: u64,
 }
 
-/// A controller in the replies to queries.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ControllerStatus {
-    /// Its name.
     pub controller: String,
-    /// What is persisted of it.
     pub state: ControllerState,
     /// How long the swarm has waited for it.
     pub waited: Option<Duration>,
-    /// Its puts.
     pub puts: Puts,
 }

@@ -2,21 +2,21 @@
 
 pub mod checkpoint;
 pub mod command;
-pub mod controllers;
+mod controllers;
 pub mod error;
 mod failpoint;
 pub mod frame;
 pub mod handle;
-pub mod history;
+pub(crate) mod history;
 pub mod journal;
-pub mod membership;
+pub(crate) mod membership;
 pub mod metrics;
-pub mod output;
+pub(crate) mod output;
 pub mod phase;
 pub mod registry;
 pub mod runner;
-pub mod schedule;
+pub(crate) mod schedule;
 pub mod scheduler;
 pub mod sender;
-pub mod waiters;
-pub mod worker;
+pub(crate) mod waiters;
+pub(crate) mod worker;

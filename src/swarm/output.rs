@@ -14,8 +14,10 @@
 use std::cell::LazyCell;
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, OnceLock, PoisonError, Weak};
+use std::sync::{Arc, OnceLock, Weak};
 use std::time::{Duration, Instant, SystemTime};
+
+use parking_lot::{Condvar, Mutex, MutexGuard};
 
 use crate::swarm::frame::{Event, EventKind, Frame};
 
@@ -48,13 +50,11 @@ pub struct Limits {
 pub enum Overflow {
     /// The oldest states are dropped for it.
     DropOldest,
-    /// It is dropped.
     DropNewest,
     /// The swarm takes no step while the queue is full; the callback wakes its thread.
     Block(Box<dyn Fn() + Send + Sync>),
 }
 
-/// A queued item.
 pub enum Item {
     /// A state and when it was enqueued.
     Frame(Arc<Frame>, SystemTime),
@@ -62,10 +62,8 @@ pub enum Item {
     Event(Box<Event>, SystemTime),
 }
 
-/// Why a subscription has ended.
 #[derive(Clone)]
 pub enum End {
-    /// The swarm was deleted.
     Deleted,
     /// The swarm has taken the number of steps in the limits.
     Complete,
@@ -83,9 +81,7 @@ pub trait Publish: Send + Sync {
     fn is_watched(&self, is_moving: bool) -> bool;
 }
 
-/// The subscriptions to one swarm.
 pub struct Output {
-    /// The swarm's name.
     pub name: String,
     /// The subscription of the publisher. It exists before the publisher opens the swarm, so that no
     /// event is missing.
@@ -98,7 +94,6 @@ pub struct Output {
 }
 
 impl Output {
-    /// The output of a swarm that has no publisher yet.
     pub fn new(name: String) -> Self {
         Output {
             name,
@@ -126,7 +121,8 @@ impl Output {
     /// Subscribes to every later state and event, until the subscription is dropped.
     pub fn subscribe(&self, limits: Limits) -> Arc<Subscription> {
         let subscription = Arc::new(Subscription::new(limits));
-        self.lock().push(Arc::downgrade(&subscription));
+        let weak = Arc::downgrade(&subscription);
+        self.subscriptions.lock().push(weak);
         self.is_subscribed.store(true, Ordering::Release);
         subscription
     }
@@ -157,13 +153,12 @@ impl Output {
             && publisher.is_watched(is_moving)
         {
             let (frame, queue) = (frame(), &self.to_publish);
-            if queue.put_frame(&mut queue.lock(), || frame) {
+            if queue.put_frame(&mut queue.contents.lock(), || frame) {
                 publisher.notify();
             }
         }
     }
 
-    /// Queues an event.
     pub fn push_event(&self, event: &Event) {
         for subscription in self.subscriptions() {
             subscription.push_event(event);
@@ -175,7 +170,6 @@ impl Output {
         }
     }
 
-    /// The number of states that were published.
     pub fn published(&self) -> u64 {
         self.published.load(Ordering::Relaxed)
     }
@@ -194,23 +188,18 @@ impl Output {
         if !self.is_subscribed.load(Ordering::Acquire) {
             return Vec::new();
         }
-        let mut subscriptions = self.lock();
+        let mut subscriptions = self.subscriptions.lock();
         subscriptions.retain(|it| it.strong_count() > 0);
         self.is_subscribed
             .store(!subscriptions.is_empty(), Ordering::Release);
         subscriptions.iter().filter_map(Weak::upgrade).collect()
-    }
-
-    fn lock(&self) -> MutexGuard<'_, Vec<Weak<Subscription>>> {
-        self.subscriptions
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
     }
 }
 
 /// A bounded queue of the states and events of a swarm, with one reader.
 pub struct Subscription {
     limits: Limits,
+    /// No change of the contents panics halfway.
     contents: Mutex<Contents>,
     changed: Condvar,
 }
@@ -262,13 +251,10 @@ impl Subscription {
         }
     }
 
-    /// Waits for the next item, at most until then.
-    ///
-    /// # Errors
-    ///
-    /// [`End`] if the queue is empty and the subscription has ended.
+    /// Waits for the next item, at most until then. [`End`] once the queue is empty and the
+    /// subscription has ended.
     pub fn next(&self, until: Option<Instant>) -> Result<Option<Item>, End> {
-        let mut contents = self.lock();
+        let mut contents = self.contents.lock();
         loop {
             if let Some(item) = contents.remove(0) {
                 // Half empty, so that the swarm is not woken for every single step.
@@ -289,15 +275,13 @@ impl Subscription {
                 return Ok(None);
             }
             contents.is_reader_waiting = true;
-            let waited = self.changed.wait_timeout(contents, left);
-            contents = waited.unwrap_or_else(PoisonError::into_inner).0;
+            self.changed.wait_for(&mut contents, left);
         }
     }
 
-    /// Takes all queued frames and events.
     pub fn take(&self) -> (VecDeque<Arc<Frame>>, Vec<Event>) {
         let waiting = {
-            let mut contents = self.lock();
+            let mut contents = self.contents.lock();
             (contents.frames, contents.individuals) = (0, 0);
             std::mem::take(&mut contents.waiting)
         };
@@ -314,7 +298,7 @@ impl Subscription {
     /// Ends the subscription unless it has ended: later states are ignored and the swarm does not wait.
     /// The reader still receives what is in the queue.
     pub fn end(&self, reason: Option<String>) {
-        let mut contents = self.lock();
+        let mut contents = self.contents.lock();
         contents.end.get_or_insert(End::Closed(reason));
         self.notify_reader(&mut contents);
         self.unblock(contents);
@@ -322,24 +306,23 @@ impl Subscription {
 
     /// The number of states that were enqueued or dropped, and of those that were dropped.
     pub fn frames(&self) -> (u64, u64) {
-        let contents = self.lock();
+        let contents = self.contents.lock();
         (contents.states, contents.dropped)
     }
 
-    /// Counts states that the reader dropped.
     pub fn count_dropped(&self, count: u64) {
-        self.lock().dropped += count;
+        self.contents.lock().dropped += count;
     }
 
     /// The remaining steps, if their number is limited.
     pub fn steps_left(&self) -> Option<u64> {
-        let steps = self.lock().steps;
+        let steps = self.contents.lock().steps;
         self.limits.steps.map(|all| all.saturating_sub(steps))
     }
 
     /// The swarm has reached this epoch and step. Only for the thread of the swarm.
     pub fn state(&self, at: (u64, u64), frame: impl FnOnce() -> Arc<Frame>) {
-        let mut contents = self.lock();
+        let mut contents = self.contents.lock();
         if contents.end.is_some() || contents.last == Some(at) {
             return;
         }
@@ -359,7 +342,7 @@ impl Subscription {
 
     /// Enqueues an event. Returns whether the queue was empty.
     fn push_event(&self, event: &Event) -> bool {
-        let mut contents = self.lock();
+        let mut contents = self.contents.lock();
         if contents.end.is_some() {
             return false;
         }
@@ -411,7 +394,7 @@ impl Subscription {
 
     /// Whether the swarm may take another step.
     fn has_room(&self) -> bool {
-        let mut contents = self.lock();
+        let mut contents = self.contents.lock();
         let may_block = matches!(self.limits.overflow, Overflow::Block(_));
         let is_full = contents.is_full(&self.limits, 1);
         let has_room = !may_block || contents.end.is_some() || !is_full;
@@ -435,62 +418,7 @@ impl Subscription {
             wake();
         }
     }
-
-    fn lock(&self) -> MutexGuard<'_, Contents> {
-        // No change of the contents panics halfway.
-        self.contents.lock().unwrap_or_else(PoisonError::into_inner)
-    }
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::swarm::frame::Stamp;
-    use crate::swarm::phase::Phase;
-
-    #[test]
-    fn a_subscription_receives_every_state_and_event_until_it_is_dropped() {
-        let output = Output::new("demo".to_owned());
-        let push_event = |number| {
-            let (phase, kind) = (Phase::Faulted("why".into()), EventKind::Created);
-            let (epoch, step, time, seq) = (0, 0, 0.0, 0);
-            output.push_event(&Event {
-                number,
-                stamp: Stamp {
-                    epoch,
-                    step,
-                    time,
-                    phase,
-                    seq,
-                },
-                unix_secs: None,
-                kind,
-            });
-        };
-        let state = |step| output.state((0, step), || unreachable!("an odd step is not copied"));
-        push_event(1);
-        let subscription = output.subscribe(Limits {
-            every: 2,
-            steps: Some(4),
-            frames: 1,
-            individuals: 1,
-            overflow: Overflow::Block(Box::new(|| {})),
-        });
-        state(3);
-        push_event(3);
-        assert_eq!(subscription.steps_left(), Some(4));
-        state(7);
-        push_event(4);
-        let next = || subscription.next(Some(Instant::now()));
-        assert!(matches!(next(), Ok(Some(Item::Event(event, _))) if event.number == 3));
-        assert!(matches!(next(), Err(End::Complete)));
-        assert!(output.has_room(), "the swarm does not wait after the end");
-        drop(subscription);
-        push_event(5);
-        assert!(output.subscriptions().is_empty());
-        let (frames, events) = output.to_publish.take();
-        assert!(frames.is_empty(), "the publisher receives published frames");
-        let numbers: Vec<_> = events.iter().map(|event| event.number).collect();
-        assert_eq!(numbers, [1, 3, 4, 5]);
-    }
-}
+mod tests;

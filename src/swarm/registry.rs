@@ -2,13 +2,14 @@
 
 use std::collections::BTreeMap;
 use std::num::NonZero;
+use std::sync::Arc;
 use std::sync::mpsc::{Receiver, sync_channel};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
 use jostle_physics::plural::counted;
 use jostle_physics::simulation::{Reservation, ReserveError, ReserveMemory, Simulation, Spec};
+use parking_lot::{Mutex, MutexGuard};
 use thiserror::Error;
 use tracing::warn;
 
@@ -18,10 +19,10 @@ use crate::swarm::frame::Summary;
 use crate::swarm::handle::{DeferredReply, Handle, Message, Outcome, Rejection, ReplyTo};
 use crate::swarm::metrics::Totals;
 use crate::swarm::output::Output;
-use crate::swarm::runner::{JournalFactory, PersistNew, Playback, Runner, SwarmObserver};
+use crate::swarm::runner::{Built, End, JournalFactory, PersistNew, Playback, SwarmObserver};
 use crate::swarm::scheduler::{self, CpuScheduler};
+use crate::swarm::worker::Worker;
 use crate::swarm::worker::replay::ReplaySource;
-use crate::swarm::worker::{End, Worker};
 
 /// Capacity of a swarm's queue; messages beyond it are rejected.
 const MAX_MESSAGES: usize = 1024;
@@ -50,44 +51,33 @@ pub struct Limits {
 
 /// Why a swarm was not created.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
+#[expect(missing_docs, reason = "the messages say when each is returned")]
 pub enum RegistryError {
-    /// Another swarm has the name.
     #[error("another swarm of this name exists: choose another name, or delete it")]
     OtherSpec,
-    /// An equal swarm has the name.
     #[error("an equal swarm of this name exists: take it with exist_ok")]
     SameSpec,
-    /// The daemon hosts `max_swarms` already.
     #[error(
         "the daemon hosts {} already, its limit: delete one, or raise max_swarms",
-        counted(*.limit, "swarm")
+        counted(*.0, "swarm")
     )]
-    TooManySwarms {
-        /// The limit.
-        limit: usize,
-    },
-    /// It exceeds the memory for swarms.
+    TooManySwarms(usize),
     #[error(
         "the swarm needs up to {needed} bytes, {free} of {limit} are free: make it smaller, \
          delete another, or raise max_memory_mb"
     )]
     TooMuchMemory {
-        /// Bytes that it needs.
         needed: u64,
-        /// Bytes that are free.
         free: u64,
         /// `max_memory_mb` in bytes.
         limit: u64,
     },
-    /// No thread could be started.
     #[error("no thread can be started for the swarm: {0}")]
     NoThread(String),
-    /// The daemon stops.
     #[error("the daemon is stopping")]
     Stopping,
 }
 
-/// What a swarm starts from.
 enum StartFrom {
     Spec(Box<dyn PersistNew>),
     /// The checkpoint of another swarm, or a snapshot.
@@ -103,6 +93,7 @@ pub struct SwarmRegistry {
     observer: Arc<dyn SwarmObserver>,
     journals: Box<dyn JournalFactory>,
     cores: Arc<CpuScheduler>,
+    /// The map and the sum change together under the lock, and nothing in between can panic.
     state: Mutex<State>,
 }
 
@@ -111,7 +102,6 @@ struct State {
     swarms: BTreeMap<String, Entry>,
     memory_bytes: u64,
     is_stopping: bool,
-    /// Totals of the swarms that have ended.
     ended: Totals,
 }
 
@@ -203,7 +193,14 @@ impl SwarmRegistry {
     ) -> Result<(), RegistryError> {
         let memory_bytes = memory_of(past.checkpoint.simulation.state.configuration.n());
         let from = StartFrom::Journal(Box::new(past));
-        self.start(&mut self.lock(), name, spec, memory_bytes, from, answer)
+        self.start(
+            &mut self.state.lock(),
+            name,
+            spec,
+            memory_bytes,
+            from,
+            answer,
+        )
     }
 
     /// Plays a recording under the name of a swarm; it is not persisted. `answer` as in
@@ -215,14 +212,12 @@ impl SwarmRegistry {
         answer: impl FnOnce() -> ReplyTo,
     ) -> Result<(), RegistryError> {
         let mut state = self.lock_vacant(name)?;
-        let needed = memory_of(playback.max_individuals()).saturating_add(playback.memory_bytes());
-        let memory_bytes = self.admit(&state, needed)?;
+        let memory_bytes = self.admit(&state, playback.memory_bytes())?;
         let spec = playback.spec().clone();
         let from = StartFrom::Recording(playback);
         self.start(&mut state, name, spec, memory_bytes, from, answer)
     }
 
-    /// Starts the thread of a swarm.
     fn start(
         self: &Arc<Self>,
         state: &mut State,
@@ -261,7 +256,7 @@ impl SwarmRegistry {
 
     /// The swarm of that name.
     pub fn find(&self, name: &str) -> Option<Handle> {
-        let state = self.lock();
+        let state = self.state.lock();
         state.swarms.get(name).map(|entry| entry.handle.clone())
     }
 
@@ -274,7 +269,7 @@ impl SwarmRegistry {
 
     /// Every swarm, built or not, ordered by name, and the totals of those that have ended.
     pub fn handles(&self) -> (Vec<(String, Handle)>, Totals) {
-        let state = self.lock();
+        let state = self.state.lock();
         let swarms = state.swarms.iter();
         let handles = swarms.map(|(name, entry)| (name.clone(), entry.handle.clone()));
         (handles.collect(), state.ended)
@@ -282,12 +277,12 @@ impl SwarmRegistry {
 
     /// Memory reserved for the swarms, in bytes.
     pub fn memory_bytes(&self) -> u64 {
-        self.lock().memory_bytes
+        self.state.lock().memory_bytes
     }
 
     /// Releases the name of a swarm that has ended.
     pub fn release(&self, name: &str) {
-        let mut state = self.lock();
+        let mut state = self.state.lock();
         if let Some(entry) = state.swarms.remove(name) {
             state.memory_bytes -= entry.memory_bytes;
             state.ended.add(&entry.handle.totals());
@@ -298,7 +293,7 @@ impl SwarmRegistry {
     /// how many still run.
     pub fn stop(&self, timeout: Duration) -> usize {
         let mut running: Vec<thread::JoinHandle<()>> = {
-            let mut state = self.lock();
+            let mut state = self.state.lock();
             state.is_stopping = true;
             let entries = state.swarms.values_mut();
             entries
@@ -323,8 +318,7 @@ impl SwarmRegistry {
     fn admit(&self, state: &State, needed: u64) -> Result<u64, RegistryError> {
         let limits = &self.limits;
         if state.swarms.len() >= limits.max_swarms {
-            let limit = limits.max_swarms;
-            return Err(RegistryError::TooManySwarms { limit });
+            return Err(RegistryError::TooManySwarms(limits.max_swarms));
         }
         let limit = limits.max_memory_bytes;
         let free = limit.saturating_sub(state.memory_bytes);
@@ -345,7 +339,7 @@ impl SwarmRegistry {
             Reservation::Grow(n) if n > limit => return Err(ReserveError::TooMany { n, limit }),
             Reservation::Grow(n) | Reservation::Return(n) => n,
         };
-        let mut state = self.lock();
+        let mut state = self.state.lock();
         let needed = memory_of(n);
         let Some(entry) = state.swarms.get(name) else {
             return Ok(());
@@ -361,7 +355,6 @@ impl SwarmRegistry {
         Ok(())
     }
 
-    /// Builds and runs a swarm, on its own thread.
     fn run(
         self: &Arc<Self>,
         handle: &Handle,
@@ -373,11 +366,10 @@ impl SwarmRegistry {
         // Without the right to it, the thread keeps its priority.
         let _ = scheduler::lower_priority();
         let end = match self.build(handle, from) {
-            Ok(Ok(runner)) => {
-                let (stamp, frame) = runner.look();
+            Ok(Ok(((stamp, frame), run))) => {
                 let reply = DeferredReply::new(answer, Ok((stamp, Outcome::State(frame))));
                 self.observer.started(name, reply);
-                runner.run(&taken)
+                run(&taken)
             }
             Ok(Err(end)) => end,
             Err(error) => {
@@ -397,50 +389,46 @@ impl SwarmRegistry {
         self: &Arc<Self>,
         handle: &Handle,
         from: StartFrom,
-    ) -> Result<Result<Box<dyn Runner>, End>, SwarmError> {
+    ) -> Result<Result<Built, End>, SwarmError> {
         let name = &handle.output.name;
         let (registry, swarm) = (self.clone(), name.clone());
         let reserve: ReserveMemory = Box::new(move |size| registry.reserve(&swarm, size));
         let min_interval = Duration::from_secs(1) / self.limits.max_hz.max(1);
         let writer = self.journals.open(name);
-        let (worker, persist) = match from {
+        let (checkpoint, persist) = match from {
             StartFrom::Spec(persist) => {
-                let start = Checkpoint::start(Simulation::new(&handle.spec)?.checkpoint());
-                let writer = (writer, reserve);
-                let worker = Worker::from_checkpoint(start, handle, min_interval, writer);
-                (worker, Some(persist))
+                let simulation = Simulation::new(&handle.spec)?;
+                (Checkpoint::start(simulation.checkpoint()), persist)
             }
-            StartFrom::Checkpoint(checkpoint, persist) => {
-                let writer = (writer, reserve);
-                let worker = Worker::from_checkpoint(*checkpoint, handle, min_interval, writer);
-                (worker, Some(persist))
-            }
+            StartFrom::Checkpoint(checkpoint, persist) => (*checkpoint, persist),
             StartFrom::Journal(past) => {
                 let (mut worker, _, end) = past.fold(handle, min_interval, writer);
                 if let Some(end) = end {
                     return Ok(Err(end));
                 }
-                self.lock().set_memory(name, memory_of(worker.n()));
+                self.state.lock().set_memory(name, memory_of(worker.n()));
                 if let Err(fault) = worker.resume(reserve) {
                     warn!(swarm = name, %fault, "failed to journal the restart");
                 }
-                (worker, None)
+                return Ok(Ok(worker.built()));
             }
             StartFrom::Recording(playback) => {
                 return playback.start(handle, min_interval).map(Ok);
             }
         };
-        if let Some(persist) = persist {
-            let (stamp, frame) = worker.look();
-            let persisted = persist.persist(&worker.checkpoint(), &stamp, &frame);
-            persisted.map_err(SwarmError::Unsafe)?;
-        }
-        Ok(Ok(Box::new(worker)))
+        let writer = (writer, reserve);
+        let ignored = &|_: &_| ReplyTo::ignored();
+        let mut worker = Worker::restore(checkpoint, handle, min_interval, writer, ignored);
+        worker.publish_created();
+        let (stamp, frame) = worker.look();
+        let persisted = persist.persist(&worker.checkpoint(), &stamp, &frame);
+        persisted.map_err(SwarmError::Unsafe)?;
+        Ok(Ok(worker.built()))
     }
 
     /// Locks the state to add a swarm.
     fn lock_running(&self) -> Result<MutexGuard<'_, State>, RegistryError> {
-        let state = self.lock();
+        let state = self.state.lock();
         match state.is_stopping {
             true => Err(RegistryError::Stopping),
             false => Ok(state),
@@ -454,11 +442,6 @@ impl SwarmRegistry {
             true => Err(RegistryError::OtherSpec),
             false => Ok(state),
         }
-    }
-
-    fn lock(&self) -> MutexGuard<'_, State> {
-        // The map and the sum change together under the lock, and nothing in between can panic.
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 

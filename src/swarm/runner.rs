@@ -11,7 +11,6 @@ use crate::swarm::error::{SwarmError, WriteFault};
 use crate::swarm::frame::{Frame, Stamp};
 use crate::swarm::handle::{DeferredReply, Handle, Message};
 use crate::swarm::journal::JournalWriter;
-use crate::swarm::worker::{End, Worker};
 
 /// Persists a new swarm before any client learns of it: its name, its spec and its checkpoint.
 pub trait PersistNew: Send {
@@ -30,38 +29,29 @@ pub trait JournalFactory: Send + Sync {
     fn open(&self, swarm: &str) -> Arc<dyn JournalWriter>;
 }
 
-/// What the thread of a hosted name runs: a swarm, or a playback.
-pub trait Runner: Send {
-    /// The present state.
-    fn look(&self) -> (Stamp, Arc<Frame>);
-    /// Runs and handles messages until it ends.
-    fn run(self: Box<Self>, messages: &Receiver<Message>) -> End;
+/// Why the thread of a swarm ended.
+pub enum End {
+    /// The swarm was deleted. The reply is sent once clients can no longer reach it.
+    Deleted(DeferredReply),
+    /// The daemon is stopping.
+    Stopped,
 }
 
-impl Runner for Worker {
-    fn look(&self) -> (Stamp, Arc<Frame>) {
-        Worker::look(self)
-    }
-
-    fn run(self: Box<Self>, messages: &Receiver<Message>) -> End {
-        Worker::run(*self, messages)
-    }
-}
+/// The first state of a swarm or a playback, and what its thread runs until it ends.
+pub type Built = (
+    (Stamp, Arc<Frame>),
+    Box<dyn FnOnce(&Receiver<Message>) -> End>,
+);
 
 /// A recording that can be played as if it were a swarm.
 pub trait Playback: Send {
     /// The spec of the recorded swarm.
     fn spec(&self) -> &Spec;
-    /// The size of its largest group.
-    fn max_individuals(&self) -> usize;
-    /// Its memory in bytes, without a frame.
+    /// The memory to reserve for it, in bytes.
     fn memory_bytes(&self) -> u64;
     /// Starts at the first frame, paused. Frames are published `min_interval` apart or more.
-    fn start(
-        self: Box<Self>,
-        handle: &Handle,
-        min_interval: Duration,
-    ) -> Result<Box<dyn Runner>, SwarmError>;
+    fn start(self: Box<Self>, handle: &Handle, min_interval: Duration)
+    -> Result<Built, SwarmError>;
 }
 
 /// Lifecycle callbacks of swarms, called on the thread of the swarm.

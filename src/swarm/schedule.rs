@@ -10,14 +10,10 @@ use crate::swarm::sender::Sender;
 /// Limits of the scheduled commands: their number and the bytes of their text.
 const MAX_SCHEDULED: (usize, usize) = (1024, 256 * 1024);
 
-/// A scheduled command.
 #[derive(Clone, Debug)]
 pub struct Scheduled {
-    /// Its journal line.
     pub input: u64,
-    /// The command.
     pub command: Command,
-    /// Its client.
     pub sender: Arc<Sender>,
 }
 
@@ -30,17 +26,11 @@ pub struct Schedule {
 }
 
 impl Schedule {
-    /// Adds a command for `at_step`.
-    ///
-    /// # Errors
-    ///
-    /// [`SwarmError::TooManyScheduled`].
     pub fn add(&mut self, at_step: u64, command: Scheduled) -> Result<(), SwarmError> {
         let bytes = self.bytes + command.sender.bytes();
         let (limit, max_bytes) = MAX_SCHEDULED;
         if self.waiting.len() == limit || (bytes > max_bytes && !self.waiting.is_empty()) {
-            let limit = self.waiting.len();
-            return Err(SwarmError::TooManyScheduled { limit });
+            return Err(SwarmError::TooManyScheduled(self.waiting.len()));
         }
         self.arrived += 1;
         self.bytes = bytes;
@@ -59,13 +49,8 @@ impl Schedule {
         Some(command)
     }
 
-    /// Removes all, each with its step.
     pub fn clear(&mut self) -> Vec<(u64, Scheduled)> {
-        self.bytes = 0;
-        std::mem::take(&mut self.waiting)
-            .into_iter()
-            .map(|((at_step, _), command)| (at_step, command))
-            .collect()
+        std::mem::take(self).list()
     }
 
     /// All, each with its step, in the order of execution.
@@ -76,7 +61,6 @@ impl Schedule {
             .collect()
     }
 
-    /// The number of commands.
     pub fn count(&self) -> usize {
         self.waiting.len()
     }

@@ -15,7 +15,6 @@ const MAX_WAITERS: usize = 1024;
 pub struct Waiters(Vec<(Instant, Waiter)>);
 
 impl Waiters {
-    /// Adds a query.
     pub fn add(&mut self, waiter: Waiter) {
         self.0.retain(|(_, waiter)| !(waiter.is_abandoned)());
         self.0.push((Instant::now(), waiter));

@@ -330,7 +330,7 @@ async fn peer(daemon: &Daemon) -> Session {
     for (key, value) in [
         ("mode", json!("router")),
         ("scouting/delay", json!(0)),
-        ("connect/endpoints", json!(daemon.server.endpoints())),
+        ("connect/endpoints", json!(daemon.server.endpoints)),
         ("listen/endpoints", json!([])),
         ("scouting/multicast/enabled", json!(false)),
         ("scouting/gossip/enabled", json!(false)),

@@ -190,7 +190,7 @@ async fn the_probe_is_answered_by_the_real_listener_and_opens_no_session() {
         series(&http).contains_key("jostle_probe_seconds")
     })
     .await;
-    let told = daemon.server.watch().figures();
+    let told = daemon.server.watch.figures();
     assert!(told.probe_secs.unwrap() < 2.0, "{told:?}");
     assert_eq!(told.reasons, []);
     until("the sessions to be counted", async || {

@@ -109,7 +109,7 @@ async fn a_verify_beyond_four_at_once_is_queued() {
 #[tokio::test(flavor = "multi_thread")]
 async fn silent_connections_keep_no_client_out() {
     let daemon = Daemon::start().await;
-    let endpoint = &daemon.server.endpoints()[0];
+    let endpoint = &daemon.server.endpoints[0];
     let address = endpoint.strip_prefix("tcp/").unwrap();
     let mut silent = Vec::new();
     for _ in 0..900 {

@@ -74,7 +74,7 @@ impl Lab {
     }
 
     fn endpoint(&self, protocol: &str) -> &str {
-        let endpoints = self.server.endpoints().iter();
+        let endpoints = self.server.endpoints.iter();
         let mut endpoints = endpoints.filter(|it| it.starts_with(protocol));
         endpoints.next().unwrap()
     }

@@ -70,7 +70,7 @@ impl Daemon {
         let flags = BTreeMap::from_iter(base.iter().chain(settings).copied());
         let resolved = settings::from_flags(flags).unwrap();
         let server = app::start(&Config::new(&resolved).unwrap()).await.unwrap();
-        let client = Client::open(&server.endpoints()[0]).await;
+        let client = Client::open(&server.endpoints[0]).await;
         Daemon {
             server,
             client,
@@ -91,7 +91,7 @@ impl Daemon {
     }
 
     pub async fn another_client(&self) -> Client {
-        Client::open(&self.server.endpoints()[0]).await
+        Client::open(&self.server.endpoints[0]).await
     }
 
     pub async fn stop(self) {

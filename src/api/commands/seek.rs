@@ -8,7 +8,7 @@ use crate::api::context::{Context, reject_preconditions};
 use crate::api::incoming::Incoming;
 use crate::api::responder::Responder;
 use crate::convert;
-use crate::convert::commands::{self, CommandError, seek};
+use crate::convert::commands::{self, CommandError};
 use crate::swarm::handle::Message;
 
 impl Context {
@@ -20,7 +20,7 @@ impl Context {
     ) -> Result<(), CommandError> {
         let request = self.request(incoming)?;
         reject_preconditions(&request)?;
-        let to = seek::seek(request.args::<SeekArgs>()?)?;
+        let to = commands::swarm::seek(request.args::<SeekArgs>()?)?;
         let sender = Arc::new(commands::sender("seek", &request)?);
         let timeout = commands::timeout(&request)?;
         let name = swarm.clone();

@@ -18,7 +18,6 @@ use crate::swarm::sender::Sender;
 
 pub mod control;
 pub mod create;
-pub mod seek;
 pub mod swarm;
 pub mod wait;
 
@@ -26,9 +25,6 @@ pub use crate::convert::error::CommandError;
 
 /// Timeout of a request without `timeout_secs`.
 pub const DEFAULT_TIMEOUT: Duration = Duration::from_secs(5);
-
-/// Maximum length of an unknown word in an error, in characters.
-const MAX_WORD_CHARS: usize = 64;
 
 /// Maximum timeout of a request, in seconds.
 const MAX_TIMEOUT_SECS: f64 = 3600.0;
@@ -107,7 +103,7 @@ pub fn read_journaled(
     let command = match verb {
         "deadline" => Command::Deadline(controller(request)?),
         "lost" => Command::Lost(controller(request)?),
-        "control" => control::order(request)?,
+        "control" => control::journaled(request)?,
         verb => {
             let (message, returns_state) = read(verb, request)?;
             return Ok((message.command, returns_state));
@@ -116,7 +112,6 @@ pub fn read_journaled(
     Ok((command, false))
 }
 
-/// The controller that a request names.
 fn controller(request: &Request) -> Result<String, CommandError> {
     let LeaveArgs { controller } = request.args()?;
     check_name("controller", &controller)?;
@@ -170,9 +165,9 @@ pub fn selector<'a>(
     Ok(read)
 }
 
-/// Returns the start of an unknown word, for an error.
+/// Returns the start of an unknown word or of an invalid name, for an error.
 pub fn truncate(word: &str) -> String {
-    word.chars().take(MAX_WORD_CHARS).collect()
+    word.chars().take(keys::MAX_NAME_LENGTH).collect()
 }
 
 /// Checks a name that becomes a part of a key.
@@ -184,10 +179,8 @@ pub fn check_name(field: &'static str, name: &str) -> Result<(), CommandError> {
     if keys::is_name(name) {
         return Ok(());
     }
-    Err(CommandError::Name {
-        field,
-        name: name.chars().take(keys::MAX_NAME_LENGTH).collect(),
-    })
+    let name = truncate(name);
+    Err(CommandError::Name { field, name })
 }
 
 /// Whether a character is safe to print: it is no control character and does not change the

@@ -1,17 +1,17 @@
 //! The arguments of commands to a swarm that need more than their types.
 
 use jostle_convert::{WireError, change, value};
-use jostle_proto::RequestError;
 use jostle_proto::verbs::{AdvanceArgs, BatchArgs, JoinArgs, RunArgs};
+use jostle_proto::{RequestError, SeekArgs};
 
 use crate::convert::commands::{CommandError, check_name};
-use crate::swarm::command::{Command, Until};
+use crate::swarm::command::{Command, Seek, Until};
 use crate::swarm::membership::{self, ControllerSettings, JoinOptions};
 
 /// Maximum steps of one command.
 const MAX_STEPS: u64 = 1_000_000_000;
 
-/// Maximum end of a run: longer than any run, and exact as a number of steps.
+/// Maximum end of a run, and time to seek: longer than any run, and exact as a number of steps.
 const MAX_TIME: f64 = 1e12;
 
 /// Parameters of a spec that cannot change.
@@ -82,6 +82,21 @@ pub fn join(args: JoinArgs) -> Result<Command, CommandError> {
         },
         again: args.again,
     }))
+}
+
+/// `seek`: moves a playback to another frame.
+pub fn seek(args: SeekArgs) -> Result<Seek, CommandError> {
+    match (args.step, args.time, args.fraction) {
+        (Some(step), None, None) => Ok(Seek::Step(value::whole("step", step)?)),
+        (None, Some(time), None) if (0.0..=MAX_TIME).contains(&time) => Ok(Seek::Time(time)),
+        (None, Some(time), None) => Err(WireError::out_of_range("time", time).into()),
+        (None, None, Some(share)) if (0.0..=1.0).contains(&share) => Ok(Seek::Fraction(share)),
+        (None, None, Some(share)) => Err(WireError::out_of_range("fraction", share).into()),
+        _ => {
+            let problem = "must have exactly one of step, time and fraction";
+            Err(CommandError::field("args", problem))
+        }
+    }
 }
 
 /// Returns an error with the alternatives for parameters that cannot change.

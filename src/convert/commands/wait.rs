@@ -45,7 +45,6 @@ pub fn read<'a>(
     }
 }
 
-/// Checks a timeout.
 fn check_timeout(secs: f64) -> Result<Duration, CommandError> {
     if secs > 0.0 && secs <= MAX_WAIT.as_secs_f64() {
         return Ok(super::duration(secs));

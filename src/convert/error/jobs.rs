@@ -73,9 +73,9 @@ impl WireCode for ReplayError {
     fn code(&self) -> ErrorCode {
         match self {
             ReplayError::Unreadable(_) => ErrorCode::InvalidArgument,
-            ReplayError::Piece { .. } => ErrorCode::Conflict,
+            ReplayError::Piece(_) => ErrorCode::Conflict,
             ReplayError::NotUploaded(_) | ReplayError::Unknown(_) => ErrorCode::NotFound,
-            ReplayError::TooLong { .. } => ErrorCode::ResourceExhausted,
+            ReplayError::TooLong(_) => ErrorCode::ResourceExhausted,
             ReplayError::TooMany(_) => ErrorCode::Busy,
             ReplayError::Unkept(_) => ErrorCode::StorageFull,
         }
@@ -83,10 +83,10 @@ impl WireCode for ReplayError {
 
     fn details(&self) -> Map<String, Value> {
         object(match self {
-            ReplayError::Piece { received } => {
+            ReplayError::Piece(received) => {
                 json!({"field": "upload.offset", "uploaded": received})
             }
-            ReplayError::TooLong { length } => json!({"bytes": length, "limit": MAX_UPLOAD_BYTES}),
+            ReplayError::TooLong(length) => json!({"bytes": length, "limit": MAX_UPLOAD_BYTES}),
             _ => Value::Null,
         })
     }

@@ -21,79 +21,51 @@ use crate::swarm::registry::RegistryError;
 
 /// Why a request is rejected.
 #[derive(Clone, Debug, ThisError)]
+#[expect(missing_docs, reason = "the messages say when each is returned")]
 pub enum CommandError {
-    /// The payload cannot be read.
     #[error("{0}")]
     Request(#[from] RequestError),
-    /// A value is invalid.
     #[error(transparent)]
     Value(#[from] WireError),
-    /// A field is invalid for another reason.
     #[error("{field} {problem}")]
     Field {
-        /// The field.
         field: &'static str,
-        /// What is wrong with it, and the remedy.
         problem: &'static str,
     },
-    /// A name is invalid.
     #[error("{field} {name:?} is no name")]
     Name {
-        /// The field.
         field: &'static str,
         /// At most the first 64 characters of the name.
         name: String,
     },
-    /// The number of individuals exceeds the daemon's limit.
     #[error("n = {n} is outside its range: give a whole number from 1 to {limit}")]
-    Individuals {
-        /// The requested number.
-        n: u64,
-        /// The limit.
-        limit: usize,
-    },
-    /// A selector has an unknown parameter.
+    Individuals { n: u64, limit: usize },
     #[error("there is no parameter {name:?} here")]
     Parameter {
         /// As received.
         name: String,
-        /// The known ones.
         known: &'static [&'static str],
     },
-    /// A selector has a parameter twice.
     #[error("{0} is given twice: give it once")]
     Twice(&'static str),
-    /// The payload is too long.
     #[error("the request has {bytes} bytes, the most is {max_bytes}: send less at once")]
-    TooLong {
-        /// Its length.
-        bytes: usize,
-        /// The limit.
-        max_bytes: usize,
-    },
-    /// The payload has another encoding than JSON.
+    TooLong { bytes: usize, max_bytes: usize },
     #[error("the payload is {0:?}: requests are application/json")]
     Encoding(String),
-    /// The key of a command has a wildcard.
     #[error("a wildcard executes nothing: send the command to one concrete key")]
     Wildcard,
-    /// The verb is unknown.
     #[error("there is no verb {verb:?}")]
     UnknownVerb {
         /// As received.
         verb: String,
-        /// The known ones.
         known: &'static [&'static str],
     },
-    /// The noun of a query is unknown.
     #[error("there is no {noun:?} to get")]
     UnknownNoun {
         /// As received.
         noun: String,
-        /// The known ones.
         known: &'static [&'static str],
     },
-    /// The swarm does not exist.
     #[error("there is no swarm {0:?}: the node's get/swarms lists what there is")]
     UnknownSwarm(String),
     /// A part of an argument is invalid.
@@ -101,41 +73,24 @@ pub enum CommandError {
     Within {
         /// The path of the part, such as `commands[2].args`.
         path: String,
-        /// The error.
         error: Box<CommandError>,
     },
-    /// An earlier request had the same id and another content.
     #[error(
         "request_id {0:?} was given to another request of this client: give each request one of \
          its own"
     )]
     OtherRequest(String),
-    /// A snapshot is invalid.
     #[error("not a snapshot that this daemon can restore: {0}")]
     Snapshot(String),
-    /// A snapshot does not fit into one message.
     #[error(
         "the snapshot has {bytes} bytes, the most that one message carries is {max_bytes}: fork \
          the swarm on this daemon, or stop the daemon and copy its data folder"
     )]
-    SnapshotTooLong {
-        /// Its length.
-        bytes: usize,
-        /// The limit.
-        max_bytes: usize,
-    },
-    /// The swarm has not reached the step.
+    SnapshotTooLong { bytes: usize, max_bytes: usize },
     #[error("step {step} is not reached, the swarm is at step {now}: name an earlier one")]
-    NotReached {
-        /// The requested step.
-        step: u64,
-        /// The current step of the swarm.
-        now: u64,
-    },
-    /// The history cannot be replayed.
+    NotReached { step: u64, now: u64 },
     #[error("the swarm's past cannot be told: {0}")]
     History(String),
-    /// The client has no permission.
     #[error(transparent)]
     NotPermitted(#[from] NotPermitted),
     /// Another daemon serves the same name and has executed commands on it.
@@ -143,10 +98,8 @@ pub enum CommandError {
     Contested {
         /// The swarm; `None` for the daemon's own name.
         swarm: Option<String>,
-        /// Both daemons.
         claimants: [Claimant; 2],
     },
-    /// The name of a new swarm is claimed by another daemon.
     #[error(
         "daemon {0:?} claims this name: choose another name, or delete the swarm of this name there"
     )]
@@ -160,7 +113,6 @@ pub enum CommandError {
          and send it with another request_id if it was not"
     )]
     Dropped,
-    /// The limit of connected clients is exceeded.
     #[error(
         "more than the daemon's {} connected: close one, or raise max_clients and start it again",
         match .limit {
@@ -168,41 +120,24 @@ pub enum CommandError {
             limit => format!("{limit} clients are"),
         }
     )]
-    TooManyClients {
-        /// The limit.
-        limit: usize,
-    },
-    /// The daemon has too many requests.
+    TooManyClients { limit: usize },
     #[error("too much at once for this daemon: try again in a moment")]
     Busy,
-    /// The request was not executed before its timeout.
     #[error(
         "not done within {after_secs} s: the work goes on; get/wait tells when it is done, \
          timeout_secs waits longer"
     )]
-    Deadline {
-        /// The timeout.
-        after_secs: f64,
-    },
-    /// The condition of a `wait` did not become true before the timeout.
+    Deadline { after_secs: f64 },
     #[error("not yet so after {after_secs} s: ask again")]
-    NotYet {
-        /// The timeout.
-        after_secs: f64,
-    },
-    /// The daemon rejects the swarm.
+    NotYet { after_secs: f64 },
     #[error(transparent)]
     Registry(#[from] RegistryError),
-    /// The swarm rejects the command.
     #[error(transparent)]
     Swarm(#[from] SwarmError),
-    /// A playback is rejected.
     #[error(transparent)]
     Replay(#[from] ReplayError),
-    /// A command to an experiment is rejected.
     #[error(transparent)]
     Experiment(#[from] ExperimentError),
-    /// A command to a recording is rejected.
     #[error(transparent)]
     Record(#[from] RecordError),
 }
@@ -389,9 +324,4 @@ impl From<ChangeError> for CommandError {
     fn from(error: ChangeError) -> Self {
         SwarmError::from(error).into()
     }
-}
-
-/// Returns the error with which a swarm at `step` rejects a command.
-pub fn refusal(error: SwarmError, step: u64) -> Error {
-    CommandError::from(error).to_wire(Some(step))
 }

@@ -12,7 +12,7 @@ impl WireCode for RegistryError {
     fn code(&self) -> ErrorCode {
         match self {
             RegistryError::OtherSpec | RegistryError::SameSpec => ErrorCode::AlreadyExists,
-            RegistryError::TooManySwarms { .. }
+            RegistryError::TooManySwarms(_)
             | RegistryError::TooMuchMemory { .. }
             | RegistryError::NoThread(_) => ErrorCode::ResourceExhausted,
             RegistryError::Stopping => ErrorCode::Busy,
@@ -21,7 +21,7 @@ impl WireCode for RegistryError {
 
     fn details(&self) -> Map<String, Value> {
         object(match self {
-            RegistryError::TooManySwarms { limit } => json!({"limit": limit}),
+            RegistryError::TooManySwarms(limit) => json!({"limit": limit}),
             RegistryError::TooMuchMemory {
                 needed,
                 free,
@@ -49,14 +49,14 @@ impl WireCode for SwarmError {
             SwarmError::Conflict { .. }
             | SwarmError::Past { .. }
             | SwarmError::Late { .. }
-            | SwarmError::Overtaken { .. }
+            | SwarmError::Overtaken(_)
             | SwarmError::Claimed { .. }
             | SwarmError::Advancing { .. }
             | SwarmError::Superseded
             | SwarmError::RejectedBefore => ErrorCode::Conflict,
             SwarmError::NotJoined { .. } | SwarmError::Gone => ErrorCode::NotFound,
             SwarmError::HasJoined(_) => ErrorCode::AlreadyExists,
-            SwarmError::TooManyControllers { .. } | SwarmError::TooManyScheduled { .. } => {
+            SwarmError::TooManyControllers(_) | SwarmError::TooManyScheduled(_) => {
                 ErrorCode::ResourceExhausted
             }
             SwarmError::Unsafe(_) => ErrorCode::StorageFull,
@@ -89,11 +89,11 @@ impl WireCode for SwarmError {
             SwarmError::Late { at_step, step } => {
                 json!({"field": "at_step", "at_step": at_step, "step": step})
             }
-            SwarmError::Overtaken { at_step } => json!({"field": "at_step", "at_step": at_step}),
+            SwarmError::Overtaken(at_step) => json!({"field": "at_step", "at_step": at_step}),
             SwarmError::Displaced { after_secs, limit } => {
                 json!({"after_secs": after_secs, "limit": limit})
             }
-            SwarmError::TooManyScheduled { limit } => json!({"field": "at_step", "limit": limit}),
+            SwarmError::TooManyScheduled(limit) => json!({"field": "at_step", "limit": limit}),
             SwarmError::NotJoined { controller, .. }
             | SwarmError::HasJoined(controller)
             | SwarmError::RunsFreely(controller)

@@ -23,11 +23,9 @@ pub enum Input<'a> {
     Reached,
     /// Another command ends the pending advances; this phase follows.
     Interrupted(Phase),
-    /// A step failed.
     Faulted(SwarmError),
     /// The swarm is back at its start; this phase follows.
     Restarted(Phase),
-    /// The group has changed.
     Changed,
     /// The phase has changed, or set-points were applied.
     Updated,
@@ -41,28 +39,22 @@ pub enum Effect {
     Pause(PauseReason),
     /// Reply to an advance that began at this step: the news, and the phase of the swarm in the reply.
     Advanced(ReplyTo, u64, News, Phase),
-    /// Reply with an error.
     Reject(ReplyTo, SwarmError),
     /// Journal the command. Once its line is durable, so are the steps up to this one.
     Journal(Option<u64>),
     /// Record the command for `get/journal` without an event: thousands of these a second would
     /// displace all other events.
     Record,
-    /// Publish the event of the command.
     Publish,
     /// Publish the state if the swarm does not move.
     PublishState,
 }
 
-/// The swarm during an input.
 pub struct Swarm<'a> {
-    /// Its simulation.
     pub simulation: &'a mut Simulation,
     /// Its phase, after the effects so far.
     pub phase: Phase,
-    /// The time.
     pub now: Instant,
-    /// Receives the effects.
     pub effects: &'a mut Vec<Effect>,
 }
 

@@ -5,22 +5,17 @@ use std::time::Instant;
 use crate::swarm::handle::ReplyTo;
 use crate::swarm::membership::{ControllerState, Mode, Put, Puts};
 
-/// A controller that has joined.
 pub struct Member {
-    /// What is persisted.
     pub state: ControllerState,
-    /// Receives the reply to its `advance`.
     pub reply_to: Option<ReplyTo>,
     /// Since when the swarm waits for it, or the time of its last put.
     pub since: Option<Instant>,
     /// Set-points for the next step.
     pub put: Option<Put>,
-    /// Its puts by outcome.
     pub puts: Puts,
 }
 
 impl Member {
-    /// A controller for which the swarm does not wait yet.
     pub fn new(state: ControllerState, reply_to: Option<ReplyTo>) -> Self {
         Member {
             state,

@@ -17,7 +17,7 @@ struct Rig {
     simulation: Simulation,
     phase: Phase,
     now: Instant,
-    /// The names of those who got a reply.
+    /// The controllers whose `advance` got a reply.
     replied: (mpsc::Sender<&'static str>, mpsc::Receiver<&'static str>),
 }
 
@@ -72,9 +72,31 @@ impl Rig {
         }
     }
 
-    fn join(&mut self, controller: &str, ids: &[u32], mode: Mode, on_timeout: OnTimeout) {
-        let options = options(controller, Some(ids), mode, on_timeout);
-        self.command(&Command::Join(options)).unwrap();
+    /// Joins to steer these individuals, or rejoins without any.
+    fn join(
+        &mut self,
+        controller: &str,
+        ids: &[u32],
+        mode: Mode,
+        on_timeout: OnTimeout,
+    ) -> Result<Vec<String>, SwarmError> {
+        let again = ids.is_empty();
+        self.command(&Command::Join(JoinOptions {
+            controller: controller.to_owned(),
+            selection: (!again).then(|| Selection::Ids(ids.to_vec())),
+            settings: ControllerSettings {
+                mode,
+                deadline: DEADLINE,
+                on_timeout,
+                driving: false,
+            },
+            again,
+        }))
+    }
+
+    /// Joins in lockstep; its individuals keep their set-points if it misses a deadline.
+    fn lockstep(&mut self, controller: &str, ids: &[u32]) -> Result<Vec<String>, SwarmError> {
+        self.join(controller, ids, Mode::Lockstep, OnTimeout::Hold)
     }
 
     fn advance(&mut self, controller: &'static str, steps: u64) -> Result<Vec<String>, SwarmError> {
@@ -135,25 +157,6 @@ impl Rig {
     }
 }
 
-fn options(
-    controller: &str,
-    ids: Option<&[u32]>,
-    mode: Mode,
-    on_timeout: OnTimeout,
-) -> JoinOptions {
-    JoinOptions {
-        controller: controller.to_owned(),
-        selection: ids.map(|ids| Selection::Ids(ids.to_vec())),
-        settings: ControllerSettings {
-            mode,
-            deadline: DEADLINE,
-            on_timeout,
-            driving: false,
-        },
-        again: ids.is_none(),
-    }
-}
-
 /// Set-points of weight 2.
 fn set(ids: &[u32]) -> SetPoints {
     SetPoints {
@@ -175,13 +178,8 @@ fn put(sequence: u64) -> Option<Put> {
 #[test]
 fn it_steps_when_all_have_advanced_and_replies_to_each_at_its_step() {
     let mut rig = Rig::new();
-    let ada = options("ada", Some(&[0]), Mode::Lockstep, OnTimeout::Hold);
-    assert_eq!(
-        rig.command(&Command::Join(ada)).unwrap(),
-        ["pause lockstep"]
-    );
-    let bob = options("bob", Some(&[1]), Mode::Lockstep, OnTimeout::Hold);
-    assert!(rig.command(&Command::Join(bob)).unwrap().is_empty());
+    assert_eq!(rig.lockstep("ada", &[0]).unwrap(), ["pause lockstep"]);
+    assert!(rig.lockstep("bob", &[1]).unwrap().is_empty());
     assert_eq!(rig.controllers.due(), None, "no controller waits");
 
     assert_eq!(rig.advance("ada", 1).unwrap(), ["journal", "record"]);
@@ -203,23 +201,15 @@ fn it_steps_when_all_have_advanced_and_replies_to_each_at_its_step() {
 #[test]
 fn a_later_advance_and_a_rejoin_supersede_an_advance() {
     let mut rig = Rig::new();
-    rig.join("ada", &[0, 1], Mode::Lockstep, OnTimeout::Hold);
-    rig.join("bob", &[2], Mode::Lockstep, OnTimeout::Hold);
+    rig.lockstep("ada", &[0, 1]).unwrap();
+    rig.lockstep("bob", &[2]).unwrap();
     rig.advance("ada", 1).unwrap();
     let again = ["ada: Superseded", "journal", "record"];
     assert_eq!(rig.advance("ada", 2).unwrap(), again);
-    let ada = options("ada", None, Mode::Lockstep, OnTimeout::Hold);
-    assert_eq!(
-        rig.command(&Command::Join(ada)).unwrap(),
-        ["ada: Superseded"]
-    );
-    assert_eq!(
-        rig.status("ada").state.claims,
-        [0, 1].into(),
-        "it keeps them"
-    );
-    let eve = options("eve", Some(&[1]), Mode::Lockstep, OnTimeout::Hold);
-    let error = rig.command(&Command::Join(eve)).unwrap_err();
+    assert_eq!(rig.lockstep("ada", &[]).unwrap(), ["ada: Superseded"]);
+    let kept = rig.status("ada").state.claims;
+    assert_eq!(kept, [0, 1].into());
+    let error = rig.lockstep("eve", &[1]).unwrap_err();
     assert!(matches!(error, SwarmError::Claimed { id: 1, .. }));
     let error = rig.control("bob", 1, &[0]).unwrap_err();
     assert!(
@@ -229,11 +219,10 @@ fn a_later_advance_and_a_rejoin_supersede_an_advance() {
 
 #[test]
 fn a_missed_deadline_lets_the_others_step_and_the_third_removes() {
-    for (on_timeout, weight, at_last) in [(OnTimeout::Hold, 2.0, 2.0), (OnTimeout::Free, 0.0, 0.0)]
-    {
+    for (on_timeout, weight) in [(OnTimeout::Hold, 2.0), (OnTimeout::Free, 0.0)] {
         let mut rig = Rig::new();
-        rig.join("ada", &[0], Mode::Lockstep, OnTimeout::Hold);
-        rig.join("bob", &[1], Mode::Lockstep, on_timeout);
+        rig.lockstep("ada", &[0]).unwrap();
+        rig.join("bob", &[1], Mode::Lockstep, on_timeout).unwrap();
         rig.control("bob", 1, &[1]).unwrap();
         for misses in 1..=3 {
             rig.advance("ada", 1).unwrap();
@@ -243,7 +232,7 @@ fn a_missed_deadline_lets_the_others_step_and_the_third_removes() {
             let effects = rig.command(&Command::Deadline("bob".into())).unwrap();
             let step = format!("step to {misses}");
             assert_eq!(effects, ["journal", "publish", &step, "publish state"]);
-            assert_eq!(rig.weight(1), if misses < 3 { weight } else { at_last });
+            assert_eq!(rig.weight(1), weight);
             assert_eq!(rig.take_steps(), [format!("ada {}", misses - 1)]);
         }
         let error = rig.advance("bob", 1).unwrap_err();
@@ -256,8 +245,9 @@ fn a_missed_deadline_lets_the_others_step_and_the_third_removes() {
 #[test]
 fn a_missed_deadline_pauses_if_the_controller_joined_for_that() {
     let mut rig = Rig::new();
-    rig.join("ada", &[0], Mode::Lockstep, OnTimeout::Hold);
-    rig.join("bob", &[1], Mode::Lockstep, OnTimeout::Pause);
+    rig.lockstep("ada", &[0]).unwrap();
+    rig.join("bob", &[1], Mode::Lockstep, OnTimeout::Pause)
+        .unwrap();
     rig.advance("ada", 1).unwrap();
     rig.now += DEADLINE;
     let effects = rig.command(&Command::Deadline("bob".into())).unwrap();
@@ -273,24 +263,23 @@ fn a_missed_deadline_pauses_if_the_controller_joined_for_that() {
 }
 
 #[test]
-fn whoever_waits_gets_a_reply_when_something_comes_between() {
+fn a_waiting_client_gets_a_reply_when_its_advance_is_interrupted() {
     let mut rig = Rig::new();
-    rig.join("ada", &[0], Mode::Lockstep, OnTimeout::Hold);
-    rig.join("bob", &[1], Mode::Lockstep, OnTimeout::Free);
+    rig.lockstep("ada", &[0]).unwrap();
+    rig.join("bob", &[1], Mode::Lockstep, OnTimeout::Free)
+        .unwrap();
     rig.control("bob", 1, &[1]).unwrap();
     rig.advance("ada", 1).unwrap();
     let effects = rig.command(&Command::Lost("bob".into())).unwrap();
-    assert_eq!(
-        effects,
-        ["journal", "publish", "step to 1", "publish state"]
-    );
+    let expected = ["journal", "publish", "step to 1", "publish state"];
+    assert_eq!(effects, expected);
     assert_eq!(rig.weight(1), 0.0);
     let effects = rig.command(&Command::Leave("ada".into())).unwrap();
     assert_eq!(effects[0], "enter lockstep", "the advance is not continued");
     assert!(effects[1].starts_with("ada: NotJoined"), "{effects:?}");
 
-    rig.join("ada", &[0], Mode::Lockstep, OnTimeout::Hold);
-    rig.join("bob", &[1], Mode::Lockstep, OnTimeout::Hold);
+    rig.lockstep("ada", &[0]).unwrap();
+    rig.lockstep("bob", &[1]).unwrap();
     rig.advance("ada", 1).unwrap();
     let paused = Phase::Paused(PauseReason::Requested);
     assert_eq!(rig.on(Input::Interrupted(paused)).unwrap(), ["ada 0"]);
@@ -301,17 +290,14 @@ fn whoever_waits_gets_a_reply_when_something_comes_between() {
     rig.phase = Phase::Faulted("no solution".into());
     let effects = rig.on(Input::Faulted(SwarmError::Gone)).unwrap();
     assert_eq!(effects, ["ada: Gone"]);
-    assert_eq!(
-        rig.controllers.due(),
-        None,
-        "a faulted swarm waits for none"
-    );
+    assert_eq!(rig.controllers.due(), None, "a faulted swarm waits");
 }
 
 #[test]
 fn the_lease_of_set_points_ends_and_no_other_deadline_does() {
     let mut rig = Rig::new();
-    rig.join("ada", &[0], Mode::FreeRunning, OnTimeout::Free);
+    rig.join("ada", &[0], Mode::FreeRunning, OnTimeout::Free)
+        .unwrap();
     let steered = rig.control("ada", 1, &[0]).unwrap();
     assert_eq!(steered, ["journal", "record"]);
     rig.on(Input::Updated).unwrap();
@@ -330,11 +316,7 @@ fn the_lease_of_set_points_ends_and_no_other_deadline_does() {
     steer_again(&mut rig, 2);
     let reset = Phase::Paused(PauseReason::Reset);
     rig.on(Input::Restarted(reset)).unwrap();
-    assert_eq!(
-        rig.controllers.due(),
-        None,
-        "no set-points hold after a reset"
-    );
+    assert_eq!(rig.controllers.due(), None, "set-points after a reset");
     steer_again(&mut rig, 3);
     rig.command(&Command::Leave("ada".into())).unwrap();
     assert_eq!(rig.controllers.due(), None, "no controller is left");
@@ -343,7 +325,8 @@ fn the_lease_of_set_points_ends_and_no_other_deadline_does() {
 #[test]
 fn puts_are_counted_and_the_newest_waits_for_the_step() {
     let mut rig = Rig::new();
-    rig.join("ada", &[0], Mode::FreeRunning, OnTimeout::Hold);
+    rig.join("ada", &[0], Mode::FreeRunning, OnTimeout::Hold)
+        .unwrap();
     let epoch = rig.simulation.epoch;
     for (epoch, put) in [
         (None, put(2)),
@@ -368,9 +351,5 @@ fn puts_are_counted_and_the_newest_waits_for_the_step() {
     };
     assert_eq!(rig.status("ada").puts, expected);
     rig.on(Input::Put("ada", None, put(3))).unwrap();
-    assert_eq!(
-        rig.status("ada").puts.stale,
-        3,
-        "not newer than the applied one"
-    );
+    assert_eq!(rig.status("ada").puts.stale, 3, "the applied one is newer");
 }

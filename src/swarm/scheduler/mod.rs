@@ -16,10 +16,11 @@ mod pace;
 
 use std::collections::BTreeMap;
 use std::io;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
+use parking_lot::{Mutex, MutexGuard};
 use rustix::time::{ClockId, clock_gettime};
 
 pub use pace::{MAX_BACKLOG, Pace};
@@ -39,6 +40,7 @@ const SLICE_NANOS: u64 = 100_000;
 
 /// Orders the swarms of one daemon.
 pub struct CpuScheduler {
+    /// No code under the lock can panic halfway.
     queue: Mutex<Queue>,
     /// Virtual time of the first waiter in nanoseconds, readable without the lock; [`NO_WAITER`] if
     /// there is none.
@@ -116,11 +118,6 @@ impl CpuScheduler {
         }
     }
 
-    fn lock(&self) -> MutexGuard<'_, Queue> {
-        // No code under the lock can panic halfway.
-        self.queue.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     /// Publishes the first waiter, unlocks, and wakes the one that was called.
     fn unlock(&self, queue: MutexGuard<'_, Queue>, called: Option<Arc<Waiter>>) {
         let first = queue.waiters.first_key_value();
@@ -176,13 +173,13 @@ impl Share {
             Turn::None => {}
             Turn::Running(_) => {
                 self.charge();
-                let mut queue = self.scheduler.lock();
+                let mut queue = self.scheduler.queue.lock();
                 queue.forgive(self.virtual_time);
                 let called = queue.pass_on();
                 self.scheduler.unlock(queue, called);
             }
             Turn::Waiting => {
-                let mut queue = self.scheduler.lock();
+                let mut queue = self.scheduler.queue.lock();
                 let place = (self.virtual_time, self.arrival);
                 let was_waiting = queue.waiters.remove(&place).is_some();
                 // If it is not in the queue, it was called and has a turn that it does not need.
@@ -211,7 +208,7 @@ impl Share {
     /// Takes a free turn, or enters the queue.
     fn request_turn(&mut self, now: Instant) -> bool {
         let scheduler = self.scheduler.clone();
-        let mut queue = scheduler.lock();
+        let mut queue = scheduler.queue.lock();
         // Time that it did not use while others did is no credit.
         self.virtual_time = self.virtual_time.max(queue.virtual_time);
         let is_free = queue.free_turns > 0;
@@ -234,7 +231,7 @@ impl Share {
     fn end_turn(&mut self, now: Instant) -> bool {
         self.charge();
         let scheduler = self.scheduler.clone();
-        let mut queue = scheduler.lock();
+        let mut queue = scheduler.queue.lock();
         queue.forgive(self.virtual_time);
         let first = queue.waiters.first_key_value();
         if first.is_none_or(|((time, _), _)| self.virtual_time < *time) {
@@ -282,10 +279,6 @@ fn nanos(duration: Duration) -> u64 {
 /// a thread waits behind every running thread when it wakes, which takes milliseconds while the daemon
 /// sends to a thousand sessions. A short slice makes the kernel run it soon after it wakes, and does
 /// not change its share of the cores.
-///
-/// # Errors
-///
-/// The error of `sched_setattr`, such as a missing permission.
 #[expect(unsafe_code, reason = "rustix and nix do not wrap sched_setattr")]
 pub fn lower_priority() -> io::Result<()> {
     let attributes = libc::sched_attr {

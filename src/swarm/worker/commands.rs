@@ -27,7 +27,7 @@ impl Worker {
         for message in commands {
             match self.check(&message.command, message.when) {
                 Ok(()) => accepted.push(message),
-                Err(error) => message.reply_to.send(Err(self.rejection(error))),
+                Err(error) => self.reject(message.reply_to, error),
             }
         }
         let step = self.simulation.state.step;
@@ -35,9 +35,12 @@ impl Worker {
             |message: &CommandMessage| message.when.at_step.filter(|at_step| *at_step > step);
         let is_far_ahead = self.journal.is_far_ahead();
         let is_write_ahead = |message: &CommandMessage| {
-            let command = &message.command;
-            let is_throttled = is_far_ahead && command.is_group_committed();
-            command.is_write_ahead() || scheduled_step(message).is_some() || is_throttled
+            let is_at_once = match &message.command {
+                // It journals the end itself.
+                Command::Delete => true,
+                command => command.is_group_committed() && !is_far_ahead,
+            };
+            !is_at_once || scheduled_step(message).is_some()
         };
         let unix_secs = self.unix_secs();
         let records: Vec<Record> = accepted
@@ -62,7 +65,7 @@ impl Worker {
                 Err(fault) => {
                     for message in accepted {
                         let error = SwarmError::Unsafe(fault.clone());
-                        message.reply_to.send(Err(self.rejection(error)));
+                        self.reject(message.reply_to, error);
                     }
                     return None;
                 }
@@ -111,7 +114,7 @@ impl Worker {
             Ok(()) => reply_to.send(Ok((self.stamp(), Outcome::Scheduled(at_step)))),
             Err(error) => {
                 self.record_outcome(input, Err(&error));
-                reply_to.send(Err(self.rejection(error)));
+                self.reject(reply_to, error);
             }
         }
         None
@@ -146,7 +149,7 @@ impl Worker {
         mut reply_to: ReplyTo,
     ) -> Option<End> {
         if let Some((None, _)) = self.journal.outcome(input) {
-            reply_to.send(Err(self.rejection(SwarmError::RejectedBefore)));
+            self.reject(reply_to, SwarmError::RejectedBefore);
             return None;
         }
         let before = self.phase.clone();
@@ -188,7 +191,7 @@ impl Worker {
                 self.push_event(EventKind::Command(sender));
                 if is_reset {
                     self.drop_scheduled();
-                    self.journal.reset();
+                    self.journal.interrupt(0);
                     self.save_checkpoint();
                 }
                 self.update_summary();
@@ -205,7 +208,7 @@ impl Worker {
                 if input > 0 {
                     self.record_outcome(input, Err(&error));
                 }
-                reply_to.send(Err(self.rejection(error)));
+                self.reject(reply_to, error);
             }
         }
         None
@@ -242,7 +245,7 @@ impl Worker {
         // A controller that has left usually expects an older step too; that it has left is the
         // more useful error.
         if let Command::Advance { controller, .. } = command {
-            self.controllers.check_joined(controller)?;
+            self.controllers.find(controller)?;
         }
         let step = self.simulation.state.step;
         when.check(self.simulation.epoch, step)?;

@@ -74,7 +74,7 @@ impl Worker {
                     };
                     reply_to.send(Ok((stamp.clone(), outcome)));
                 }
-                (Effect::Reject(reply_to, error), _) => reply_to.send(Err(self.rejection(error))),
+                (Effect::Reject(reply_to, error), _) => self.reject(reply_to, error),
                 (Effect::Journal(until), Some((line, sender))) => {
                     let record = self.applied_record(line, sender);
                     self.journal.append(self.at(), record, until);
@@ -97,7 +97,6 @@ impl Worker {
         outcome
     }
 
-    /// Executes the deadlines that have passed.
     pub(super) fn fire_deadlines(&mut self) -> Option<End> {
         let mut overdue = self.controllers.overdue(Instant::now()).into_iter();
         overdue.find_map(|controller| {
@@ -106,14 +105,12 @@ impl Worker {
         })
     }
 
-    /// Removes a controller whose liveliness token is lost.
     pub(super) fn remove_lost(&mut self, controller: String) -> Option<End> {
         // One that has left drops its token too: then the command is rejected, without a trace.
         let sender = internal_sender("lost", &controller);
         self.apply_internal(Command::Lost(controller), sender)
     }
 
-    /// Applies the set-points that were put since the last step.
     pub(super) fn apply_puts(&mut self) {
         let puts = self.controllers.take_puts();
         if puts.is_empty() {

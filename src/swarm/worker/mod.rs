@@ -11,11 +11,12 @@ mod scheduled;
 mod step;
 
 use std::collections::VecDeque;
+use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
-use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use jostle_physics::simulation::{ReserveMemory, Simulation};
+use parking_lot::Mutex;
 
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::command::Command;
@@ -23,12 +24,13 @@ use crate::swarm::controllers::{Controllers, Effect, Input};
 use crate::swarm::error::{SwarmError, WriteFault};
 use crate::swarm::failpoint;
 use crate::swarm::frame::{EventKind, Summary};
-use crate::swarm::handle::{DeferredReply, Handle, Message, Outcome, Rejection, ReplyTo, receive};
+use crate::swarm::handle::{Handle, Message, Outcome, Rejection, ReplyTo, receive};
 use crate::swarm::history::History;
 use crate::swarm::journal::{Journal, JournalWriter, Record};
 use crate::swarm::metrics::SwarmMetrics;
 use crate::swarm::output::Output;
 use crate::swarm::phase::Phase;
+use crate::swarm::runner::{Built, End};
 use crate::swarm::schedule::Schedule;
 use crate::swarm::scheduler::{Pace, Share};
 use crate::swarm::sender::Sender;
@@ -47,7 +49,6 @@ const CHECKPOINT_INTERVAL: Duration = Duration::from_secs(30);
 const CHECKPOINT_WORK: Duration = Duration::from_millis(30);
 const MIN_CHECKPOINT_INTERVAL: Duration = Duration::from_secs(1);
 
-/// A running swarm, owned by its thread.
 pub struct Worker {
     simulation: Simulation,
     phase: Phase,
@@ -81,7 +82,6 @@ struct Pending {
     sender: Arc<Sender>,
 }
 
-/// What has changed since the last checkpoint.
 struct SinceCheckpoint {
     saved_at: Instant,
     steps: u64,
@@ -109,45 +109,21 @@ impl SinceCheckpoint {
     }
 }
 
-/// Why the thread of a swarm ended.
-pub enum End {
-    /// The swarm was deleted. The reply is sent once clients can no longer reach it.
-    Deleted(DeferredReply),
-    /// The daemon is stopping.
-    Stopped,
-}
-
 impl Worker {
-    /// A worker of a new swarm that starts from a checkpoint.
-    pub fn from_checkpoint(
+    /// A worker that starts from a checkpoint, without events. `reply_for` receives the replies that the
+    /// commands in it have not got.
+    pub fn restore(
         checkpoint: Checkpoint,
         handle: &Handle,
         min_frame_interval: Duration,
         (writer, reserve): (Arc<dyn JournalWriter>, ReserveMemory),
-    ) -> Self {
-        let mut worker = Worker::restore(checkpoint, handle, min_frame_interval, (writer, reserve));
-        worker.publish_created();
-        worker
-    }
-
-    fn publish_created(&mut self) {
-        if self.events == 0 {
-            self.push_event(EventKind::Created);
-        }
-        self.update_summary();
-    }
-
-    fn restore(
-        checkpoint: Checkpoint,
-        handle: &Handle,
-        min_frame_interval: Duration,
-        (writer, reserve): (Arc<dyn JournalWriter>, ReserveMemory),
+        reply_for: &dyn Fn(&Arc<Sender>) -> ReplyTo,
     ) -> Self {
         let simulation = Simulation::from_checkpoint(&checkpoint.simulation, reserve);
         let (now, state) = (Instant::now(), &simulation.state);
         let mut worker = Worker {
             pace: Pace::new(checkpoint.rate, state.parameters.dt, now),
-            cpu_share: handle.cpu_share(),
+            cpu_share: handle.cores.share(handle.waker()),
             journal: Journal::new(writer, checkpoint.lines, state.step),
             since_checkpoint: SinceCheckpoint::new(),
             applied_at: None,
@@ -163,9 +139,13 @@ impl Worker {
             min_frame_interval,
             frame_due: now,
             events: checkpoint.events,
-            pending: None,
+            pending: checkpoint.pending.map(|(from, sender)| Pending {
+                reply_to: reply_for(&sender),
+                from,
+                sender,
+            }),
             waiters: Waiters::default(),
-            controllers: Controllers::default(),
+            controllers: Controllers::restore(checkpoint.controllers, reply_for),
             effects: Vec::new(),
         };
         for (at_step, scheduled) in checkpoint.scheduled {
@@ -176,11 +156,16 @@ impl Worker {
         worker
     }
 
-    /// Begins a new epoch after a replay, and journals it.
-    ///
-    /// # Errors
-    ///
-    /// [`WriteFault`]: the line is queued instead, and the swarm continues.
+    /// Publishes the first summary, and that the swarm was created if no event precedes it.
+    pub fn publish_created(&mut self) {
+        if self.events == 0 {
+            self.push_event(EventKind::Created);
+        }
+        self.update_summary();
+    }
+
+    /// Begins a new epoch after a replay, and journals it. If that fails, the line is queued instead,
+    /// and the swarm continues.
     pub fn resume(&mut self, reserve: ReserveMemory) -> Result<(), WriteFault> {
         self.simulation.set_reserve(reserve);
         let (before, epoch) = (self.at(), self.simulation.epoch + 1);
@@ -199,7 +184,6 @@ impl Worker {
         written.map(drop)
     }
 
-    /// Starts the pace of the present phase.
     fn reset_pace(&mut self) {
         let rate = match self.phase {
             Phase::Stepping { .. } => None,
@@ -209,12 +193,10 @@ impl Worker {
         self.pace = Pace::new(rate, dt, Instant::now());
     }
 
-    /// The size of the group.
     pub fn n(&self) -> usize {
         self.simulation.state.configuration.n()
     }
 
-    /// The whole present state.
     pub fn checkpoint(&self) -> Checkpoint {
         let pending = self.pending.as_ref();
         Checkpoint {
@@ -230,15 +212,19 @@ impl Worker {
         }
     }
 
-    /// Steps and handles messages until the swarm ends.
-    pub fn run(self, messages: &Receiver<Message>) -> End {
-        let metrics = self.metrics.clone();
-        let end = self.run_loop(messages);
-        metrics.activity.end();
-        end
+    /// The present state, and what steps and handles messages until the swarm ends.
+    pub fn built(self) -> Built {
+        let state = self.look();
+        let run = |messages: &Receiver<Message>| {
+            let metrics = self.metrics.clone();
+            let end = self.run(messages);
+            metrics.activity.end();
+            end
+        };
+        (state, Box::new(run))
     }
 
-    fn run_loop(mut self, messages: &Receiver<Message>) -> End {
+    fn run(mut self, messages: &Receiver<Message>) -> End {
         let queued = || messages.try_iter();
         loop {
             if self.controllers.due().is_some()
@@ -290,7 +276,6 @@ impl Worker {
         }
     }
 
-    /// Whether the CPU scheduler lets it step now.
     fn may_compute(&mut self) -> bool {
         let now = Instant::now();
         self.cpu_share.may_compute(now, self.pace.is_behind(now))
@@ -338,55 +323,45 @@ impl Worker {
             Message::Query(reply_to) => {
                 let (stamp, frame) = self.state_with_controllers();
                 reply_to.send(Ok((stamp, Outcome::State(frame))));
-                None
             }
             Message::Put(controller, epoch, put) => {
                 self.notify_controllers(Input::Put(&controller, epoch, put));
-                None
             }
-            Message::Lost(controller) => self.remove_lost(controller),
+            Message::Lost(controller) => return self.remove_lost(controller),
             Message::RecordingFailed(recording, reason) => {
                 self.push_event(EventKind::RecordingFailed(recording, reason));
                 // The journal has no line for this event: without a checkpoint, a replay would give
                 // later events other numbers.
                 self.save_checkpoint();
-                None
             }
             Message::Wait(waiter) => {
                 self.waiters.add(waiter);
                 self.reply_to_waiters();
-                None
             }
             Message::TakeCheckpoint(reply_to) => {
                 let checkpoint = Outcome::Checkpoint(Box::new(self.checkpoint()));
                 reply_to.send(Ok((self.stamp(), checkpoint)));
-                None
             }
-            Message::Seek(_, _, reply_to) => {
-                reply_to.send(Err(self.rejection(SwarmError::NotRecorded)));
-                None
-            }
-            Message::Command(command) => self.commands(vec![command]),
+            Message::Seek(_, _, reply_to) => self.reject(reply_to, SwarmError::NotRecorded),
+            Message::Command(command) => return self.commands(vec![command]),
             // The loop checks the phase, the scheduler and the output after each batch.
-            Message::Wake => None,
+            Message::Wake => {}
             Message::Stop => {
                 self.journal.append_checkpoint(Checkpoint {
                     is_last: true,
                     ..self.checkpoint()
                 });
-                Some(End::Stopped)
+                return Some(End::Stopped);
             }
         }
+        None
     }
 
-    pub(super) fn rejection(&self, error: SwarmError) -> Rejection {
-        Rejection {
-            step: Some(self.simulation.state.step),
-            error,
-        }
+    pub(super) fn reject(&self, reply_to: ReplyTo, error: SwarmError) {
+        let step = Some(self.simulation.state.step);
+        reply_to.send(Err(Rejection { step, error }));
     }
 
-    /// The present epoch and step.
     fn at(&self) -> (u64, u64) {
         (self.simulation.epoch, self.simulation.state.step)
     }

@@ -1,6 +1,6 @@
 //! The frames, events and summary that a worker publishes, and its replies to waiting queries.
 
-use std::sync::{Arc, OnceLock, PoisonError};
+use std::sync::{Arc, OnceLock};
 use std::time::Instant;
 
 use crate::swarm::frame::{self, Event, EventKind, Frame, Stamp, Summary};
@@ -8,12 +8,10 @@ use crate::swarm::handle::Outcome;
 use crate::swarm::worker::Worker;
 
 impl Worker {
-    /// The present state.
     pub fn look(&self) -> (Stamp, Arc<Frame>) {
         (self.stamp(), self.frame(true))
     }
 
-    /// The present state with its controllers.
     pub(super) fn state_with_controllers(&self) -> (Stamp, Arc<Frame>) {
         let (stamp, frame) = self.look();
         if self.controllers.is_empty() {
@@ -72,7 +70,6 @@ impl Worker {
             .flatten()
     }
 
-    /// Publishes the state if it has a reader.
     pub(super) fn push_frame(&self) {
         let is_moving = self.phase.is_moving();
         self.output.push_frame(is_moving, || self.frame(false));
@@ -132,6 +129,6 @@ impl Worker {
             real_time_factor: self.real_time_factor(),
             is_replay: false,
         };
-        *self.summary.lock().unwrap_or_else(PoisonError::into_inner) = Some(summary);
+        *self.summary.lock() = Some(summary);
     }
 }

@@ -21,7 +21,6 @@ use jostle_physics::simulation::ReserveMemory;
 
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::command::{Command, When};
-use crate::swarm::controllers::Controllers;
 use crate::swarm::failpoint;
 use crate::swarm::frame::EventKind;
 use crate::swarm::handle::{CommandMessage, Handle, ReplyTo};
@@ -29,7 +28,7 @@ use crate::swarm::history::Entry;
 use crate::swarm::journal::{JournalWriter, Line, NoWriter, Record, Replayed};
 use crate::swarm::phase::Phase;
 use crate::swarm::sender::Sender;
-use crate::swarm::worker::{End, Pending, Worker};
+use crate::swarm::worker::{End, Worker};
 
 /// A replay does not reproduce all events that were published between the checkpoint and the crash.
 /// Event numbers therefore skip to the next multiple of this, so that no number is reused.
@@ -45,12 +44,10 @@ const MAX_WAITING: usize = 1024;
 /// Makes the callback that receives the reply to a replayed command.
 pub type ReplyFor = Box<dyn Fn(&Arc<Sender>) -> ReplyTo + Send>;
 
-/// A line of a journal, and its command if it records one.
 pub type ReplayEntry = (Line, Option<Command>);
 
 /// A checkpoint and the journal to replay from it.
 pub struct ReplaySource {
-    /// The first state.
     pub checkpoint: Checkpoint,
     /// The lines after the checkpoint, in order, or why they end.
     pub lines: Box<dyn Iterator<Item = Result<ReplayEntry, String>> + Send>,
@@ -58,16 +55,13 @@ pub struct ReplaySource {
     pub entries: Vec<Entry>,
     /// Receives the replies, some of which the client did not get before the crash.
     pub reply_for: ReplyFor,
-    /// Where the replay ends.
     pub to: ReplayTarget,
 }
 
-/// Where a replay ends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ReplayTarget {
     /// Where the last command was executed; steps that it began are pending.
     LastInput,
-    /// At the last hash.
     LastHash,
     /// At this epoch and step, after the commands that were executed there.
     At(u64, u64),
@@ -96,21 +90,14 @@ impl ReplaySource {
             handle.history.record_command(entry);
         }
         let (first, is_last) = (self.checkpoint.lines, self.checkpoint.is_last);
-        let pending = self.checkpoint.pending.clone();
-        let joined = self.checkpoint.controllers.clone();
         // The swarm fitted before.
         let reserve: ReserveMemory = Box::new(|_| Ok(()));
         let writer = (writer, reserve);
-        let mut worker = Worker::restore(self.checkpoint, handle, min_frame_interval, writer);
+        let (checkpoint, reply_for) = (self.checkpoint, &self.reply_for);
+        let mut worker = Worker::restore(checkpoint, handle, min_frame_interval, writer, reply_for);
         // The time of its creation is not stored.
         worker.applied_at(None, Worker::publish_created);
         worker.journal.begin_replay();
-        worker.pending = pending.map(|(from, sender)| Pending {
-            reply_to: (self.reply_for)(&sender),
-            from,
-            sender,
-        });
-        worker.controllers = Controllers::restore(joined, &self.reply_for);
         let mut fold = Fold {
             worker,
             reply_for: self.reply_for,
@@ -157,7 +144,6 @@ impl ReplaySource {
     }
 }
 
-/// A replay under way.
 struct Fold {
     worker: Worker,
     reply_for: ReplyFor,
@@ -249,7 +235,6 @@ impl Fold {
 }
 
 impl Worker {
-    /// Skips to event numbers that have not been used.
     fn skip_event_numbers(&mut self) {
         self.events = (self.events / EVENT_NUMBER_BLOCK + 1) * EVENT_NUMBER_BLOCK;
     }

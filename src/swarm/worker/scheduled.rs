@@ -84,11 +84,9 @@ impl Worker {
     /// Rejects all scheduled commands: after a reset, their steps belong to another run.
     pub(super) fn drop_scheduled(&mut self) {
         for (at_step, Scheduled { input, sender, .. }) in self.schedule.clear() {
-            self.record_outcome(input, Err(&SwarmError::Overtaken { at_step }));
-            self.push_event(EventKind::Rejected(
-                sender,
-                SwarmError::Overtaken { at_step },
-            ));
+            let error = SwarmError::Overtaken(at_step);
+            self.record_outcome(input, Err(&error));
+            self.push_event(EventKind::Rejected(sender, error));
         }
     }
 }

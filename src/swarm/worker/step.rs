@@ -138,7 +138,7 @@ impl Worker {
         self.update_summary();
         let faulted = SwarmError::Faulted(reason);
         if let Some(pending) = self.pending.take() {
-            pending.reply_to.send(Err(self.rejection(faulted.clone())));
+            self.reject(pending.reply_to, faulted.clone());
         }
         self.notify_controllers(Input::Faulted(faulted));
         self.reply_to_waiters();
@@ -150,7 +150,6 @@ impl Worker {
         }
     }
 
-    /// Queues a checkpoint.
     pub(super) fn save_checkpoint(&mut self) {
         if !self.journal.is_replaying() {
             self.journal.append_checkpoint(self.checkpoint());

@@ -85,7 +85,7 @@ async fn only_people_with_their_own_proof_get_a_session() {
         session.close().await.unwrap();
     }
     // The daemon tries its own doors, and hears an answer at each.
-    for endpoint in lab.server.endpoints() {
+    for endpoint in &lab.server.endpoints {
         let probe = Probe::of(endpoint).unwrap();
         probe.try_once().unwrap_or_else(|deaf| panic!("{deaf}"));
     }

@@ -5,7 +5,6 @@ use std::process;
 use std::thread;
 
 use jostled::playback::McapSource;
-use jostled::swarm::runner::Playback as _;
 
 /// A file is refused in words, or each of its frames can be read, in their order.
 pub fn hold(data: &[u8]) {
@@ -29,7 +28,7 @@ pub fn hold(data: &[u8]) {
                 let read = source
                     .frame(frame)
                     .expect("it was looked at when it was opened");
-                assert!(read.configuration.n() <= source.max_individuals());
+                assert!(read.configuration.n() <= source.max_individuals);
             }
             assert!(source.events.iter().all(|event| event.after <= frames));
         }

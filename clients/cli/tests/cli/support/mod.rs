@@ -86,7 +86,7 @@ impl Daemon {
         let flags = BTreeMap::from_iter(base.iter().chain(settings).copied());
         let resolved = settings::from_flags(flags).unwrap();
         let server = app::start(&Config::new(&resolved).unwrap()).await.unwrap();
-        let endpoint = server.endpoints()[0].clone();
+        let endpoint = server.endpoints[0].clone();
         Daemon {
             server,
             endpoint,
