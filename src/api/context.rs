@@ -48,13 +48,8 @@ pub trait Peers: Send + Sync {
 type Job<T> = Box<dyn FnOnce(&T) + Send>;
 
 /// A thread that executes work on files, which may take long, in order. Clones share the thread.
+#[derive(Clone)]
 pub struct Executor<T>(Sender<Job<T>>);
-
-impl<T> Clone for Executor<T> {
-    fn clone(&self) -> Self {
-        Executor(self.0.clone())
-    }
-}
 
 impl<T: Send + 'static> Executor<T> {
     /// Starts the thread; it ends when the last clone is dropped.
@@ -75,6 +70,21 @@ impl<T: Send + 'static> Executor<T> {
     pub fn submit(&self, job: impl FnOnce(&T) + Send + 'static) {
         // An error means that the daemon is stopping.
         let _ = self.0.send(Box::new(job));
+    }
+}
+
+/// A parsed command.
+pub(super) struct Parsed<'a> {
+    /// The key that it was sent to.
+    pub(super) key: &'a str,
+    pub(super) request: &'a Request,
+    pub(super) responder: &'a Responder,
+}
+
+impl Parsed<'_> {
+    /// The identity of the request, if it has an id.
+    pub(super) fn identity(&self) -> Option<RequestIdentity> {
+        RequestIdentity::of(self.key, self.request)
     }
 }
 
@@ -139,12 +149,12 @@ impl Context {
     }
 
     fn dispatch(&self, incoming: &Incoming) {
-        let target = incoming.target();
+        let target = &incoming.target;
         let is_command = matches!(target, Target::Command(_) | Target::NodeCommand);
         if is_command && let Err(error) = self.permit(incoming) {
             return self.reject(incoming, &error.into());
         }
-        if !is_command && !matches!(target, Target::Deletion) && incoming.has_payload() {
+        if !is_command && !matches!(target, Target::Deletion) && !incoming.payload.is_empty() {
             let error = CommandError::Field {
                 field: "payload",
                 problem: "means nothing to a get: what it takes goes behind the key's `?`",
@@ -164,14 +174,14 @@ impl Context {
 
     /// A responder that replies under the key of the request.
     pub(crate) fn responder(&self, incoming: &Incoming) -> Responder {
-        self.replies.responder(incoming, incoming.key().to_owned())
+        self.replies.responder(incoming, incoming.key.clone())
     }
 
     /// Checks whether the client may send the verb of a command; a wildcard is no verb.
     pub(crate) fn permit(&self, incoming: &Incoming) -> Result<(), NotPermitted> {
         match &*self.rights.current() {
             Rights::Open => Ok(()),
-            rights => rights.permit(incoming.token(), &incoming.verb()).map(drop),
+            rights => rights.permit(&incoming.token, &incoming.verb()).map(drop),
         }
     }
 
@@ -182,7 +192,7 @@ impl Context {
         if let Rights::Users { .. } = &*rights {
             // A user may have been removed since the request was permitted: it must not be executed
             // without a name then.
-            let sender = rights.sender(incoming.token(), &incoming.verb())?;
+            let sender = rights.sender(&incoming.token, &incoming.verb())?;
             request.client = sender.map(|person| person.signed(request.client.as_deref()));
         }
         Ok(request)
@@ -190,8 +200,8 @@ impl Context {
 
     /// The name of the swarm that a request creates.
     pub fn creates(&self, incoming: &Incoming) -> Option<String> {
-        let verb = incoming.key().rsplit('/').next()?;
-        let is_of_node = matches!(incoming.target(), Target::NodeCommand);
+        let verb = incoming.key.rsplit('/').next()?;
+        let is_of_node = matches!(incoming.target, Target::NodeCommand);
         let args: Value = self.request(incoming).ok()?.args().ok()?;
         let name = match (is_of_node, verb) {
             (true, "create" | "restore") | (false, "fork") => &args["name"],
@@ -204,14 +214,15 @@ impl Context {
 
     /// The first steps of a command of the daemon: parses its arguments, looks up its id and sets
     /// its deadline. `None` if it is a duplicate, which gets the first reply.
-    pub(crate) fn begin<A: Arguments>(
+    pub(super) fn begin<A: Arguments>(
         &self,
         verb: &'static str,
-        key: &str,
-        request: &Request,
+        command: &Parsed<'_>,
         default_timeout: Duration,
-        responder: &Responder,
     ) -> Result<Option<A>, CommandError> {
+        let Parsed {
+            request, responder, ..
+        } = *command;
         reject_preconditions(request)?;
         commands::sender(verb, request)?;
         let args = request.args()?;
@@ -219,7 +230,7 @@ impl Context {
             Some(_) => commands::timeout(request)?,
             None => default_timeout,
         };
-        let is_new = self.is_new(RequestIdentity::of(key, request), responder)?;
+        let is_new = self.is_new(command.identity(), responder)?;
         responder.set_deadline(timeout, CommandError::deadline, None);
         Ok(is_new.then_some(args))
     }

@@ -10,9 +10,10 @@
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, HashMap, VecDeque};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 
 use jostle_proto::{CBOR, JSON};
+use parking_lot::Mutex;
 
 use crate::api::responder::Responder;
 use crate::convert::Payload;
@@ -39,6 +40,7 @@ pub type Name = (Option<String>, String);
 /// The requests that have an id, and their replies. Clones share them.
 #[derive(Clone)]
 pub struct IdempotencyCache {
+    /// Nothing between two changes can panic.
     requests: Arc<Mutex<Requests>>,
     /// Held while a reply is remembered and submitted to the store, which may wait for room in its
     /// queue: the store deletes and writes in the order in which the requests changed.
@@ -102,10 +104,9 @@ impl IdempotencyCache {
 
     /// The remembered reply to a request, if there is one.
     pub fn find(&self, identity: RequestIdentity) -> Option<Result<Payload, Payload>> {
-        let requests = self.lock();
-        let entry = requests
-            .by_name
-            .get(&(identity.client, identity.request_id))?;
+        let requests = self.requests.lock();
+        let name = (identity.client, identity.request_id);
+        let entry = requests.by_name.get(&name)?;
         match &entry.progress {
             Progress::Done(_, reply) if entry.digest == identity.digest => Some(reply.clone()),
             _ => None,
@@ -123,13 +124,8 @@ impl IdempotencyCache {
         identity: RequestIdentity,
         responder: &Responder,
     ) -> Result<bool, CommandError> {
-        let RequestIdentity {
-            client,
-            request_id,
-            digest,
-        } = identity;
-        let name = (client, request_id);
-        let mut requests = self.lock();
+        let (name, digest) = ((identity.client, identity.request_id), identity.digest);
+        let mut requests = self.requests.lock();
         let Some(entry) = requests.by_name.get_mut(&name) else {
             let slot = self.slot(&mut requests, name, digest);
             drop(requests);
@@ -160,16 +156,11 @@ impl IdempotencyCache {
             is_written: false,
         }
     }
-
-    fn lock(&self) -> MutexGuard<'_, Requests> {
-        // Nothing between two changes can panic.
-        self.requests.lock().unwrap_or_else(PoisonError::into_inner)
-    }
 }
 
 impl ReplyCache for IdempotencyCache {
     fn fill(&self, answers: Vec<store::Answer>) {
-        let mut requests = self.lock();
+        let mut requests = self.requests.lock();
         let mut evicted = Vec::new();
         for answer in answers {
             let payload = Payload {
@@ -188,17 +179,17 @@ impl ReplyCache for IdempotencyCache {
             evicted.extend(requests.remember(name, answer.digest, reply).1);
         }
         drop(requests);
-        self.store
-            .submit(evicted.iter().map(forget).collect(), None);
+        let forgotten = evicted.iter().map(forget);
+        self.store.submit(forgotten.collect(), None);
     }
 
     fn contains(&self, client: &Option<String>, id: &str) -> bool {
         let name = (client.clone(), id.to_owned());
-        self.lock().by_name.contains_key(&name)
+        self.requests.lock().by_name.contains_key(&name)
     }
 
     fn begin_replayed(&self, name: Name, digest: Digest) -> Option<Box<dyn ReplySlot>> {
-        let mut requests = self.lock();
+        let mut requests = self.requests.lock();
         if requests.by_name.contains_key(&name) {
             return None;
         }
@@ -213,9 +204,8 @@ impl ReplySlot for Slot {
             Ok(payload) => Ok(payload.remembered()),
             Err(payload) => Err(payload.clone()),
         };
-        let submitting = &self.cache.submitting;
-        let submitting = submitting.lock().unwrap_or_else(PoisonError::into_inner);
-        let mut requests = self.cache.lock();
+        let submitting = self.cache.submitting.lock();
+        let mut requests = self.cache.requests.lock();
         let Some(digest) = requests.by_name.get(&self.name).map(|entry| entry.digest) else {
             return;
         };
@@ -246,7 +236,7 @@ impl ReplySlot for Slot {
 impl Slot {
     fn remove(&mut self) -> Vec<Responder> {
         self.is_written = true;
-        let entry = self.cache.lock().by_name.remove(&self.name);
+        let entry = self.cache.requests.lock().by_name.remove(&self.name);
         match entry.map(|it| it.progress) {
             Some(Progress::Pending(responders)) => responders,
             Some(Progress::Done(..)) | None => Vec::new(),

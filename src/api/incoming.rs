@@ -1,5 +1,6 @@
 //! Requests as a transport received them, and the limits of those that have no reply yet.
 
+use std::ops::Deref;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
@@ -97,8 +98,17 @@ pub enum Target {
 #[derive(Clone)]
 pub struct Incoming {
     received: Arc<Received>,
-    has_responder: Arc<AtomicBool>,
+    /// Whether a responder replies to it.
+    pub(super) has_responder: Arc<AtomicBool>,
     _permit: Option<Arc<Permit>>,
+}
+
+impl Deref for Incoming {
+    type Target = Received;
+
+    fn deref(&self) -> &Received {
+        &self.received
+    }
 }
 
 /// The parts of a request.
@@ -141,55 +151,15 @@ impl Incoming {
         }
     }
 
-    /// Notes that a responder replies to it.
-    pub(super) fn set_has_responder(&self) {
-        self.has_responder.store(true, Ordering::Relaxed);
-    }
-
-    /// Whether a responder replies to it.
-    pub(super) fn has_responder(&self) -> bool {
-        self.has_responder.load(Ordering::Relaxed)
-    }
-
-    /// What its key addresses.
-    pub fn target(&self) -> &Target {
-        &self.received.target
-    }
-
-    /// The key expression.
-    pub fn key(&self) -> &str {
-        &self.received.key
-    }
-
-    /// Whether the key expression contains a wildcard.
-    pub fn is_wild(&self) -> bool {
-        self.received.is_wild
-    }
-
-    /// Whether the key expression matches `key`.
-    pub fn matches(&self, key: &str) -> bool {
-        self.received.peer.matches(key)
-    }
-
-    /// Whether it has a payload.
-    pub fn has_payload(&self) -> bool {
-        !self.received.payload.is_empty()
-    }
-
-    /// The client's token; empty if there is none.
-    pub fn token(&self) -> &[u8] {
-        &self.received.token
-    }
-
     /// The verb of a command; the whole key if there is none.
     pub fn verb(&self) -> String {
-        let key = self.key();
+        let key = self.key.as_str();
         truncate(key.split_once("/cmd/").map_or(key, |(_, verb)| verb))
     }
 
     /// The parameters of the selector.
     pub fn parameters(&self) -> impl Iterator<Item = (&str, &str)> {
-        let parameters = self.received.parameters.iter();
+        let parameters = self.parameters.iter();
         parameters.map(|(name, value)| (name.as_str(), value.as_str()))
     }
 
@@ -226,26 +196,16 @@ impl Incoming {
     /// [`CommandError::Parameter`].
     pub fn request(&self, max_bytes: usize) -> Result<Request, CommandError> {
         self.no_parameters()?;
-        let Received {
-            payload, encoding, ..
-        } = &*self.received;
-        if payload.len() > max_bytes {
-            return Err(CommandError::TooLong {
-                bytes: payload.len(),
-                max_bytes,
-            });
+        let bytes = self.payload.len();
+        if bytes > max_bytes {
+            return Err(CommandError::TooLong { bytes, max_bytes });
         }
-        if let Some(encoding) = encoding
+        if let Some(encoding) = &self.encoding
             && !JSON_ENCODINGS.contains(&encoding.as_str())
         {
             return Err(CommandError::Encoding(truncate(encoding)));
         }
-        Ok(Request::from_json(payload)?)
-    }
-
-    /// Sends a reply under `key`.
-    pub fn reply(&self, key: &str, reply: Result<Payload, Payload>) {
-        self.received.peer.reply(key, reply);
+        Ok(Request::from_json(&self.payload)?)
     }
 }
 

@@ -4,12 +4,13 @@
 //! its last responder is dropped.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::mpsc::{Receiver, Sender, channel};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::mpsc::{Sender, channel};
 use std::thread;
 use std::time::Duration;
 
+use parking_lot::Mutex;
 use tokio::runtime::Handle as Runtime;
 use tokio::task::AbortHandle;
 use tokio::time::{Instant, sleep_until};
@@ -72,12 +73,18 @@ struct Outgoing {
 impl Replies {
     /// Starts the thread. Deadlines are tasks of the present runtime.
     pub(crate) fn start() -> std::io::Result<Self> {
-        let (outgoing, receiver) = channel();
+        let (outgoing, receiver) = channel::<Option<Outgoing>>();
         let activity = Arc::new(Activity::default());
         let sending = activity.clone();
         thread::Builder::new()
             .name("replies".into())
-            .spawn(move || send_all(&receiver, &sending))?;
+            .spawn(move || {
+                while let Ok(Some(reply)) = receiver.recv() {
+                    sending.begin();
+                    reply.send();
+                    sending.end();
+                }
+            })?;
         Ok(Replies {
             outgoing,
             runtime: Runtime::current(),
@@ -93,17 +100,17 @@ impl Replies {
         if catch_unwind(AssertUnwindSafe(handler)).is_ok() {
             return;
         }
-        let key = incoming.key();
+        let key = &incoming.key;
         error!(key, "a defect: the handler panicked");
-        if !incoming.has_responder() {
-            let responder = self.responder(incoming, key.to_owned());
+        if !incoming.has_responder.load(Ordering::Relaxed) {
+            let responder = self.responder(incoming, key.clone());
             responder.reject(&CommandError::Internal, None);
         }
     }
 
     /// A responder to a request, which replies under `key`.
     pub fn responder(&self, incoming: &Incoming, key: String) -> Responder {
-        incoming.set_has_responder();
+        incoming.has_responder.store(true, Ordering::Relaxed);
         Responder(Arc::new(Pending {
             incoming: Mutex::new(Some(incoming.clone())),
             slot: Mutex::default(),
@@ -128,17 +135,12 @@ impl Replies {
     pub fn stop(&self) {
         let _ = self.outgoing.send(None);
     }
-
-    fn send(&self, outgoing: Outgoing) {
-        // An error means that the daemon is stopping: the client gets no reply.
-        let _ = self.outgoing.send(Some(outgoing));
-    }
 }
 
 impl Responder {
     /// Has the reply of `complete` remembered in a slot of the idempotency cache.
     pub fn remember_in(&self, slot: Box<dyn ReplySlot>) {
-        *lock(&self.0.slot) = Some(slot);
+        *self.0.slot.lock() = Some(slot);
     }
 
     /// Replies, unless there is a reply already. The slot of the request stays open.
@@ -148,7 +150,7 @@ impl Responder {
 
     /// Replies with the result of the request. It is remembered even if the deadline has passed.
     pub fn complete(&self, encode: impl FnOnce() -> Result<Payload, Payload> + Send + 'static) {
-        let slot = lock(&self.0.slot).take();
+        let slot = self.0.slot.lock().take();
         self.0.send(slot, Box::new(encode));
     }
 
@@ -203,18 +205,14 @@ impl Responder {
         let is_gone = matches!(error, CommandError::Swarm(SwarmError::Gone));
         let is_unknown = matches!(error, CommandError::UnknownSwarm(_));
         let is_closing = self.0.replies.is_closing.load(Ordering::Acquire);
-        let is_wild = || {
-            lock(&self.0.incoming)
-                .as_ref()
-                .is_some_and(Incoming::is_wild)
-        };
+        let is_wild = || self.0.incoming.lock().as_ref().is_some_and(|it| it.is_wild);
         if (is_gone && is_closing) || ((is_gone || is_unknown) && is_wild()) {
-            drop(lock(&self.0.incoming).take());
-            drop(lock(&self.0.slot).take());
+            drop(self.0.incoming.lock().take());
+            drop(self.0.slot.lock().take());
             return;
         }
         let payload = Payload::json(&error.to_wire(step));
-        if let Some(slot) = lock(&self.0.slot).take() {
+        if let Some(slot) = self.0.slot.lock().take() {
             slot.forget(&payload);
         }
         self.send(move || Err(payload));
@@ -236,7 +234,7 @@ impl Responder {
             return expire();
         }
         // While this is locked no reply is sent, which would leave the task until the deadline.
-        let incoming = lock(&self.0.incoming);
+        let incoming = self.0.incoming.lock();
         if incoming.is_none() {
             return;
         }
@@ -246,7 +244,7 @@ impl Responder {
             sleep_until(deadline).await;
             expire();
         });
-        lock(&self.0.deadlines).push(task.abort_handle());
+        self.0.deadlines.lock().push(task.abort_handle());
         drop(incoming);
     }
 
@@ -255,31 +253,33 @@ impl Responder {
         let pending = Arc::downgrade(&self.0);
         move || {
             let pending = pending.upgrade();
-            pending.is_none_or(|it| lock(&it.incoming).is_none())
+            pending.is_none_or(|it| it.incoming.lock().is_none())
         }
     }
 
     /// Whether there is a reply.
     pub fn is_done(&self) -> bool {
-        lock(&self.0.incoming).is_none()
+        self.0.incoming.lock().is_none()
     }
 }
 
 impl Pending {
     fn send(&self, slot: Option<Box<dyn ReplySlot>>, encode: Encode) {
-        let incoming = lock(&self.incoming).take();
+        let incoming = self.incoming.lock().take();
         let incoming = incoming.map(|incoming| (incoming, self.key.clone()));
         if incoming.is_some() {
-            for deadline in std::mem::take(&mut *lock(&self.deadlines)) {
+            for deadline in std::mem::take(&mut *self.deadlines.lock()) {
                 deadline.abort();
             }
         }
         if incoming.is_some() || slot.is_some() {
-            self.replies.send(Outgoing {
+            let outgoing = Outgoing {
                 incoming,
                 slot,
                 encode,
-            });
+            };
+            // An error means that the daemon is stopping: the client gets no reply.
+            let _ = self.replies.outgoing.send(Some(outgoing));
         }
     }
 }
@@ -288,8 +288,8 @@ impl Drop for Pending {
     /// Replies `internal` if there is no reply. It is remembered: the request may have been executed,
     /// and a retry must not execute it again.
     fn drop(&mut self) {
-        let slot = lock(&self.slot).take();
-        let has_reply = lock(&self.incoming).is_none();
+        let slot = self.slot.lock().take();
+        let has_reply = self.incoming.lock().is_none();
         // After the restart the journal is replayed, which produces the reply.
         let is_closing = self.replies.is_closing.load(Ordering::Acquire);
         if is_closing || (has_reply && slot.is_none()) {
@@ -302,18 +302,6 @@ impl Drop for Pending {
         error!(key, "a defect: a request was dropped without a result");
         let payload = Payload::json(&CommandError::Dropped.to_wire(None));
         self.send(slot, Box::new(move || Err(payload)));
-    }
-}
-
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
-fn send_all(receiver: &Receiver<Option<Outgoing>>, activity: &Activity) {
-    while let Ok(Some(reply)) = receiver.recv() {
-        activity.begin();
-        reply.send();
-        activity.end();
     }
 }
 
@@ -330,7 +318,7 @@ impl Outgoing {
             slot.write(&reply);
         }
         if let Some((incoming, key)) = incoming {
-            incoming.reply(&key, reply);
+            incoming.peer.reply(&key, reply);
         }
     }
 }

@@ -3,9 +3,10 @@
 
 use std::collections::{BTreeMap, VecDeque};
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 use std::thread;
 
+use parking_lot::Mutex;
 use tracing::error;
 
 use crate::convert::commands::CommandError;
@@ -48,7 +49,7 @@ impl Verifications {
     ///
     /// [`CommandError::Busy`] when the queue is full or no thread can be started.
     pub fn begin(self: &Arc<Self>, swarm: &Arc<str>, work: Work) -> Result<(), CommandError> {
-        let mut state = self.lock();
+        let mut state = self.0.lock();
         if state.entries.len() >= MAX_RUNNING + MAX_QUEUED {
             return Err(CommandError::Busy);
         }
@@ -78,14 +79,14 @@ impl Verifications {
     /// How far the verification of a swarm has come, from 0 to 1; the one that is furthest, if
     /// there are several.
     pub fn share(&self, swarm: &str) -> Option<f64> {
-        let state = self.lock();
+        let state = self.0.lock();
         let of_swarm = state.entries.values().filter(|(name, _)| &**name == swarm);
         of_swarm.map(|(_, share)| *share).max_by(f64::total_cmp)
     }
 
     /// Drops what is queued, because the daemon stops.
     pub fn stop(&self) {
-        let queue = std::mem::take(&mut self.lock().queue);
+        let queue = std::mem::take(&mut self.0.lock().queue);
         // Dropping a verification takes the lock.
         drop(queue);
     }
@@ -93,7 +94,7 @@ impl Verifications {
     /// Runs what is queued until nothing is.
     fn work(&self) {
         loop {
-            let mut state = self.lock();
+            let mut state = self.0.lock();
             let Some((verification, work)) = state.queue.pop_front() else {
                 state.threads -= 1;
                 return;
@@ -104,16 +105,12 @@ impl Verifications {
             }
         }
     }
-
-    fn lock(&self) -> MutexGuard<'_, State> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
-    }
 }
 
 impl Verification {
     /// Records how far it has come.
     pub fn advance(&self, share: f64) {
-        if let Some(entry) = self.all.lock().entries.get_mut(&self.number) {
+        if let Some(entry) = self.all.0.lock().entries.get_mut(&self.number) {
             entry.1 = share;
         }
     }
@@ -121,7 +118,7 @@ impl Verification {
 
 impl Drop for Verification {
     fn drop(&mut self) {
-        self.all.lock().entries.remove(&self.number);
+        self.all.0.lock().entries.remove(&self.number);
     }
 }
 

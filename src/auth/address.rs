@@ -187,16 +187,14 @@ impl HostPort {
     fn read(address: &str) -> Option<Self> {
         let address = address.split(['?', '#']).next()?;
         let (host, port) = address.rsplit_once(':')?;
-        let bare = host.strip_prefix('[').and_then(|it| it.strip_suffix(']'));
         Some(HostPort {
-            host: bare.unwrap_or(host).to_owned(),
+            host: bare(host).to_owned(),
             port: port.parse().ok()?,
         })
     }
 
     fn is_local(&self) -> bool {
-        let address = self.host.parse::<IpAddr>();
-        self.host == "localhost" || address.is_ok_and(|it| it.is_loopback())
+        is_loopback(&self.host)
     }
 
     /// Whether it is every address of the machine.
@@ -220,6 +218,18 @@ impl HostPort {
             false => format!("{host}:{}", self.port),
         })
     }
+}
+
+/// Whether a host is a name or an address of the loopback interface.
+pub fn is_loopback(host: &str) -> bool {
+    let address = bare(host).parse::<IpAddr>();
+    host.eq_ignore_ascii_case("localhost") || address.is_ok_and(|it| it.is_loopback())
+}
+
+/// An IPv6 address without its brackets; another host as it is.
+fn bare(host: &str) -> &str {
+    let bare = host.strip_prefix('[').and_then(|it| it.strip_suffix(']'));
+    bare.unwrap_or(host)
 }
 
 /// The names by which other machines reach the daemon.

@@ -93,12 +93,8 @@ fn authority() -> Result<CertificateParams, rcgen::Error> {
     Ok(params)
 }
 
-/// The last day of a certificate that is issued today, as `2029-02-24`.
-pub fn last_day() -> String {
-    in_days(DAYS)
-}
-
-/// The date in so many days, in a form that sorts by time.
+/// The date in so many days, as `2029-02-24`, which sorts by time. The last day of a certificate that is
+/// issued today is that in [`DAYS`] days.
 pub fn in_days(days: i64) -> String {
     let day = OffsetDateTime::now_utc() + Duration::days(days);
     day.date().to_string()

@@ -124,12 +124,16 @@ impl Folder {
         path.try_exists().map_err(|error| at(&path, error))
     }
 
-    /// The users and the addresses of the daemon.
-    pub fn people(&self) -> Result<PeopleFile, AuthError> {
+    fn existing_people_file(&self) -> Result<PathBuf, AuthError> {
         match self.is_made()? {
-            true => read_json(&self.people_file()),
+            true => Ok(self.people_file()),
             false => Err(AuthError::NoUsers(self.0.clone())),
         }
+    }
+
+    /// The users and the addresses of the daemon.
+    pub fn people(&self) -> Result<PeopleFile, AuthError> {
+        read_json(&self.existing_people_file()?)
     }
 
     /// The secrets of a user whose folder has not been moved away.
@@ -156,18 +160,14 @@ impl Folder {
 
     /// Rejects files that other users can write, and secrets that other users can read.
     pub fn check(&self) -> Result<(), AuthError> {
-        if !self.is_made()? {
-            return Err(AuthError::NoUsers(self.0.clone()));
-        }
+        let people = self.existing_people_file()?;
         let ([authority, authority_key], [certificate, key]) = (self.authority(), self.daemon());
-        let needed = [&authority, &certificate, &key];
-        if let Some(missing) = needed
-            .into_iter()
-            .find(|it| matches!(it.try_exists(), Ok(false)))
-        {
-            return Err(AuthError::Missing(missing.clone()));
+        for path in [&authority, &certificate, &key] {
+            if matches!(path.try_exists(), Ok(false)) {
+                return Err(AuthError::Missing(path.clone()));
+            }
         }
-        for path in [&self.0, &self.people_file(), &authority, &certificate] {
+        for path in [&self.0, &people, &authority, &certificate] {
             check_owner(path)?;
         }
         let is_here = authority_key.try_exists().unwrap_or(true);
@@ -186,10 +186,7 @@ impl Folder {
     /// Rejects a folder or a `people.json` that other users can write.
     pub fn check_people(&self) -> Result<(), AuthError> {
         check_owner(&self.0)?;
-        match self.is_made()? {
-            true => check_owner(&self.people_file()).map(drop),
-            false => Err(AuthError::NoUsers(self.0.clone())),
-        }
+        check_owner(&self.existing_people_file()?).map(drop)
     }
 
     /// Rejects a folder that other users can write. Root may change the folder of a daemon that
@@ -237,7 +234,6 @@ fn check_mode(path: &Path) -> Result<u32, AuthError> {
     }
 }
 
-/// Reads a file.
 pub(super) fn read(path: &Path) -> Result<String, AuthError> {
     fs::read_to_string(path).map_err(|error| at(path, error))
 }

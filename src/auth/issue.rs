@@ -8,7 +8,7 @@ use jostle_proto::role::is_person;
 use jostle_proto::{Credentials, Role};
 
 use crate::auth::address::{Address, Reach};
-use crate::auth::certificates::{Authority, DAEMON, last_day};
+use crate::auth::certificates::{Authority, DAEMON, DAYS, in_days};
 use crate::auth::folder::{Folder, PeopleFile, UserEntry, at, read, write};
 use crate::auth::{AuthError, secret, user_folder};
 
@@ -126,17 +126,13 @@ fn relocate(
         endpoint: address.endpoint.clone(),
         page: address.page.clone(),
         hosts: Some(address.hosts.clone()),
-        until: Some(last_day()),
+        until: Some(in_days(DAYS)),
         people: known.map(|known| known.people).unwrap_or_default(),
     };
     let (mut rewritten, mut stale) = (Vec::new(), Vec::new());
     // `people.json` comes last: while it is the old one, an interrupted run is repeated.
-    for name in known
-        .people
-        .iter()
-        .map(|it| &it.person)
-        .filter(|_| is_moved)
-    {
+    let people = known.people.iter().filter(|_| is_moved);
+    for UserEntry { person: name, .. } in people {
         match user_folder::rewrite(folder, name, &known)? {
             true => rewritten.push(folder.of(name)),
             false => stale.push(name.clone()),
@@ -267,7 +263,7 @@ fn add_by(
             person: name.clone(),
             role: *role,
             token_hash: blake3::hash(credentials.token.as_bytes()).to_string(),
-            until: Some(last_day()),
+            until: Some(in_days(DAYS)),
         });
         passwords.push((name.clone(), credentials.password.clone()));
         made.push(credentials);

@@ -248,24 +248,28 @@ mod tests {
     use crate::auth::certificates::DAYS;
     use crate::auth::issue;
 
-    #[test]
-    fn warnings_about_expiring_certificates_name_the_remedy() {
+    /// A folder with these users.
+    pub(super) fn made(users: &[(String, Role)]) -> (tempfile::TempDir, Folder) {
         let base = tempfile::tempdir().unwrap();
         let folder = Folder::at(base.path().join("auth"));
-        issue::init(&folder, &[], &[("vera".into(), Role::Viewer)]).unwrap();
+        issue::init(&folder, &[], users).unwrap();
+        (base, folder)
+    }
+
+    #[test]
+    fn warnings_about_expiring_certificates_name_the_remedy() {
+        let (_base, folder) = made(&[("vera".into(), Role::Viewer)]);
         let rights = Rights::read(folder.clone()).unwrap();
         assert_eq!(rights.expiry_warnings(60).unwrap(), [""; 0]);
         let told = rights.expiry_warnings(DAYS).unwrap().join("\n");
         let day = in_days(DAYS);
-        assert!(
-            told.contains(&format!("the daemon's certificate expires on {day}")),
-            "{told}"
-        );
-        assert!(
-            told.contains(&format!("of vera expires on {day}")),
-            "{told}"
-        );
-        assert!(told.contains("`jostled auth add vera=viewer`"), "{told}");
+        for expected in [
+            &format!("the daemon's certificate expires on {day}"),
+            &format!("of vera expires on {day}"),
+            "`jostled auth add vera=viewer`",
+        ] {
+            assert!(told.contains(expected), "{told}");
+        }
         // Earlier versions recorded no day.
         let mut known = folder.people().unwrap();
         known.until = None;
@@ -277,9 +281,7 @@ mod tests {
 
     #[test]
     fn an_expired_or_missing_certificate_is_reported() {
-        let base = tempfile::tempdir().unwrap();
-        let folder = Folder::at(base.path().join("auth"));
-        issue::init(&folder, &[], &[("vera".into(), Role::Viewer)]).unwrap();
+        let (_base, folder) = made(&[("vera".into(), Role::Viewer)]);
         assert_eq!(Rights::read(folder.clone()).unwrap().ended(), None);
         let mut known = folder.people().unwrap();
         for (until, is_over) in [(in_days(-1), true), (in_days(0), false)] {
@@ -297,10 +299,8 @@ mod tests {
 
     #[test]
     fn the_token_alone_gives_the_rights_of_a_role() {
-        let base = tempfile::tempdir().unwrap();
-        let folder = Folder::at(base.path().join("auth"));
         let people = Role::ALL.map(|role| (format!("a_{role}"), role));
-        issue::init(&folder, &[], &people).unwrap();
+        let (_base, folder) = made(&people);
         let rights = Rights::read(folder.clone()).unwrap();
         assert_eq!(rights.users().unwrap().count(), 3);
         for (name, role) in &people {
@@ -315,17 +315,15 @@ mod tests {
                 Role::Controller => [true, false],
                 Role::Operator => [true, true],
             };
-            for (verb, is_permitted) in
-                [("join", join), ("pause", pause), ("*", pause), ("", pause)]
-            {
-                let permitted = rights.permit(token.as_bytes(), verb);
-                match is_permitted {
-                    true => assert_eq!(permitted, Ok(Some(&person)), "{name} {verb}"),
-                    false => {
-                        let told = permitted.unwrap_err().to_string();
+            let told = format!("you are {name}, a {role}");
+            let cases = [("join", join), ("pause", pause), ("*", pause), ("", pause)];
+            for (verb, is_permitted) in cases {
+                match rights.permit(token.as_bytes(), verb) {
+                    Ok(permitted) => assert!(is_permitted && permitted == Some(&person)),
+                    Err(refused) => {
                         assert!(
-                            told.contains(&format!("you are {name}, a {role}")),
-                            "{told}"
+                            !is_permitted && refused.to_string().contains(&told),
+                            "{verb}"
                         );
                     }
                 }

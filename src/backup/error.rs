@@ -84,9 +84,9 @@ pub enum BackupError {
     NotEmpty(PathBuf),
 }
 
-/// An error that names `path`.
-pub fn io_error(path: &Path, source: io::Error) -> BackupError {
-    BackupError::Io {
+/// The error of the system that names `path`.
+pub fn at(path: &Path) -> impl Fn(io::Error) -> BackupError + '_ {
+    |source| BackupError::Io {
         path: path.to_owned(),
         source,
     }

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::thread::sleep;
 use std::time::Duration;
 
-use super::error::{BackupError, io_error};
+use super::error::{BackupError, at};
 
 /// Bytes per read.
 const BUFFER: usize = 1 << 20;
@@ -33,13 +33,13 @@ const LOCK: &str = "lock";
 pub fn make_folder(path: &Path) -> Result<(), BackupError> {
     let mut builder = DirBuilder::new();
     let made = builder.recursive(true).mode(0o700).create(path);
-    made.map_err(|source| io_error(path, source))
+    made.map_err(at(path))
 }
 
 /// Syncs a folder, so that the names in it are durable.
 pub fn sync_folder(path: &Path) -> Result<(), BackupError> {
     let synced = File::open(path).and_then(|folder| folder.sync_all());
-    synced.map_err(|source| io_error(path, source))
+    synced.map_err(at(path))
 }
 
 /// The files below `folder` that belong in a backup, as paths relative to it, in the order in which
@@ -64,11 +64,11 @@ fn list_below(
     let entries = match fs::read_dir(&folder) {
         Ok(entries) => entries,
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
-        Err(source) => return Err(io_error(&folder, source)),
+        Err(error) => return Err(at(&folder)(error)),
     };
     let (mut files, mut folders) = (Vec::new(), Vec::new());
     for entry in entries {
-        let path = entry.map_err(|source| io_error(&folder, source))?.path();
+        let path = entry.map_err(at(&folder))?.path();
         let Some(name) = path.file_name().and_then(|name| name.to_str()) else {
             continue;
         };
@@ -101,17 +101,16 @@ fn list_below(
 
 /// Copies a file to a new one and returns its length and hash; `None` if it does not exist.
 pub fn copy(from: &Path, to: &Path) -> Result<Option<(u64, String)>, BackupError> {
-    if from.extension().is_some_and(|it| it == "json") {
-        return match read_json(from) {
-            Ok(bytes) => write(to, &mut bytes.as_slice()).map(Some),
-            Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
-            Err(source) => Err(io_error(from, source)),
-        };
-    }
-    match File::open(from) {
-        Ok(mut file) => write(to, &mut file).map(Some),
+    let opened: io::Result<Box<dyn io::Read>> = match from.extension() {
+        Some(json) if json == "json" => {
+            read_json(from).map(|it| Box::new(io::Cursor::new(it)) as _)
+        }
+        _ => File::open(from).map(|file| Box::new(file) as _),
+    };
+    match opened {
+        Ok(mut content) => write(to, &mut content).map(Some),
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
-        Err(source) => Err(io_error(from, source)),
+        Err(error) => Err(at(from)(error)),
     }
 }
 
@@ -135,22 +134,21 @@ fn read_json(path: &Path) -> io::Result<Vec<u8>> {
 pub fn create(path: &Path) -> Result<File, BackupError> {
     let mut options = OpenOptions::new();
     let options = options.write(true).create_new(true).mode(0o600);
-    options.open(path).map_err(|source| io_error(path, source))
+    options.open(path).map_err(at(path))
 }
 
 /// Writes a new file and syncs it; returns its length and hash.
 fn write(to: &Path, from: &mut impl io::Read) -> Result<(u64, String), BackupError> {
-    let fail = |source| io_error(to, source);
     let mut file = create(to)?;
-    let written = pump(from, &mut file).map_err(fail)?;
-    file.sync_all().map_err(fail)?;
+    let written = pump(from, &mut file).map_err(at(to))?;
+    file.sync_all().map_err(at(to))?;
     Ok(written)
 }
 
 /// The length and hash of a file.
 pub fn hash(path: &Path) -> Result<(u64, String), BackupError> {
     let hashed = File::open(path).and_then(|mut file| pump(&mut file, &mut io::sink()));
-    hashed.map_err(|source| io_error(path, source))
+    hashed.map_err(at(path))
 }
 
 /// Copies until the end of `from`, and returns length and hash.

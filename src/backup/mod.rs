@@ -22,7 +22,7 @@ use fail::fail_point;
 use rustix::fs::statvfs;
 
 pub use crate::backup::error::BackupError;
-use crate::backup::error::io_error;
+use crate::backup::error::at;
 use crate::backup::files::{make_folder, sync_folder};
 use crate::backup::manifest::FileEntry;
 pub use crate::backup::manifest::Manifest;
@@ -45,9 +45,7 @@ pub fn take(data: &Path, target: &Path) -> Result<Manifest, BackupError> {
     let database = data.join(store::FILE);
     match fs::metadata(&database) {
         Ok(it) if it.is_file() => {}
-        Err(source) if source.kind() != io::ErrorKind::NotFound => {
-            return Err(io_error(&database, source));
-        }
+        Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(at(&database)(error)),
         _ => return Err(BackupError::NoData(data.to_owned())),
     }
     if is_within(target, data)? {
@@ -92,8 +90,8 @@ pub fn take(data: &Path, target: &Path) -> Result<Manifest, BackupError> {
 
 /// Whether `target`, which need not exist, is `folder` or inside it.
 fn is_within(target: &Path, folder: &Path) -> Result<bool, BackupError> {
-    let real = |path: &Path| fs::canonicalize(path).map_err(|source| io_error(path, source));
-    let absolute = std::path::absolute(target).map_err(|source| io_error(target, source))?;
+    let real = |path: &Path| fs::canonicalize(path).map_err(at(path));
+    let absolute = std::path::absolute(target).map_err(at(target))?;
     let there = absolute.ancestors().find(|it| it.exists());
     Ok(real(there.unwrap_or(target))?.starts_with(real(folder)?))
 }
@@ -107,11 +105,11 @@ fn check_room(data: &Path, target: &Path) -> Result<(), BackupError> {
         let paths = files::list(&folder)?.into_iter();
         needed += paths.map(|path| length(folder.join(path))).sum::<u64>();
     }
-    let fail = |source| io_error(target, source);
+    let fail = at(target);
     let disk = statvfs(target).map_err(|error| fail(error.into()))?;
     let mut free = disk.f_bavail.saturating_mul(disk.f_frsize);
     let device = |path: &Path| fs::metadata(path).map(|it| it.dev());
-    if device(data).map_err(fail)? == device(target).map_err(fail)? {
+    if device(data).map_err(&fail)? == device(target).map_err(&fail)? {
         free = free.saturating_sub(MIN_FREE_BYTES);
     }
     match needed <= free {
@@ -156,18 +154,15 @@ fn fill(data: &Path, target: &Path, draft: File) -> Result<Manifest, BackupError
     let file = files::create(&database)?;
     let swarms = store::copy(data, &database)?;
     let (bytes, blake3) = files::hash(&database)?;
-    file.sync_all()
-        .map_err(|source| io_error(&database, source))?;
+    file.sync_all().map_err(at(&database))?;
     entries.push(FileEntry {
         path: store::FILE.to_owned(),
         bytes,
         blake3,
     });
-    for folder in &folders {
-        sync_if_exists(folder)?;
-    }
-    for name in FOLDERS {
-        sync_if_exists(&target.join(name))?;
+    folders.extend(FOLDERS.map(|name| target.join(name)));
+    for folder in folders.iter().filter(|it| it.is_dir()) {
+        sync_folder(folder)?;
     }
     let taken = taken.unwrap_or_default().as_secs();
     let manifest = Manifest::new(store::SCHEMA, taken, swarms, entries);
@@ -189,13 +184,6 @@ fn omit_deleted(data: &Path, target: &Path, entries: &mut Vec<FileEntry>) {
     }
 }
 
-fn sync_if_exists(folder: &Path) -> Result<(), BackupError> {
-    match folder.is_dir() {
-        true => sync_folder(folder),
-        false => Ok(()),
-    }
-}
-
 /// Writes the manifest to its draft and renames the draft, which completes the backup.
 fn write_manifest(target: &Path, mut file: File, manifest: &Manifest) -> Result<(), BackupError> {
     sync_folder(target)?;
@@ -206,7 +194,7 @@ fn write_manifest(target: &Path, mut file: File, manifest: &Manifest) -> Result<
         file.sync_all()?;
         fs::rename(&draft, &path)
     };
-    write().map_err(|source| io_error(&path, source))?;
+    write().map_err(at(&path))?;
     sync_folder(target)
 }
 
@@ -226,8 +214,7 @@ pub fn restore(source: &Path, data: &Path) -> Result<Manifest, BackupError> {
         });
     }
     if data.exists() && !data.is_dir() {
-        let error = io::ErrorKind::NotADirectory.into();
-        return Err(io_error(data, error));
+        return Err(at(data)(io::ErrorKind::NotADirectory.into()));
     }
     if is_within(data, source)? {
         return Err(BackupError::DataInside(data.to_owned()));
@@ -240,8 +227,7 @@ pub fn restore(source: &Path, data: &Path) -> Result<Manifest, BackupError> {
     let lock = store::lock(data)?;
     let draft = data.join(store::RESTORING);
     if draft.exists() {
-        let folder = data.to_owned();
-        return Err(StoreError::Unrestored { folder }.into());
+        return Err(StoreError::Unrestored(data.to_owned()).into());
     }
     if !is_empty(data, &[store::LOCK])? {
         return Err(BackupError::NotEmpty(data.to_owned()));
@@ -254,11 +240,11 @@ pub fn restore(source: &Path, data: &Path) -> Result<Manifest, BackupError> {
     for name in FOLDERS.into_iter().chain([store::FILE]) {
         let (from, to) = (draft.join(name), data.join(name));
         if from.exists() {
-            fs::rename(&from, &to).map_err(|source| io_error(&to, source))?;
+            fs::rename(&from, &to).map_err(at(&to))?;
         }
     }
     sync_folder(data)?;
-    fs::remove_dir(&draft).map_err(|source| io_error(&draft, source))?;
+    fs::remove_dir(&draft).map_err(at(&draft))?;
     sync_folder(data)?;
     drop(lock);
     Ok(manifest)
@@ -297,9 +283,8 @@ fn write_files(source: &Path, draft: &Path, manifest: &Manifest) -> Result<(), B
 
 /// Whether a folder is empty except for `ignored`.
 fn is_empty(folder: &Path, ignored: &[&str]) -> Result<bool, BackupError> {
-    let fail = |source| io_error(folder, source);
-    for entry in fs::read_dir(folder).map_err(fail)? {
-        let name = entry.map_err(fail)?.file_name();
+    for entry in fs::read_dir(folder).map_err(at(folder))? {
+        let name = entry.map_err(at(folder))?.file_name();
         if !ignored.iter().any(|it| *it == name) {
             return Ok(false);
         }

@@ -5,7 +5,7 @@ use std::thread;
 
 use rustix::time::{ClockId, clock_gettime};
 
-use crate::health::{Bus, Reason, RecordingCounts, Warning, Watch};
+use crate::health::{Bus, Reason, RecordingCounts, Watch};
 use crate::store;
 use crate::swarm::frame::Summary;
 use crate::swarm::metrics::{LastStep, Totals};
@@ -18,7 +18,7 @@ pub struct Figures {
     /// Why the daemon is unhealthy; empty if it is healthy.
     pub reasons: Vec<Reason>,
     /// Problems with which it stays healthy.
-    pub warnings: Vec<Warning>,
+    pub warnings: Vec<String>,
     /// CPU time in seconds.
     pub cpu_secs: f64,
     /// Cores that it may use.
@@ -93,7 +93,7 @@ impl Watch {
         Figures {
             uptime_secs: self.uptime().as_secs_f64(),
             reasons: self.reasons(),
-            warnings: self.warnings(),
+            warnings: Vec::from_iter(self.warning().map(|(_, message)| message)),
             cpu_secs: cpu.tv_sec as f64 + cpu.tv_nsec as f64 * 1e-9,
             cores: thread::available_parallelism().map_or(1, usize::from),
             resident_bytes,

@@ -9,7 +9,7 @@ pub mod probe;
 mod reason;
 mod watchdog;
 
-pub use reason::{Bus, Contested, Reason, RecordingCounts, Warning};
+pub use reason::{Bus, Contested, Reason, RecordingCounts};
 
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
@@ -122,8 +122,7 @@ impl Watch {
         let age = last.at.elapsed();
         let probes = u32::try_from(last.probes.len()).unwrap_or(1);
         if age > TASK_TIMEOUT + probe::TIMEOUT * probes {
-            let secs = age.as_secs_f64();
-            reasons.push(Reason::WatchStuck { secs });
+            reasons.push(Reason::WatchStuck(age.as_secs_f64()));
         }
         let failed = last.probes.iter().filter(|it| it.failures >= MIN_FAILURES);
         reasons.extend(failed.filter_map(|it| it.problem.clone()));
@@ -135,7 +134,7 @@ impl Watch {
         }));
         let rights = &self.watched.rights;
         let ended = rights.current().ended();
-        reasons.extend(ended.map(|day| Reason::CertificateEnded { day }));
+        reasons.extend(ended.map(Reason::CertificateEnded));
         let contested = (self.watched.contested)().into_iter();
         reasons.extend(contested.map(Reason::Contested));
         let flags = [
@@ -149,11 +148,10 @@ impl Watch {
         reasons
     }
 
-    /// Problems with which the daemon stays healthy.
-    pub fn warnings(&self) -> Vec<Warning> {
+    /// A problem with which the daemon stays healthy: its code in `/healthz`, and the message.
+    pub fn warning(&self) -> Option<(&'static str, String)> {
         let failed = (self.watched.count)(&self.watched.recordings).failed;
-        let warning = (!failed.is_empty()).then_some(Warning::RecordingsFailed(failed));
-        warning.into_iter().collect()
+        (!failed.is_empty()).then(|| ("recording_failed", reason::recordings_failed(&failed)))
     }
 
     /// The time since the daemon started.

@@ -1,4 +1,4 @@
-//! Why the daemon is unhealthy, and warnings.
+//! Why the daemon is unhealthy, and a warning.
 
 use std::time::Duration;
 
@@ -55,27 +55,21 @@ pub enum Reason {
     /// Another daemon uses the same name.
     #[error("{0}")]
     Contested(Contested),
-    /// The certificate of the daemon has expired.
+    /// The certificate of the daemon has expired: its last day.
     #[error(
-        "the daemon's certificate expired on {day}: run `jostled auth init --host NAME` with each of \
+        "the daemon's certificate expired on {0}: run `jostled auth init --host NAME` with each of \
          its names, then restart the daemon"
     )]
-    CertificateEnded {
-        /// Its last day.
-        day: String,
-    },
+    CertificateEnded(String),
     /// `people.json` cannot be reloaded.
     #[error(
         "people.json cannot be reloaded: the rights loaded last stay in force, and `jostled auth add` \
          and `remove` have no effect; see the log"
     )]
     PeopleUnreadable,
-    /// The health thread itself is blocked.
-    #[error("the health checks have not run for {secs:.0} s")]
-    WatchStuck {
-        /// For how long.
-        secs: f64,
-    },
+    /// The health thread itself is blocked, for so many seconds.
+    #[error("the health checks have not run for {0:.0} s")]
+    WatchStuck(f64),
 }
 
 impl Reason {
@@ -90,9 +84,9 @@ impl Reason {
             Reason::Unresponsive { .. } => "listener_deaf",
             Reason::BusBlocked { .. } => "bus_blocked",
             Reason::Contested(_) => "contested",
-            Reason::CertificateEnded { .. } => "certificate_ended",
+            Reason::CertificateEnded(_) => "certificate_ended",
             Reason::PeopleUnreadable => "people_unreadable",
-            Reason::WatchStuck { .. } => "watch_stuck",
+            Reason::WatchStuck(_) => "watch_stuck",
         }
     }
 
@@ -103,7 +97,7 @@ impl Reason {
             Reason::SwarmStuck { .. }
                 | Reason::ThreadStuck { .. }
                 | Reason::Unresponsive { .. }
-                | Reason::WatchStuck { .. }
+                | Reason::WatchStuck(_)
         )
     }
 }
@@ -142,24 +136,8 @@ fn contested(it: &Contested) -> String {
 /// How many failed recordings a warning names.
 const MAX_NAMED: usize = 5;
 
-/// A problem with which the daemon stays healthy.
-#[derive(Clone, Debug, Error, PartialEq)]
-pub enum Warning {
-    /// Recordings have failed.
-    #[error("{}", recordings_failed(.0))]
-    RecordingsFailed(Vec<(String, String)>),
-}
-
-impl Warning {
-    /// Its code in `/healthz`.
-    pub fn code(&self) -> &'static str {
-        match self {
-            Warning::RecordingsFailed(_) => "recording_failed",
-        }
-    }
-}
-
-fn recordings_failed(failed: &[(String, String)]) -> String {
+/// The warning about failed recordings, by their names and reasons.
+pub(super) fn recordings_failed(failed: &[(String, String)]) -> String {
     let named = failed.iter().take(MAX_NAMED);
     let named: Vec<String> = named
         .map(|(name, reason)| format!("{name} ({reason})"))

@@ -36,10 +36,11 @@ pub fn copy(folder: &Path, to: &Path) -> Result<u64, StoreError> {
     let swarms: i64 = snapshot
         .query_row("SELECT count(*) FROM swarm", [], |row| row.get(0))
         .map_err(fail_reading)?;
-    let fail_writing = |error: rusqlite::Error| StoreError::Copy {
+    let failed = |detail: String| StoreError::Copy {
         file: to.to_path_buf(),
-        detail: error.to_string(),
+        detail,
     };
+    let fail_writing = |error: rusqlite::Error| failed(error.to_string());
     let mut target = Connection::open(to).map_err(fail_writing)?;
     // The backup is synced as a whole later: this file needs no journal.
     target
@@ -54,10 +55,9 @@ pub fn copy(folder: &Path, to: &Path) -> Result<u64, StoreError> {
                 StepResult::Done => break,
                 StepResult::More => progress = Instant::now(),
                 _ if progress.elapsed() > BUSY_TIMEOUT => {
-                    return Err(StoreError::Copy {
-                        file: to.to_path_buf(),
-                        detail: "the database is locked by another process".to_owned(),
-                    });
+                    return Err(failed(
+                        "the database is locked by another process".to_owned(),
+                    ));
                 }
                 _ => thread::sleep(BUSY_TIMEOUT / 1000),
             }

@@ -22,17 +22,11 @@ pub enum StoreError {
         source: io::Error,
     },
     /// Another process has it open.
-    #[error("lock {}: another jostled uses this folder: stop it, or name another --data-dir", folder.display())]
-    InUse {
-        /// The folder.
-        folder: PathBuf,
-    },
+    #[error("lock {}: another jostled uses this folder: stop it, or name another --data-dir", .0.display())]
+    InUse(PathBuf),
     /// The file is not a database of jostled.
-    #[error("open {}: not written by jostled: name another --data-dir, or restore a backup", file.display())]
-    Foreign {
-        /// The file.
-        file: PathBuf,
-    },
+    #[error("open {}: not written by jostled: name another --data-dir, or restore a backup", .0.display())]
+    Foreign(PathBuf),
     /// A newer version wrote it.
     #[error(
         "open {}: written by a newer jostled (schema {found}, this one knows {known}): upgrade, or \
@@ -59,12 +53,9 @@ pub enum StoreError {
     },
     /// A restoration into the folder was interrupted.
     #[error(
-        "open {}: a `jostled restore` into it was interrupted: remove its contents and restore again", folder.display()
+        "open {}: a `jostled restore` into it was interrupted: remove its contents and restore again", .0.display()
     )]
-    Unrestored {
-        /// The folder.
-        folder: PathBuf,
-    },
+    Unrestored(PathBuf),
     /// The copy for a backup failed.
     #[error("copy the database to {}: {detail}: check that disk and its free space", file.display())]
     Copy {
@@ -87,11 +78,8 @@ pub enum StoreError {
         what: String,
     },
     /// No such swarm is stored.
-    #[error("find swarm {swarm:?} in the store: it was not created there, or was deleted")]
-    NoSwarm {
-        /// The swarm.
-        swarm: String,
-    },
+    #[error("find swarm {0:?} in the store: it was not created there, or was deleted")]
+    NoSwarm(String),
     /// There is no such checkpoint.
     #[error(
         "find checkpoint {number} of swarm {swarm:?}: not stored; `checkpoints` lists those that are"
@@ -122,23 +110,28 @@ impl StoreError {
     /// Tells errors of the file from errors that a retry may not have.
     pub(super) fn of_reading(file: &Path, error: &SqlError) -> StoreError {
         let (file, detail) = (file.to_path_buf(), error.to_string());
-        match error {
-            SqlError::SqliteFailure(failure, _) => match failure.code {
-                ErrorCode::NotADatabase => StoreError::Foreign { file },
-                ErrorCode::SystemIoFailure
-                | ErrorCode::DiskFull
-                | ErrorCode::CannotOpen
-                | ErrorCode::PermissionDenied
-                | ErrorCode::ReadOnly
-                | ErrorCode::OutOfMemory
-                | ErrorCode::DatabaseBusy
-                | ErrorCode::DatabaseLocked => StoreError::Io { file, detail },
-                // The statements are fixed: a missing table or column is damage.
-                _ => StoreError::Corrupt { file, detail },
-            },
+        match error.sqlite_error_code() {
+            Some(ErrorCode::NotADatabase) => StoreError::Foreign(file),
+            Some(code) if may_pass(code) => StoreError::Io { file, detail },
+            // The statements are fixed: a missing table or column is damage.
             _ => StoreError::Corrupt { file, detail },
         }
     }
+}
+
+/// Whether a retry may not have this error.
+fn may_pass(code: ErrorCode) -> bool {
+    matches!(
+        code,
+        ErrorCode::SystemIoFailure
+            | ErrorCode::DiskFull
+            | ErrorCode::CannotOpen
+            | ErrorCode::PermissionDenied
+            | ErrorCode::ReadOnly
+            | ErrorCode::OutOfMemory
+            | ErrorCode::DatabaseBusy
+            | ErrorCode::DatabaseLocked
+    )
 }
 
 fn of_swarm(name: &str) -> String {
@@ -186,18 +179,21 @@ impl StoreFault {
                 | ffi::SQLITE_IOERR_DATA,
             ) => StoreFault::Fatal(error.to_string()),
             (ErrorCode::SystemIoFailure, _) if is_full(folder) => StoreFault::Full,
-            (
-                ErrorCode::SystemIoFailure
-                | ErrorCode::CannotOpen
-                | ErrorCode::PermissionDenied
-                | ErrorCode::ReadOnly
-                | ErrorCode::OutOfMemory
-                | ErrorCode::DatabaseBusy
-                | ErrorCode::DatabaseLocked,
-                _,
-            ) => StoreFault::Io(error.to_string()),
+            (code, _) if may_pass(code) => StoreFault::Io(error.to_string()),
             _ => StoreFault::Fatal(error.to_string()),
         }
+    }
+}
+
+/// Ignores a fault that is not fatal: the next round tries again.
+pub(super) fn unless_fatal<T>(
+    outcome: Result<T, StoreFault>,
+    otherwise: T,
+) -> Result<T, StoreFault> {
+    match outcome {
+        Err(fault @ StoreFault::Fatal(_)) => Err(fault),
+        Err(_) => Ok(otherwise),
+        outcome => outcome,
     }
 }
 

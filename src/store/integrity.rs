@@ -158,7 +158,6 @@ impl Extent {
     }
 }
 
-/// Writes the extent `id`.
 pub(super) fn write_extent(connection: &Connection, id: i64, extent: &Extent) -> SqlResult<()> {
     let [first, last, newest, checkpoints, bytes] = extent.numbers().map(u64::cast_signed);
     let checksum = extent.checksum(id);
@@ -211,7 +210,6 @@ pub(super) fn find(
         .transpose()
 }
 
-/// Inserts the record of a swarm.
 pub(super) fn insert_swarm(
     connection: &Connection,
     name: &str,
@@ -224,7 +222,6 @@ pub(super) fn insert_swarm(
     Ok(())
 }
 
-/// The record of a swarm.
 pub(super) struct SwarmRecord {
     pub(super) name: String,
     pub(super) id: i64,
@@ -350,7 +347,6 @@ pub(super) fn checkpoint(
     }))
 }
 
-/// Inserts the answer `id`.
 pub(super) fn insert_answer(connection: &Connection, id: u64, answer: &Answer) -> SqlResult<()> {
     connection
         .prepare_cached(&format!(

@@ -8,8 +8,7 @@ use std::time::{Duration, Instant};
 use rusqlite::config::DbConfig;
 use tracing::error;
 
-use super::error::StoreFault;
-use super::queue::End;
+use super::error::{StoreFault, unless_fatal};
 use super::writer::Writer;
 use super::{OnFatal, Shared};
 use super::{reserve, retention};
@@ -39,7 +38,7 @@ pub(super) fn run(mut writer: Writer, shared: &Arc<Shared>, on_fatal: &OnFatal) 
             let _ = writer
                 .connection
                 .set_db_config(DbConfig::SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, true);
-            shared.queue.end(End::Fatal(fault.to_string()));
+            shared.queue.end(fault.clone());
             // The daemon exits here; clients retry on the next one.
             on_fatal(&fault);
             let mut group = std::mem::take(&mut writer.unknown);
@@ -65,7 +64,8 @@ impl Writer {
     pub(super) fn maintain(&mut self, is_idle: bool) -> Result<bool, StoreFault> {
         self.swept_at = Instant::now();
         if self.shared.meter.is_full.load(Ordering::Relaxed) && is_idle {
-            unless_fatal(self.probe(), ())?;
+            // Finds out whether the disk has space again when no submit tries.
+            unless_fatal(self.transact(|transaction| transaction.probe()), ())?;
         }
         let mut has_more = unless_fatal(self.sweep(), false)?;
         if self.wal_bytes > 4 * WAL_BYTES || (is_idle && self.wal_bytes > WAL_BYTES) {
@@ -109,11 +109,6 @@ impl Writer {
         swept
     }
 
-    /// Finds out whether the disk has space again when no submit tries.
-    fn probe(&mut self) -> Result<(), StoreFault> {
-        self.transact(|transaction| transaction.probe())
-    }
-
     /// Checkpoints the WAL as far as its readers allow; whether the WAL can be overwritten from its start.
     pub(super) fn checkpoint_wal(&mut self, mode: &str) -> Result<bool, StoreFault> {
         let sql = format!("PRAGMA wal_checkpoint({mode})");
@@ -154,14 +149,5 @@ impl Writer {
         let is_written = unless_fatal(self.write_backlog().map(|()| true), false)?;
         let has_checkpointed = unless_fatal(self.checkpoint_wal("TRUNCATE").map(|_| true), false)?;
         Ok(is_written && has_checkpointed)
-    }
-}
-
-/// Ignores a fault that is not fatal: the next round tries again.
-fn unless_fatal<T>(outcome: Result<T, StoreFault>, otherwise: T) -> Result<T, StoreFault> {
-    match outcome {
-        Err(fault @ StoreFault::Fatal(_)) => Err(fault),
-        Err(_) => Ok(otherwise),
-        outcome => outcome,
     }
 }

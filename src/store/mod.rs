@@ -36,24 +36,24 @@ use std::fs::{self, DirBuilder, File, OpenOptions};
 use std::io;
 use std::os::unix::fs::DirBuilderExt;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::sync::mpsc::{SyncSender, sync_channel};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
+use parking_lot::Mutex;
 use rusqlite::Connection;
 use rustix::fs::{FlockOperation, flock};
 use rustix::io::Errno;
-use tracing::warn;
 
 pub use copy::copy;
 pub use error::{StoreError, StoreFault};
 pub use health::Health;
 pub use record::{Answer, Checkpoint, CheckpointInfo, Row, Rows, Write};
+pub use schema::{FILE, KNOWN as SCHEMA};
 
 use health::Meter;
-use queue::{End, Queue, Submit};
-use read::ReadError;
+use queue::{Queue, Submit};
 use writer::Writer;
 
 /// How long the lock of a folder is retried: a child that its last holder has just forked holds it until
@@ -66,13 +66,8 @@ const NICENESS: i32 = 4;
 /// Size up to which all pages are checked when the file is opened, which takes milliseconds.
 const MAX_CHECKED_BYTES: u64 = 8 * 1024 * 1024;
 
-/// The file name of the database in a data folder.
-pub const FILE: &str = schema::FILE;
-/// The file name of its write-ahead log.
+/// The file name of the write-ahead log of [`FILE`].
 pub const WAL: &str = "jostle.sqlite-wal";
-
-/// The schema that this version writes, the newest that it reads.
-pub const SCHEMA: i64 = schema::KNOWN;
 
 /// The file in a data folder that the daemon locks.
 pub const LOCK: &str = "lock";
@@ -163,11 +158,9 @@ impl Store {
     ) -> Result<Store, StoreError> {
         let lock = lock(folder)?;
         if folder.join(RESTORING).exists() {
-            return Err(StoreError::Unrestored {
-                folder: folder.to_path_buf(),
-            });
+            return Err(StoreError::Unrestored(folder.to_path_buf()));
         }
-        let file = folder.join(schema::FILE);
+        let file = folder.join(FILE);
         let mut connection = schema::open(&file, max_checked_bytes)?;
         let size = fs::metadata(&file).map_or(0, |file| file.len());
         if size <= max_checked_bytes {
@@ -221,117 +214,20 @@ impl Store {
         is_done.recv().unwrap_or(Err(StoreFault::Stopped))
     }
 
-    /// Names and metadata of the swarms, by name.
-    ///
-    /// # Errors
-    ///
-    /// [`StoreError::Damaged`] if a record is damaged or missing, and those of any read.
-    pub fn swarms(&self) -> Result<Vec<(String, Vec<u8>)>, StoreError> {
-        self.read("", read::swarms)
-    }
-
-    /// The checkpoints of `swarm`, newest first. Damaged ones are left out, logged and counted in
-    /// [`Health::damaged`].
-    ///
-    /// # Errors
-    ///
-    /// [`StoreError::NoSwarm`], [`StoreError::Damaged`], and those of any read.
-    pub fn checkpoints(&self, swarm: &str) -> Result<Vec<CheckpointInfo>, StoreError> {
-        let (marks, damaged) =
-            self.read(swarm, |connection| read::checkpoints(connection, swarm))?;
-        if damaged > 0 {
-            warn!(
-                swarm,
-                damaged, "checkpoints are damaged or missing: using older ones"
-            );
-            self.0.shared.meter.found_damaged(damaged);
-        }
-        Ok(marks)
-    }
-
-    /// The checkpoint `number` of `swarm` with its content.
-    ///
-    /// # Errors
-    ///
-    /// [`StoreError::Damaged`] if it differs from what was written, [`StoreError::NoCheckpoint`],
-    /// [`StoreError::NoSwarm`], and those of any read.
-    pub fn checkpoint(&self, swarm: &str, number: u64) -> Result<Checkpoint, StoreError> {
-        self.read(swarm, |connection| {
-            read::checkpoint(connection, swarm, number)
-        })
-    }
-
-    /// At most `limit` rows after the row `after`, up to the first that is damaged or missing. If the
-    /// rows after `after` are deleted, it begins with the first that is not.
-    ///
-    /// # Errors
-    ///
-    /// [`StoreError::NoSwarm`], [`StoreError::Damaged`], and those of any read.
-    pub fn rows(&self, swarm: &str, after: u64, limit: usize) -> Result<Rows, StoreError> {
-        let rows = self.read(swarm, |connection| {
-            read::rows(connection, swarm, after, limit)
-        })?;
-        if let Some(damaged_at) = rows.damaged_at {
-            warn!(
-                swarm,
-                damaged_at, "a row of the journal is damaged or missing"
-            );
-            self.0.shared.meter.found_damaged(1);
-        }
-        Ok(rows)
-    }
-
-    /// The answers, oldest first. Damaged ones are left out, logged and counted in [`Health::damaged`].
-    ///
-    /// # Errors
-    ///
-    /// [`StoreError::Damaged`] if their extent is damaged, and those of any read.
-    pub fn answers(&self) -> Result<Vec<Answer>, StoreError> {
-        let (answers, damaged) = self.read("", read::answers)?;
-        if damaged > 0 {
-            warn!(
-                damaged,
-                "answers are damaged or missing: retries of these requests would be executed"
-            );
-            self.0.shared.meter.found_damaged(damaged);
-        }
-        Ok(answers)
-    }
-
-    /// Whether an answer was ever deleted; false if that cannot be read.
-    pub fn has_forgotten(&self) -> bool {
-        self.read("", read::has_forgotten).unwrap_or(false)
-    }
-
-    /// The oldest intact checkpoint of `swarm`: the journal is complete from there on.
-    ///
-    /// # Errors
-    ///
-    /// [`StoreError::NoSwarm`], [`StoreError::Damaged`], and those of any read.
-    pub fn history_from(&self, swarm: &str) -> Result<Option<CheckpointInfo>, StoreError> {
-        self.read(swarm, |connection| {
-            read::oldest_checkpoint(connection, swarm)
-        })
-    }
-
     /// Condition and counters of the store.
     pub fn health(&self) -> Health {
         let size = |file: &Path| fs::metadata(file).map_or(0, |file| file.len());
-        let mut wal = self.0.file.clone().into_os_string();
-        wal.push("-wal");
-        let bytes_on_disk = size(&self.0.file) + size(Path::new(&wal));
-        self.0
-            .shared
-            .meter
-            .read(self.0.shared.queue.waiting(), bytes_on_disk)
+        let bytes_on_disk = size(&self.0.file) + size(&self.0.file.with_file_name(WAL));
+        let Shared { queue, meter } = &*self.0.shared;
+        meter.read(queue.waiting(), bytes_on_disk)
     }
 
     /// Writes what is queued, checkpoints the WAL, and ends; whether all of that completed within
     /// `timeout`. Later submits and reads fail.
     pub fn stop(&self, timeout: Duration) -> bool {
         let until = Instant::now() + timeout;
-        self.0.shared.queue.end(End::Stop);
-        drop(self.reader().take());
+        self.0.shared.queue.end(StoreFault::Stopped);
+        drop(self.0.reader.lock().take());
         let timeout = until.saturating_duration_since(Instant::now());
         self.0.shared.queue.wait_for_end(timeout).unwrap_or(false)
     }
@@ -339,29 +235,14 @@ impl Store {
     fn push(&self, writes: Vec<Write>, durability: Durability) {
         self.0.shared.queue.push(Submit { writes, durability });
     }
-
-    fn reader(&self) -> MutexGuard<'_, Option<Connection>> {
-        self.0.reader.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    fn read<T>(
-        &self,
-        swarm: &str,
-        read: impl FnOnce(&Connection) -> Result<T, ReadError>,
-    ) -> Result<T, StoreError> {
-        let reader = self.reader();
-        let connection = reader.as_ref().ok_or(StoreError::Stopped)?;
-        read(connection).map_err(|error| error.into_store_error(&self.0.file, swarm))
-    }
 }
 
 impl Drop for Inner {
     /// Writes what is queued, however long it takes; [`Store::stop`] has a timeout.
     fn drop(&mut self) {
-        self.shared.queue.end(End::Stop);
+        self.shared.queue.end(StoreFault::Stopped);
         // The writer deletes the WAL if its connection is the last.
-        let reader = self.reader.get_mut();
-        drop(reader.unwrap_or_else(PoisonError::into_inner).take());
+        drop(self.reader.get_mut().take());
         let thread = self.thread.take();
         if let Some(thread) = thread.filter(|_| !self.shared.queue.is_writer()) {
             let _ = thread.join();
@@ -405,9 +286,7 @@ pub fn lock(folder: &Path) -> Result<File, StoreError> {
                 thread::sleep(LOCK_TIMEOUT / 50);
             }
             Err(Errno::WOULDBLOCK) => {
-                return Err(StoreError::InUse {
-                    folder: folder.to_path_buf(),
-                });
+                return Err(StoreError::InUse(folder.to_path_buf()));
             }
             Err(error) => return Err(fail(io::Error::from(error))),
         }

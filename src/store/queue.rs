@@ -4,9 +4,10 @@
 //! ones. Their limits differ, in writes and in bytes, which no channel offers.
 
 use std::collections::VecDeque;
-use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::{self, ThreadId};
 use std::time::{Duration, Instant};
+
+use parking_lot::{Condvar, Mutex};
 
 use super::error::StoreFault;
 use super::{Durability, Write};
@@ -18,7 +19,7 @@ const MAX_QUEUED: (usize, usize) = (8192, 64 * 1024 * 1024);
 const MAX_QUEUED_DEFERRED: (usize, usize) = (1 << 17, 256 * 1024 * 1024);
 
 /// Writes and bytes of one group: a commit of this size takes a few milliseconds.
-pub(super) const GROUP: (usize, usize) = (1024, 4 * 1024 * 1024);
+const GROUP: (usize, usize) = (1024, 4 * 1024 * 1024);
 
 /// How long a deferred submit is held back, so that others share its sync.
 const DEFERRED_DELAY: Duration = Duration::from_millis(5);
@@ -39,31 +40,13 @@ impl Submit {
     }
 }
 
-/// Why the queue accepts no more submits.
-#[derive(Clone)]
-pub(super) enum End {
-    /// The store was stopped.
-    Stop,
-    /// The store failed.
-    Fatal(String),
-}
-
-impl End {
-    /// The fault that later submits get.
-    pub(super) fn fault(&self) -> StoreFault {
-        match self {
-            End::Stop => StoreFault::Stopped,
-            End::Fatal(reason) => StoreFault::Fatal(reason.clone()),
-        }
-    }
-}
-
 #[derive(Default)]
 struct State {
     submits: VecDeque<(Submit, Instant)>,
     size: (usize, usize),
     sync_submits: usize,
-    end: Option<End>,
+    /// Why the queue accepts no more submits.
+    end: Option<StoreFault>,
     writer: Option<ThreadId>,
     /// When the timeout of the sleeping writer ends.
     wakes_at: Option<Instant>,
@@ -71,7 +54,6 @@ struct State {
     outcome: Option<bool>,
 }
 
-/// The queue.
 #[derive(Default)]
 pub(super) struct Queue {
     state: Mutex<State>,
@@ -88,21 +70,18 @@ impl Queue {
             true => MAX_QUEUED,
             false => MAX_QUEUED_DEFERRED,
         };
-        let mut state = self.lock();
+        let mut state = self.state.lock();
         while state.end.is_none()
             && !state.submits.is_empty()
             && (state.size.0 + writes > max.0 || state.size.1 + bytes > max.1)
             && state.writer != Some(thread::current().id())
         {
-            state = self
-                .drained
-                .wait(state)
-                .unwrap_or_else(PoisonError::into_inner);
+            self.drained.wait(&mut state);
         }
         if let Some(end) = state.end.clone() {
             drop(state);
             if let Durability::Sync(done) = submit.durability {
-                done.committed(Err(end.fault()));
+                done.committed(Err(end));
             }
             return;
         }
@@ -119,75 +98,63 @@ impl Queue {
     }
 
     /// Takes the next group as soon as a sync submit is queued, a group is full, or the oldest submit
-    /// has been held back long enough; an empty group after `timeout`.
-    ///
-    /// The end of the queue is returned only with an empty group.
-    pub(super) fn take(&self, timeout: Duration) -> (Vec<Submit>, Option<End>) {
+    /// has been held back long enough; an empty group after `timeout`. Returns whether the queue has ended
+    /// and is empty, too.
+    pub(super) fn take(&self, timeout: Duration) -> (Vec<Submit>, bool) {
         let until = Instant::now() + timeout;
-        let mut state = self.lock();
+        let mut state = self.state.lock();
         loop {
             let now = Instant::now();
             let due = due(&state, now);
             if due.is_some_and(|due| due <= now) {
                 let group = take_group(&mut state);
                 self.drained.notify_all();
-                return (group, None);
+                return (group, false);
             }
             if state.end.is_some() || until <= now {
-                return (Vec::new(), state.end.clone());
+                return (Vec::new(), state.end.is_some());
             }
             let wake = due.map_or(until, |due| due.min(until));
             state.wakes_at = Some(wake);
-            (state, _) = self
-                .filled
-                .wait_timeout(state, wake - now)
-                .unwrap_or_else(PoisonError::into_inner);
+            self.filled.wait_for(&mut state, wake - now);
             state.wakes_at = None;
         }
     }
 
-    /// Ends the queue; `Fatal` replaces an earlier reason.
-    pub(super) fn end(&self, end: End) {
-        let mut state = self.lock();
-        if state.end.is_none() || matches!(end, End::Fatal(_)) {
-            state.end = Some(end);
+    /// Ends the queue: sync submits get `fault` from now on. `Fatal` replaces an earlier one.
+    pub(super) fn end(&self, fault: StoreFault) {
+        let mut state = self.state.lock();
+        if state.end.is_none() || matches!(fault, StoreFault::Fatal(_)) {
+            state.end = Some(fault);
         }
         self.filled.notify_all();
         self.drained.notify_all();
     }
 
-    /// Marks the calling thread as the writer.
     pub(super) fn set_writer_thread(&self) {
-        self.lock().writer = Some(thread::current().id());
+        self.state.lock().writer = Some(thread::current().id());
     }
 
-    /// Whether the calling thread is the writer.
     pub(super) fn is_writer(&self) -> bool {
-        self.lock().writer == Some(thread::current().id())
+        self.state.lock().writer == Some(thread::current().id())
     }
 
     /// Records that the writer has ended, and whether it wrote everything.
     pub(super) fn finish(&self, is_all_written: bool) {
-        self.lock().outcome = Some(is_all_written);
+        self.state.lock().outcome = Some(is_all_written);
         self.drained.notify_all();
     }
 
     /// Waits for the end of the writer; `None` after `timeout`.
     pub(super) fn wait_for_end(&self, timeout: Duration) -> Option<bool> {
-        let (state, _) = self
-            .drained
-            .wait_timeout_while(self.lock(), timeout, |state| state.outcome.is_none())
-            .unwrap_or_else(PoisonError::into_inner);
+        let mut state = self.state.lock();
+        let is_running = |state: &mut State| state.outcome.is_none();
+        self.drained.wait_while_for(&mut state, is_running, timeout);
         state.outcome
     }
 
-    /// Writes in the queue.
     pub(super) fn waiting(&self) -> usize {
-        self.lock().size.0
-    }
-
-    fn lock(&self) -> MutexGuard<'_, State> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+        self.state.lock().size.0
     }
 }
 
@@ -201,21 +168,26 @@ fn due(state: &State, now: Instant) -> Option<Instant> {
     Some(*since + DEFERRED_DELAY)
 }
 
-/// Takes the submits that fit into one group, at least one.
-fn take_group(state: &mut State) -> Vec<Submit> {
-    let mut group = Vec::new();
+/// How many of these submits fit into one group, at least one.
+pub(super) fn group_len<'a>(submits: impl Iterator<Item = &'a Submit>) -> usize {
     let mut taken = (0, 0);
-    while let Some((submit, _)) = state.submits.front() {
+    let fitting = submits.take_while(|submit| {
         let (writes, bytes) = submit.size();
-        if !group.is_empty() && (taken.0 + writes > GROUP.0 || taken.1 + bytes > GROUP.1) {
-            break;
-        }
+        let is_first = taken == (0, 0);
         taken = (taken.0 + writes, taken.1 + bytes);
-        if let Some((submit, _)) = state.submits.pop_front() {
-            state.sync_submits -= usize::from(submit.durability.is_sync());
-            group.push(submit);
-        }
+        is_first || (taken.0 <= GROUP.0 && taken.1 <= GROUP.1)
+    });
+    fitting.count()
+}
+
+fn take_group(state: &mut State) -> Vec<Submit> {
+    let count = group_len(state.submits.iter().map(|(submit, _)| submit));
+    let taken = state.submits.drain(..count).map(|(submit, _)| submit);
+    let group: Vec<Submit> = taken.collect();
+    for submit in &group {
+        let (writes, bytes) = submit.size();
+        state.size = (state.size.0 - writes, state.size.1 - bytes);
+        state.sync_submits -= usize::from(submit.durability.is_sync());
     }
-    state.size = (state.size.0 - taken.0, state.size.1 - taken.1);
     group
 }

@@ -1,9 +1,9 @@
-//! Queries. Each list is compared with its extent, so that missing records are reported.
-
-use std::path::Path;
+//! Reads. Each list is compared with its extent, so that missing records are reported.
 
 use rusqlite::{Connection, Error as SqlError, OptionalExtension, Result as SqlResult, params};
+use tracing::warn;
 
+use super::Store;
 use super::error::StoreError;
 use super::integrity::{self, Extent};
 use super::record::{Answer, Checkpoint, CheckpointInfo, Rows};
@@ -12,12 +12,8 @@ use super::record::{Answer, Checkpoint, CheckpointInfo, Rows};
 pub(super) enum ReadError {
     /// An error of SQLite.
     Sql(SqlError),
-    /// The swarm is not stored.
-    NoSwarm,
-    /// The checkpoint is not stored.
-    NoCheckpoint(u64),
-    /// A record of a swarm, or one that belongs to no swarm (`""`), is damaged.
-    Damaged { swarm: String, what: String },
+    /// The error that follows from the records that were found.
+    Found(StoreError),
 }
 
 impl From<SqlError> for ReadError {
@@ -26,216 +22,262 @@ impl From<SqlError> for ReadError {
     }
 }
 
-impl ReadError {
-    fn damaged(swarm: &str, what: impl Into<String>) -> ReadError {
-        ReadError::Damaged {
-            swarm: swarm.to_owned(),
-            what: what.into(),
-        }
+impl Store {
+    /// Names and metadata of the swarms, by name.
+    ///
+    /// # Errors
+    ///
+    /// [`StoreError::Damaged`] if a record is damaged or missing, and those of any read.
+    pub fn swarms(&self) -> Result<Vec<(String, Vec<u8>)>, StoreError> {
+        self.read(|snapshot| {
+            let mut statement =
+                snapshot.prepare_cached("SELECT name, id, seal, about FROM swarm ORDER BY name")?;
+            let mut cursor = statement.query([])?;
+            let (mut swarms, mut ids) = (Vec::<(String, Vec<u8>)>::new(), Vec::new());
+            while let Some(record) = cursor.next()? {
+                let last = swarms.last().map(|(name, _)| name.as_str());
+                let Some(found) = integrity::swarm(record)? else {
+                    return Err(self.damaged(last.unwrap_or(""), "the next record"));
+                };
+                let name = found.name;
+                if !found.is_intact || last.is_some_and(|last| last >= name.as_str()) {
+                    return Err(self.damaged(&name, "the record"));
+                }
+                let Some(extent) = integrity::read_extent(snapshot, found.id)? else {
+                    return Err(self.damaged(&name, "the extent"));
+                };
+                if last_row(snapshot, found.id)? > extent.last {
+                    return Err(self.damaged(&name, "the extent (less than its rows)"));
+                }
+                swarms.push((name, found.about));
+                ids.push(found.id);
+            }
+            ids.sort_unstable();
+            let extents: Vec<i64> = snapshot
+                .prepare_cached("SELECT id FROM extent WHERE id <> 0 ORDER BY id")?
+                .query_map([], |record| record.get(0))?
+                .collect::<SqlResult<_>>()?;
+            match ids == extents {
+                true => Ok(swarms),
+                false => Err(self.damaged("", "the list of swarms (incomplete)")),
+            }
+        })
     }
 
-    /// The error of a read of `swarm` in `file`.
-    pub(super) fn into_store_error(self, file: &Path, swarm: &str) -> StoreError {
-        let (file, of_swarm) = (file.to_path_buf(), swarm.to_string());
-        match self {
-            ReadError::Sql(error) => StoreError::of_reading(&file, &error),
-            ReadError::NoSwarm => StoreError::NoSwarm { swarm: of_swarm },
-            ReadError::NoCheckpoint(number) => StoreError::NoCheckpoint {
-                swarm: of_swarm,
+    /// At most `limit` rows after the row `after`, up to the first that is damaged or missing. If the
+    /// rows after `after` are deleted, it begins with the first that is not.
+    ///
+    /// # Errors
+    ///
+    /// [`StoreError::NoSwarm`], [`StoreError::Damaged`], and those of any read.
+    pub fn rows(&self, swarm: &str, after: u64, limit: usize) -> Result<Rows, StoreError> {
+        let read = self.read(|snapshot| {
+            let (id, extent) = self.find(snapshot, swarm)?;
+            let mut next = after.max(extent.first).saturating_add(1);
+            let mut read = Rows::default();
+            let mut statement = snapshot.prepare_cached(&format!(
+                "SELECT {} FROM row WHERE swarm = ? AND number >= ? ORDER BY number LIMIT ?",
+                integrity::ROW
+            ))?;
+            let max = i64::try_from(limit).unwrap_or(i64::MAX);
+            let mut cursor = statement.query(params![id, next.cast_signed(), max])?;
+            while next <= extent.last && read.rows.len() < limit {
+                let row = match integrity::next(&mut cursor)? {
+                    Some(record) => integrity::row(record, swarm, id)?,
+                    None => None,
+                };
+                let Some(row) = row.filter(|row| row.number == next) else {
+                    read.damaged_at = Some(next);
+                    break;
+                };
+                read.rows.push(row);
+                next += 1;
+            }
+            Ok(read)
+        })?;
+        if let Some(damaged_at) = read.damaged_at {
+            let problem = "a row of the journal is damaged or missing";
+            warn!(swarm, damaged_at, "{problem}");
+            self.0.shared.meter.found_damaged(1);
+        }
+        Ok(read)
+    }
+
+    /// The checkpoints of `swarm`, newest first. Damaged ones are left out, logged and counted in
+    /// [`Health::damaged`](super::Health::damaged).
+    ///
+    /// # Errors
+    ///
+    /// [`StoreError::NoSwarm`], [`StoreError::Damaged`], and those of any read.
+    pub fn checkpoints(&self, swarm: &str) -> Result<Vec<CheckpointInfo>, StoreError> {
+        let (intact, damaged) = self.read(|snapshot| {
+            let (id, extent) = self.find(snapshot, swarm)?;
+            let mut statement = snapshot.prepare_cached(&format!(
+                "SELECT {} FROM checkpoint WHERE swarm = ? ORDER BY number DESC",
+                integrity::CHECKPOINT_INFO
+            ))?;
+            let mut cursor = statement.query([id])?;
+            let (mut intact, mut found) = (Vec::<CheckpointInfo>::new(), 0);
+            while let Some(record) = integrity::next(&mut cursor)? {
+                found += 1;
+                let Some((info, _)) = integrity::checkpoint_info(record, swarm, id)? else {
+                    continue;
+                };
+                let is_next = match intact.last() {
+                    Some(later) => info.number < later.number,
+                    None => info.number <= extent.newest,
+                };
+                if is_next {
+                    intact.push(info);
+                }
+            }
+            let left_out = found - intact.len() as u64;
+            Ok((intact, left_out.max(extent.checkpoints.abs_diff(found))))
+        })?;
+        if damaged > 0 {
+            let problem = "checkpoints are damaged or missing: using older ones";
+            warn!(swarm, damaged, "{problem}");
+            self.0.shared.meter.found_damaged(damaged);
+        }
+        Ok(intact)
+    }
+
+    /// The oldest intact checkpoint of `swarm`: the journal is complete from there on.
+    ///
+    /// # Errors
+    ///
+    /// [`StoreError::NoSwarm`], [`StoreError::Damaged`], and those of any read.
+    pub fn history_from(&self, swarm: &str) -> Result<Option<CheckpointInfo>, StoreError> {
+        self.read(|snapshot| {
+            let (id, extent) = self.find(snapshot, swarm)?;
+            let mut statement = snapshot.prepare_cached(&format!(
+                "SELECT {} FROM checkpoint WHERE swarm = ? AND number <= ? ORDER BY number",
+                integrity::CHECKPOINT_INFO
+            ))?;
+            let mut cursor = statement.query(params![id, extent.newest.cast_signed()])?;
+            while let Some(record) = integrity::next(&mut cursor)? {
+                if let Some((info, _)) = integrity::checkpoint_info(record, swarm, id)? {
+                    return Ok(Some(info));
+                }
+            }
+            Ok(None)
+        })
+    }
+
+    /// The checkpoint `number` of `swarm` with its content.
+    ///
+    /// # Errors
+    ///
+    /// [`StoreError::Damaged`] if it differs from what was written, [`StoreError::NoCheckpoint`],
+    /// [`StoreError::NoSwarm`], and those of any read.
+    pub fn checkpoint(&self, swarm: &str, number: u64) -> Result<Checkpoint, StoreError> {
+        self.read(|snapshot| {
+            let (id, _) = self.find(snapshot, swarm)?;
+            let missing = || StoreError::NoCheckpoint {
+                swarm: swarm.to_owned(),
                 number,
-            },
-            ReadError::Damaged { swarm, what } => StoreError::Damaged { file, swarm, what },
+            };
+            snapshot
+                .prepare_cached(&format!(
+                    "SELECT {} FROM checkpoint WHERE swarm = ? AND number = ?",
+                    integrity::CHECKPOINT
+                ))?
+                .query_row(params![id, number.cast_signed()], |record| {
+                    integrity::checkpoint(record, swarm, id)
+                })
+                .optional()?
+                .ok_or_else(|| ReadError::Found(missing()))?
+                .filter(|checkpoint| checkpoint.number == number)
+                .ok_or_else(|| self.damaged(swarm, &format!("checkpoint {number}")))
+        })
+    }
+
+    /// The answers, oldest first. Damaged ones are left out, logged and counted in
+    /// [`Health::damaged`](super::Health::damaged).
+    ///
+    /// # Errors
+    ///
+    /// [`StoreError::Damaged`] if their extent is damaged, and those of any read.
+    pub fn answers(&self) -> Result<Vec<Answer>, StoreError> {
+        let (answers, missing) = self.read(|snapshot| {
+            let Some(extent) = integrity::read_extent(snapshot, integrity::ANSWERS)? else {
+                return Err(self.damaged("", "the extent of the answers"));
+            };
+            let Extent { first, last, .. } = extent;
+            let deleted = extent.checkpoints;
+            let expected = last.saturating_sub(first).saturating_sub(deleted);
+            let mut statement = snapshot.prepare_cached(&format!(
+                "SELECT {} FROM answer WHERE id > ? ORDER BY id",
+                integrity::ANSWER
+            ))?;
+            let mut cursor = statement.query([first.cast_signed()])?;
+            let (mut answers, mut next) = (Vec::new(), first + 1);
+            while let Some(record) = cursor.next()? {
+                // Those out of order or after the last one are not among the expected.
+                if let Some((id, answer)) = integrity::answer(record)?
+                    && (next..=last).contains(&id)
+                {
+                    next = id + 1;
+                    answers.push(answer);
+                }
+            }
+            let missing = expected.saturating_sub(answers.len() as u64);
+            Ok((answers, missing))
+        })?;
+        if missing > 0 {
+            let problem =
+                "answers are damaged or missing: retries of these requests would be executed";
+            warn!(damaged = missing, "{problem}");
+            self.0.shared.meter.found_damaged(missing);
         }
+        Ok(answers)
+    }
+
+    /// Whether an answer was ever deleted; false if that cannot be read.
+    pub fn has_forgotten(&self) -> bool {
+        let extent = self.read(|it| Ok(integrity::read_extent(it, integrity::ANSWERS)?));
+        matches!(extent, Ok(Some(it)) if it.first > 0 || it.checkpoints > 0)
+    }
+
+    /// Reads one snapshot of the database.
+    pub(super) fn read<T>(
+        &self,
+        read: impl FnOnce(&Connection) -> Result<T, ReadError>,
+    ) -> Result<T, StoreError> {
+        let reader = self.0.reader.lock();
+        let connection = reader.as_ref().ok_or(StoreError::Stopped)?;
+        let snapshot = connection.unchecked_transaction().map_err(ReadError::Sql);
+        snapshot
+            .and_then(|it| read(&it))
+            .map_err(|error| match error {
+                ReadError::Sql(error) => StoreError::of_reading(&self.0.file, &error),
+                ReadError::Found(error) => error,
+            })
+    }
+
+    /// Id and extent of `swarm`.
+    fn find(&self, snapshot: &Connection, swarm: &str) -> Result<(i64, Extent), ReadError> {
+        match integrity::find(snapshot, swarm)? {
+            Some((id, Some(extent))) => Ok((id, extent)),
+            Some((_, None)) => Err(self.damaged(swarm, "the extent")),
+            None => Err(ReadError::Found(StoreError::NoSwarm(swarm.to_owned()))),
+        }
+    }
+
+    /// The error for a damaged record of a swarm, or of none (`""`).
+    fn damaged(&self, swarm: &str, what: &str) -> ReadError {
+        ReadError::Found(StoreError::Damaged {
+            file: self.0.file.clone(),
+            swarm: swarm.to_owned(),
+            what: what.to_owned(),
+        })
     }
 }
 
-/// Names and metadata of the swarms, by name.
-pub(super) fn swarms(connection: &Connection) -> Result<Vec<(String, Vec<u8>)>, ReadError> {
-    let snapshot = connection.unchecked_transaction()?;
+fn last_row(snapshot: &Connection, id: i64) -> SqlResult<u64> {
     let mut statement =
-        snapshot.prepare_cached("SELECT name, id, seal, about FROM swarm ORDER BY name")?;
-    let mut cursor = statement.query([])?;
-    let (mut swarms, mut ids) = (Vec::<(String, Vec<u8>)>::new(), Vec::new());
-    while let Some(record) = cursor.next()? {
-        let last = swarms.last().map(|(name, _)| name.as_str());
-        let Some(found) = integrity::swarm(record)? else {
-            return Err(ReadError::damaged(last.unwrap_or(""), "the next record"));
-        };
-        let name = found.name;
-        if !found.is_intact || last.is_some_and(|last| last >= name.as_str()) {
-            return Err(ReadError::damaged(&name, "the record"));
-        }
-        let Some(extent) = integrity::read_extent(&snapshot, found.id)? else {
-            return Err(ReadError::damaged(&name, "the extent"));
-        };
-        if last_row(&snapshot, found.id)? > extent.last {
-            return Err(ReadError::damaged(&name, "the extent (less than its rows)"));
-        }
-        swarms.push((name, found.about));
-        ids.push(found.id);
-    }
-    ids.sort_unstable();
-    let extents: Vec<i64> = snapshot
-        .prepare_cached("SELECT id FROM extent WHERE id <> 0 ORDER BY id")?
-        .query_map([], |record| record.get(0))?
-        .collect::<SqlResult<_>>()?;
-    match ids == extents {
-        true => Ok(swarms),
-        false => Err(ReadError::damaged("", "the list of swarms (incomplete)")),
-    }
-}
-
-fn last_row(connection: &Connection, id: i64) -> SqlResult<u64> {
-    connection
-        .prepare_cached("SELECT coalesce(max(number), 0) FROM row WHERE swarm = ?")?
-        .query_row([id], |record| {
-            record.get::<_, i64>(0).map(i64::cast_unsigned)
-        })
-}
-
-/// The rows of `swarm` after the row `after`, at most `limit`.
-pub(super) fn rows(
-    connection: &Connection,
-    swarm: &str,
-    after: u64,
-    limit: usize,
-) -> Result<Rows, ReadError> {
-    let snapshot = connection.unchecked_transaction()?;
-    let (id, extent) = find(&snapshot, swarm)?;
-    let mut next = after.max(extent.first).saturating_add(1);
-    let mut read = Rows::default();
-    let mut statement = snapshot.prepare_cached(&format!(
-        "SELECT {} FROM row WHERE swarm = ? AND number >= ? ORDER BY number LIMIT ?",
-        integrity::ROW
-    ))?;
-    let max = i64::try_from(limit).unwrap_or(i64::MAX);
-    let mut cursor = statement.query(params![id, next.cast_signed(), max])?;
-    while next <= extent.last && read.rows.len() < limit {
-        let row = match integrity::next(&mut cursor)? {
-            Some(record) => integrity::row(record, swarm, id)?,
-            None => None,
-        };
-        let Some(row) = row.filter(|row| row.number == next) else {
-            read.damaged_at = Some(next);
-            break;
-        };
-        read.rows.push(row);
-        next += 1;
-    }
-    Ok(read)
-}
-
-/// The checkpoints of `swarm`, newest first, and how many are damaged or missing.
-pub(super) fn checkpoints(
-    connection: &Connection,
-    swarm: &str,
-) -> Result<(Vec<CheckpointInfo>, u64), ReadError> {
-    let snapshot = connection.unchecked_transaction()?;
-    let (id, extent) = find(&snapshot, swarm)?;
-    let mut statement = snapshot.prepare_cached(&format!(
-        "SELECT {} FROM checkpoint WHERE swarm = ? ORDER BY number DESC",
-        integrity::CHECKPOINT_INFO
-    ))?;
-    let mut cursor = statement.query([id])?;
-    let (mut intact, mut found) = (Vec::<CheckpointInfo>::new(), 0);
-    while let Some(record) = integrity::next(&mut cursor)? {
-        found += 1;
-        let Some((info, _)) = integrity::checkpoint_info(record, swarm, id)? else {
-            continue;
-        };
-        let is_next = match intact.last() {
-            Some(later) => info.number < later.number,
-            None => info.number <= extent.newest,
-        };
-        if is_next {
-            intact.push(info);
-        }
-    }
-    let left_out = found - intact.len() as u64;
-    Ok((intact, left_out.max(extent.checkpoints.abs_diff(found))))
-}
-
-/// The oldest intact checkpoint of `swarm`.
-pub(super) fn oldest_checkpoint(
-    connection: &Connection,
-    swarm: &str,
-) -> Result<Option<CheckpointInfo>, ReadError> {
-    let snapshot = connection.unchecked_transaction()?;
-    let (id, extent) = find(&snapshot, swarm)?;
-    let mut statement = snapshot.prepare_cached(&format!(
-        "SELECT {} FROM checkpoint WHERE swarm = ? AND number <= ? ORDER BY number",
-        integrity::CHECKPOINT_INFO
-    ))?;
-    let mut cursor = statement.query(params![id, extent.newest.cast_signed()])?;
-    while let Some(record) = integrity::next(&mut cursor)? {
-        if let Some((info, _)) = integrity::checkpoint_info(record, swarm, id)? {
-            return Ok(Some(info));
-        }
-    }
-    Ok(None)
-}
-
-/// The checkpoint `number` of `swarm`.
-pub(super) fn checkpoint(
-    connection: &Connection,
-    swarm: &str,
-    number: u64,
-) -> Result<Checkpoint, ReadError> {
-    let snapshot = connection.unchecked_transaction()?;
-    let (id, _) = find(&snapshot, swarm)?;
-    snapshot
-        .prepare_cached(&format!(
-            "SELECT {} FROM checkpoint WHERE swarm = ? AND number = ?",
-            integrity::CHECKPOINT
-        ))?
-        .query_row(params![id, number.cast_signed()], |record| {
-            integrity::checkpoint(record, swarm, id)
-        })
-        .optional()?
-        .ok_or(ReadError::NoCheckpoint(number))?
-        .filter(|checkpoint| checkpoint.number == number)
-        .ok_or_else(|| ReadError::damaged(swarm, format!("checkpoint {number}")))
-}
-
-/// All answers, oldest first, and how many are damaged or missing.
-pub(super) fn answers(connection: &Connection) -> Result<(Vec<Answer>, u64), ReadError> {
-    let snapshot = connection.unchecked_transaction()?;
-    let Some(extent) = integrity::read_extent(&snapshot, integrity::ANSWERS)? else {
-        return Err(ReadError::damaged("", "the extent of the answers"));
-    };
-    let Extent { first, last, .. } = extent;
-    let deleted = extent.checkpoints;
-    let expected = last.saturating_sub(first).saturating_sub(deleted);
-    let mut statement = snapshot.prepare_cached(&format!(
-        "SELECT {} FROM answer WHERE id > ? ORDER BY id",
-        integrity::ANSWER
-    ))?;
-    let mut cursor = statement.query([first.cast_signed()])?;
-    let (mut answers, mut next) = (Vec::new(), first + 1);
-    while let Some(record) = cursor.next()? {
-        // Those out of order or after the last one are not among the expected.
-        if let Some((id, answer)) = integrity::answer(record)?
-            && (next..=last).contains(&id)
-        {
-            next = id + 1;
-            answers.push(answer);
-        }
-    }
-    let missing = expected.saturating_sub(answers.len() as u64);
-    Ok((answers, missing))
-}
-
-/// Whether an answer was ever deleted.
-pub(super) fn has_forgotten(connection: &Connection) -> Result<bool, ReadError> {
-    let extent = integrity::read_extent(connection, integrity::ANSWERS)?;
-    Ok(extent.is_some_and(|it| it.first > 0 || it.checkpoints > 0))
-}
-
-/// Id and extent of `swarm`.
-fn find(connection: &Connection, swarm: &str) -> Result<(i64, Extent), ReadError> {
-    let (id, extent) = integrity::find(connection, swarm)?.ok_or(ReadError::NoSwarm)?;
-    Ok((
-        id,
-        extent.ok_or_else(|| ReadError::damaged(swarm, "the extent"))?,
-    ))
+        snapshot.prepare_cached("SELECT coalesce(max(number), 0) FROM row WHERE swarm = ?")?;
+    statement.query_row([id], |record| {
+        record.get::<_, i64>(0).map(i64::cast_unsigned)
+    })
 }

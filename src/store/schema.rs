@@ -10,8 +10,8 @@ use rusqlite::{Connection, OpenFlags, Result as SqlResult, Transaction, Transact
 use super::error::StoreError;
 use super::integrity::{self, Extent};
 
-/// The file's name in the data folder.
-pub(super) const FILE: &str = "jostle.sqlite";
+/// The file name of the database in a data folder.
+pub const FILE: &str = "jostle.sqlite";
 
 /// Marks the file as ours: "jost".
 const APPLICATION_ID: i64 = 0x6A6F_7374;
@@ -25,8 +25,8 @@ type Migration = fn(&Transaction<'_>) -> SqlResult<()>;
 /// Migration k leads from schema k to k + 1.
 const MIGRATIONS: &[Migration] = &[first, second];
 
-/// The schema this version writes.
-pub(super) const KNOWN: i64 = 2;
+/// The schema that this version writes, the newest that it reads.
+pub const KNOWN: i64 = 2;
 
 const _: () = assert!(MIGRATIONS.len() as i64 == KNOWN);
 
@@ -77,16 +77,11 @@ fn second(transaction: &Transaction<'_>) -> SqlResult<()> {
 
 /// Opens the writer's connection to `file`, creates or migrates the tables, and checks the pages of a
 /// file of at most `max_checked_bytes`.
-///
-/// # Errors
-///
-/// Every variant of [`StoreError`] that is about a file.
 pub(super) fn open(file: &Path, max_checked_bytes: u64) -> Result<Connection, StoreError> {
     let fail = |error| StoreError::of_reading(file, &error);
     let mut connection = Connection::open(file).map_err(fail)?;
     connection.busy_timeout(BUSY_TIMEOUT).map_err(fail)?;
-    let is_new = check_origin(file, &connection)?;
-    if is_new {
+    if check_origin(file, &connection)? {
         // Effective only before the first table.
         connection
             .pragma_update(None, "auto_vacuum", "INCREMENTAL")
@@ -97,11 +92,10 @@ pub(super) fn open(file: &Path, max_checked_bytes: u64) -> Result<Connection, St
         .pragma_update_and_check(None, "journal_mode", "WAL", |row| row.get(0))
         .map_err(fail)?;
     if !mode.eq_ignore_ascii_case("wal") {
-        let detail =
-            format!("its file system does not support shared memory: the journal mode is {mode:?}");
+        let problem = "its file system does not support shared memory";
         return Err(StoreError::Io {
             file: file.to_path_buf(),
-            detail,
+            detail: format!("{problem}: the journal mode is {mode:?}"),
         });
     }
     if fs::metadata(file).is_ok_and(|file| file.len() <= max_checked_bytes) {
@@ -112,10 +106,6 @@ pub(super) fn open(file: &Path, max_checked_bytes: u64) -> Result<Connection, St
 }
 
 /// Opens a read-only connection, which does not checkpoint the WAL when it closes.
-///
-/// # Errors
-///
-/// As for any read.
 pub(super) fn open_reader(file: &Path) -> Result<Connection, StoreError> {
     let open = || {
         let flags = OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_NO_MUTEX;
@@ -157,9 +147,7 @@ pub(super) fn check_origin(file: &Path, connection: &Connection) -> Result<bool,
         return Ok(true);
     }
     if application != APPLICATION_ID {
-        return Err(StoreError::Foreign {
-            file: file.to_path_buf(),
-        });
+        return Err(StoreError::Foreign(file.to_path_buf()));
     }
     if version > KNOWN {
         return Err(StoreError::Newer {
@@ -169,10 +157,9 @@ pub(super) fn check_origin(file: &Path, connection: &Connection) -> Result<bool,
         });
     }
     if version < 1 || tables == 0 {
-        let detail = format!("schema {version} with {tables} tables is impossible");
         return Err(StoreError::Corrupt {
             file: file.to_path_buf(),
-            detail,
+            detail: format!("schema {version} with {tables} tables is impossible"),
         });
     }
     Ok(false)

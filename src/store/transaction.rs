@@ -73,7 +73,6 @@ impl<'a> Transaction<'a> {
         Ok(found.and_then(|(id, extent)| Some((id, extent?))))
     }
 
-    /// Writes the extent of `swarm`.
     pub(super) fn set_extent(&mut self, swarm: &str, id: i64, extent: &Extent) -> SqlResult<()> {
         if extent.bytes > self.quota_bytes {
             self.over_quota.insert(swarm.to_owned());

@@ -11,11 +11,11 @@ use std::time::{Duration, Instant};
 use rusqlite::{Connection, Error as SqlError, Result as SqlResult};
 use tracing::{error, warn};
 
-use super::backlog::Backlog;
+use super::backlog::{Backlog, MAX_BACKLOG};
 use super::damaged_copy;
-use super::error::StoreFault;
+use super::error::{StoreFault, unless_fatal};
 use super::failpoint;
-use super::queue::{GROUP, Submit};
+use super::queue::Submit;
 use super::reserve;
 use super::transaction::Transaction;
 use super::{Durability, Shared, Write};
@@ -62,7 +62,7 @@ impl Writer {
             .prepare("SELECT name FROM swarm")?
             .query_map([], |record| record.get(0))?
             .collect::<SqlResult<_>>()?;
-        let (backlog, swept_at) = (Backlog::default(), Instant::now());
+        let (backlog, swept_at) = (Backlog::new(MAX_BACKLOG), Instant::now());
         Ok(Writer {
             connection,
             folder,
@@ -87,15 +87,14 @@ impl Writer {
     pub(super) fn run(&mut self) -> Result<bool, StoreFault> {
         let mut has_work = true;
         loop {
-            let patience = if has_work {
-                Duration::ZERO
-            } else {
-                RETRY_INTERVAL
+            let patience = match has_work {
+                true => Duration::ZERO,
+                false => RETRY_INTERVAL,
             };
-            let (group, end) = self.shared.queue.take(patience);
+            let (group, has_ended) = self.shared.queue.take(patience);
             let is_idle = group.is_empty();
             self.process(group)?;
-            if end.is_some() {
+            if has_ended {
                 return self.close();
             }
             has_work = match is_idle || self.swept_at.elapsed() > SWEEP_INTERVAL {
@@ -126,7 +125,7 @@ impl Writer {
     pub(super) fn write_backlog(&mut self) -> Result<(), StoreFault> {
         while !self.backlog.is_empty() {
             let mut backlog = std::mem::take(&mut self.backlog);
-            let piece = backlog.front(GROUP);
+            let piece = backlog.front();
             let count = piece.len();
             let written = self.commit_or_make_room(piece);
             self.backlog = backlog;
@@ -194,13 +193,13 @@ impl Writer {
         &mut self,
         group: &[Submit],
     ) -> Result<Vec<Result<(), StoreFault>>, StoreFault> {
-        match self.commit(group) {
-            Err(StoreFault::Full) => match self.checkpoint_wal("PASSIVE") {
-                Ok(true) => self.commit(group),
-                Err(fault @ StoreFault::Fatal(_)) => Err(fault),
-                Ok(false) | Err(_) => Err(StoreFault::Full),
-            },
-            outcome => outcome,
+        let outcome = self.commit(group);
+        if outcome != Err(StoreFault::Full) {
+            return outcome;
+        }
+        match unless_fatal(self.checkpoint_wal("PASSIVE"), false)? {
+            true => self.commit(group),
+            false => outcome,
         }
     }
 
@@ -277,14 +276,11 @@ impl Writer {
     }
 
     fn update_backlog_metrics(&self) {
-        self.shared
-            .meter
-            .backlog
-            .store(self.backlog.writes(), Ordering::Relaxed);
-        self.shared
-            .meter
+        let (meter, backlog) = (&self.shared.meter, &self.backlog);
+        meter.backlog.store(backlog.writes(), Ordering::Relaxed);
+        meter
             .is_overrun
-            .store(self.backlog.is_overrun(), Ordering::Relaxed);
+            .store(backlog.is_overrun(), Ordering::Relaxed);
     }
 
     /// Reports the outcome of a submit. A panic of what receives it does not end the writer.
@@ -293,7 +289,6 @@ impl Writer {
             (Durability::Sync(done), _) | (Durability::Deferred(Some(done)), Ok(())) => done,
             (Durability::Deferred(_), outcome) => {
                 if let Err(StoreFault::Refused(reason)) = outcome {
-                    self.shared.meter.refused.fetch_add(1, Ordering::Relaxed);
                     let problem = "deferred writes rejected: they contradict what is stored";
                     warn!(reason, "{problem}");
                 }
@@ -308,13 +303,7 @@ impl Writer {
 
 /// Whether `writes` delete swarms and write at most answers besides.
 fn is_deletion(writes: &[Write]) -> bool {
-    writes
-        .iter()
-        .any(|write| matches!(write, Write::Delete { .. }))
-        && writes.iter().all(|write| {
-            matches!(
-                write,
-                Write::Delete { .. } | Write::Answer(_) | Write::Forget { .. }
-            )
-        })
+    let is_delete = |write: &Write| matches!(write, Write::Delete { .. });
+    let mut all = writes.iter();
+    writes.iter().any(is_delete) && all.all(|write| is_delete(write) || write.swarm().is_none())
 }

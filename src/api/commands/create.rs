@@ -1,13 +1,10 @@
 //! `create`: a new swarm.
 
 use jostle_proto::verbs::CreateArgs;
-use jostle_proto::{Request, keys};
 
 use super::created;
-use crate::api::context::Context;
-use crate::api::responder::Responder;
-use crate::convert::commands::{CommandError, DEFAULT_TIMEOUT, create};
-use crate::convert::digest::RequestIdentity;
+use crate::api::context::{Context, Parsed};
+use crate::convert::commands::{CommandError, create};
 use crate::persistence::writer::NewSwarm;
 use crate::swarm::handle::{Message, Rejection, ReplyTo};
 use crate::swarm::registry::Created;
@@ -15,18 +12,14 @@ use crate::swarm::registry::Created;
 impl Context {
     pub(super) fn create(
         &self,
-        responder: &Responder,
-        request: &Request,
+        command: &Parsed<'_>,
+        args: CreateArgs,
     ) -> Result<(), CommandError> {
-        let key = keys::node_cmd(&self.prefix, &self.node, "create");
-        let begun = self.begin("create", &key, request, DEFAULT_TIMEOUT, responder)?;
-        let Some(args) = begun else {
-            return Ok(());
-        };
         let spec = create::spec(&args, self.host.limits())?;
         let CreateArgs { name, exist_ok, .. } = args;
         let answer = |is_new: bool| {
-            let (responder, name, spec) = (responder.clone(), name.clone(), spec.clone());
+            let (name, spec) = (name.clone(), spec.clone());
+            let responder = command.responder.clone();
             ReplyTo::new(move |answered| match answered {
                 Err(Rejection { step, error }) => responder.reject(&create::explain(error), step),
                 answered => responder.respond(answered, move |stamp, outcome| {
@@ -38,7 +31,7 @@ impl Context {
             store: self.store.clone(),
             name: name.clone(),
             spec: spec.clone(),
-            identity: RequestIdentity::of(&key, request),
+            identity: command.identity(),
         });
         let created = self
             .host

@@ -1,23 +1,20 @@
 //! `discard`: deletes this daemon's swarm of a name that other daemons may also hold.
 
+use jostle_proto::Request;
 use jostle_proto::verbs::DiscardArgs;
-use jostle_proto::{Request, keys};
 
-use crate::api::context::Context;
-use crate::api::responder::Responder;
-use crate::convert::commands::{self, CommandError, DEFAULT_TIMEOUT, check_name};
+use crate::api::context::{Context, Parsed};
+use crate::convert::commands::{self, CommandError, check_name};
 
 impl Context {
     pub(super) fn discard(
         &self,
-        responder: &Responder,
-        request: &Request,
+        command: &Parsed<'_>,
+        DiscardArgs { name }: DiscardArgs,
     ) -> Result<(), CommandError> {
-        let key = keys::node_cmd(&self.prefix, &self.node, "discard");
-        let begun = self.begin("discard", &key, request, DEFAULT_TIMEOUT, responder)?;
-        let Some(DiscardArgs { name }) = begun else {
-            return Ok(());
-        };
+        let Parsed {
+            request, responder, ..
+        } = *command;
         check_name("name", &name)?;
         // The journal records it as the `delete` that it is.
         let delete = Request {

@@ -1,23 +1,17 @@
 //! `experiment`: submits, pauses, resumes, cancels and deletes experiments.
 
-use jostle_proto::{ExperimentArgs, ExperimentResult, NodeReply, Request, keys};
+use jostle_proto::{ExperimentArgs, ExperimentResult, NodeReply};
 
-use crate::api::context::Context;
-use crate::api::responder::Responder;
-use crate::convert::commands::{CommandError, DEFAULT_TIMEOUT, check_name};
+use crate::api::context::{Context, Parsed};
+use crate::convert::commands::{CommandError, check_name};
 use crate::convert::{self, Payload};
 
 impl Context {
     pub(super) fn experiment(
         &self,
-        responder: &Responder,
-        request: &Request,
+        command: &Parsed<'_>,
+        args: ExperimentArgs,
     ) -> Result<(), CommandError> {
-        let key = keys::node_cmd(&self.prefix, &self.node, "experiment");
-        let begun = self.begin("experiment", &key, request, DEFAULT_TIMEOUT, responder)?;
-        let Some(args) = begun else {
-            return Ok(());
-        };
         let (action, name) = match &args {
             ExperimentArgs::Submit(args) => ("submit", args.name.as_deref()),
             ExperimentArgs::Pause(args) => ("pause", Some(args.name.as_str())),
@@ -29,7 +23,7 @@ impl Context {
             let checked = check_name("name", name);
             checked.map_err(|error| error.within(action.to_owned()))?;
         }
-        let (node, responder) = (self.node.clone(), responder.clone());
+        let (node, responder) = (self.node.clone(), command.responder.clone());
         self.experiment_files.submit(move |lab| {
             let done = match &args {
                 ExperimentArgs::Submit(args) => lab.submit(args.name.as_deref(), &args.toml),

@@ -3,11 +3,10 @@
 use std::sync::Arc;
 use std::thread;
 
-use jostle_proto::Request;
 use jostle_proto::verbs::ForkArgs;
 
 use super::created;
-use crate::api::context::Context;
+use crate::api::context::{Context, Parsed};
 use crate::api::incoming::Incoming;
 use crate::api::responder::Responder;
 use crate::convert::commands::{CommandError, DEFAULT_TIMEOUT, check_name};
@@ -27,9 +26,12 @@ impl Context {
         incoming: &Incoming,
         responder: &Responder,
     ) -> Result<(), CommandError> {
-        let key = incoming.key();
-        let request = self.request(incoming)?;
-        let begun = self.begin("fork", key, &request, DEFAULT_TIMEOUT, responder)?;
+        let command = Parsed {
+            key: &incoming.key,
+            request: &self.request(incoming)?,
+            responder,
+        };
+        let begun = self.begin("fork", &command, DEFAULT_TIMEOUT)?;
         let Some(ForkArgs { name, step }) = begun else {
             return Ok(());
         };
@@ -41,7 +43,7 @@ impl Context {
         {
             return Err(CommandError::NotReached { step, now });
         }
-        let copy = self.copy(name, PauseReason::Forked, key, &request, responder);
+        let copy = self.copy(name, PauseReason::Forked, &command);
         match step {
             Some(step) => {
                 let (store, swarm) = (self.store.clone(), swarm.clone());
@@ -63,20 +65,13 @@ impl Context {
         Ok(())
     }
 
-    /// A copy of a swarm that `request` to `key` makes.
-    pub(super) fn copy(
-        &self,
-        name: String,
-        reason: PauseReason,
-        key: &str,
-        request: &Request,
-        responder: &Responder,
-    ) -> Copy {
+    /// A copy of a swarm that `command` makes.
+    pub(super) fn copy(&self, name: String, reason: PauseReason, command: &Parsed<'_>) -> Copy {
         Copy {
             host: self.host.clone(),
             store: self.store.clone(),
-            identity: RequestIdentity::of(key, request),
-            responder: responder.clone(),
+            identity: command.identity(),
+            responder: command.responder.clone(),
             name,
             reason,
         }

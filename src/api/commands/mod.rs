@@ -13,14 +13,14 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use jostle_physics::simulation::Spec;
-use jostle_proto::keys;
+use jostle_proto::{Arguments, keys};
 
 pub use record::{count, resume};
 
-use crate::api::context::Context;
+use crate::api::context::{Context, Parsed};
 use crate::api::incoming::Incoming;
 use crate::api::responder::Responder;
-use crate::convert::commands::{self, CommandError, truncate};
+use crate::convert::commands::{self, CommandError, DEFAULT_TIMEOUT, truncate};
 use crate::convert::digest::RequestIdentity;
 use crate::convert::{self, Payload};
 use crate::swarm::frame::Stamp;
@@ -30,11 +30,10 @@ impl Context {
     /// Executes a command to a swarm.
     pub(crate) fn command(&self, swarm: &Arc<str>, incoming: &Incoming) {
         let responder = self.responder(incoming);
-        let verb = incoming
-            .key()
-            .strip_prefix(&keys::cmd(&self.prefix, swarm, ""));
+        let prefix = keys::cmd(&self.prefix, swarm, "");
+        let verb = incoming.key.strip_prefix(&prefix);
         let done = match verb {
-            _ if incoming.is_wild() => Err(CommandError::Wildcard),
+            _ if incoming.is_wild => Err(CommandError::Wildcard),
             Some("fork") => self.fork(swarm, incoming, &responder),
             Some("seek") => self.seek(swarm, incoming, &responder),
             verb => self.swarm_command(swarm, verb.unwrap_or_default(), incoming, &responder),
@@ -53,17 +52,16 @@ impl Context {
         incoming: &Incoming,
         responder: &Responder,
     ) -> Result<(), CommandError> {
-        let key = incoming.key();
         let request = self.request(incoming)?;
         let (mut message, returns_state) = commands::read(verb, &request)?;
         let timeout = commands::timeout(&request)?;
         if let Some(controller) = message.command.controller()
             && let rights = self.rights.current()
-            && let Some(person) = rights.sender(incoming.token(), verb)?
+            && let Some(person) = rights.sender(&incoming.token, verb)?
         {
             person.permit_controller(controller)?;
         }
-        let identity = RequestIdentity::of(key, &request);
+        let identity = RequestIdentity::of(&incoming.key, &request);
         if let Some(sender) = Arc::get_mut(&mut message.sender) {
             sender.digest = identity.as_ref().map(|it| it.digest);
         }
@@ -72,13 +70,8 @@ impl Context {
             responder.set_deadline(timeout, CommandError::deadline, step);
             return Ok(());
         }
-        send(
-            responder,
-            &self.find(swarm)?,
-            timeout,
-            message,
-            returns_state,
-        );
+        let swarm = self.find(swarm)?;
+        send(responder, &swarm, timeout, message, returns_state);
         Ok(())
     }
 
@@ -87,7 +80,7 @@ impl Context {
     pub(crate) fn replay_deletion(&self, incoming: &Incoming) {
         if self.permit(incoming).is_ok()
             && let Ok(request) = self.request(incoming)
-            && let Some(identity) = RequestIdentity::of(incoming.key(), &request)
+            && let Some(identity) = RequestIdentity::of(&incoming.key, &request)
             && let Some(reply) = self.idempotency.find(identity)
         {
             self.responder(incoming).send(move || reply);
@@ -107,25 +100,43 @@ impl Context {
         incoming: &Incoming,
         responder: &Responder,
     ) -> Result<(), CommandError> {
-        if incoming.is_wild() {
+        if incoming.is_wild {
             return Err(CommandError::Wildcard);
         }
         let prefix = keys::node_cmd(&self.prefix, &self.node, "");
-        let execute = match incoming.key().strip_prefix(&prefix) {
-            Some("create") => Self::create,
-            Some("restore") => Self::restore,
-            Some("discard") => Self::discard,
-            Some("experiment") => Self::experiment,
-            Some("replay") => Self::replay,
-            Some("record") => Self::record,
-            verb => {
-                return Err(CommandError::UnknownVerb {
-                    verb: truncate(verb.unwrap_or_default()),
-                    known: &keys::NODE_VERBS,
-                });
-            }
+        let given = incoming.key.strip_prefix(&prefix).unwrap_or_default();
+        let Some(verb) = keys::NODE_VERBS.into_iter().find(|it| *it == given) else {
+            return Err(CommandError::UnknownVerb {
+                verb: truncate(given),
+                known: &keys::NODE_VERBS,
+            });
         };
-        execute(self, responder, &self.request(incoming)?)
+        let command = Parsed {
+            key: &incoming.key,
+            request: &self.request(incoming)?,
+            responder,
+        };
+        match verb {
+            "create" => self.execute(verb, &command, Self::create),
+            "restore" => self.execute(verb, &command, Self::restore),
+            "discard" => self.execute(verb, &command, Self::discard),
+            "experiment" => self.execute(verb, &command, Self::experiment),
+            "record" => self.execute(verb, &command, Self::record),
+            _ => self.replay(&command),
+        }
+    }
+
+    /// Begins a command to the daemon, and executes it unless it is a duplicate.
+    fn execute<A: Arguments>(
+        &self,
+        verb: &'static str,
+        command: &Parsed<'_>,
+        execute: fn(&Self, &Parsed<'_>, A) -> Result<(), CommandError>,
+    ) -> Result<(), CommandError> {
+        match self.begin(verb, command, DEFAULT_TIMEOUT)? {
+            Some(args) => execute(self, command, args),
+            None => Ok(()),
+        }
     }
 }
 

@@ -3,14 +3,12 @@
 use std::sync::Arc;
 
 use jostle_convert::WireError;
-use jostle_proto::{
-    DEFAULT_MAX_RECORDING_BYTES, NodeReply, RecordArgs, RecordingFormat, Request, keys,
-};
+use jostle_proto::{DEFAULT_MAX_RECORDING_BYTES, NodeReply, RecordArgs, RecordingFormat};
 use tracing::warn;
 
-use crate::api::context::{Context, Executor};
+use crate::api::context::{Context, Executor, Parsed};
 use crate::api::responder::Responder;
-use crate::convert::commands::{CommandError, DEFAULT_TIMEOUT, check_name};
+use crate::convert::commands::{CommandError, check_name};
 use crate::convert::{self, Payload};
 use crate::health::RecordingCounts;
 use crate::recording::{Phase, RecordError, Recordings, Source, Status};
@@ -21,20 +19,12 @@ use crate::swarm::registry::SwarmRegistry;
 impl Context {
     pub(super) fn record(
         &self,
-        responder: &Responder,
-        request: &Request,
+        command: &Parsed<'_>,
+        args: RecordArgs,
     ) -> Result<(), CommandError> {
-        let key = keys::node_cmd(&self.prefix, &self.node, "record");
-        let begun = self.begin("record", &key, request, DEFAULT_TIMEOUT, responder)?;
-        let Some(args) = begun else {
-            return Ok(());
-        };
         check(&args)?;
-        let (files, node, responder) = (
-            self.recording_files.clone(),
-            self.node.clone(),
-            responder.clone(),
-        );
+        let (node, responder) = (self.node.clone(), command.responder.clone());
+        let files = self.recording_files.clone();
         match args {
             RecordArgs::Begin(args) => {
                 let is_same = |name: &String| *name == args.swarm;

@@ -7,9 +7,9 @@ use std::time::Duration;
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
-use jostle_proto::{NodeReply, OpenArgs, ReplayArgs, ReplayResult, Request, UploadArgs, keys};
+use jostle_proto::{NodeReply, OpenArgs, ReplayArgs, ReplayResult, Request, UploadArgs};
 
-use crate::api::context::{Context, reject_preconditions};
+use crate::api::context::{Context, Parsed, reject_preconditions};
 use crate::api::responder::Responder;
 use crate::convert::commands::{self, CommandError, check_name};
 use crate::convert::{self, Payload};
@@ -22,42 +22,35 @@ use crate::swarm::registry::SwarmRegistry;
 const OPEN_TIMEOUT: Duration = Duration::from_secs(60);
 
 impl Context {
-    pub(super) fn replay(
-        &self,
-        responder: &Responder,
-        request: &Request,
-    ) -> Result<(), CommandError> {
-        match request.args()? {
-            ReplayArgs::Upload(piece) => self.upload(piece, responder, request),
-            ReplayArgs::Open(args) => self.open(args, responder, request),
+    pub(super) fn replay(&self, command: &Parsed<'_>) -> Result<(), CommandError> {
+        match command.request.args()? {
+            ReplayArgs::Upload(piece) => self.upload(piece, command),
+            ReplayArgs::Open(args) => self.open(args, command),
         }
     }
 
     /// Stores a piece of a recording. A piece that is stored already succeeds, so its request id is
     /// not looked up.
-    fn upload(
-        &self,
-        piece: UploadArgs,
-        responder: &Responder,
-        request: &Request,
-    ) -> Result<(), CommandError> {
+    fn upload(&self, piece: UploadArgs, command: &Parsed<'_>) -> Result<(), CommandError> {
+        let Parsed {
+            request, responder, ..
+        } = *command;
         reject_preconditions(request)?;
         commands::sender("replay", request)?;
-        let within = |error: CommandError| error.within("upload".to_owned());
-        check_name("name", &piece.name).map_err(within)?;
-        let whole =
-            |field, number| jostle_convert::value::whole(field, number).map_err(CommandError::from);
-        whole("offset", piece.offset).map_err(within)?;
-        whole("length", piece.length).map_err(within)?;
-        let bytes = STANDARD.decode(piece.bytes.as_bytes()).map_err(|_| {
-            within(CommandError::Field {
+        let check = || {
+            check_name("name", &piece.name)?;
+            jostle_convert::value::whole("offset", piece.offset)?;
+            jostle_convert::value::whole("length", piece.length)?;
+            let bytes = STANDARD.decode(piece.bytes.as_bytes());
+            bytes.map_err(|_| CommandError::Field {
                 field: "bytes",
                 problem: "is not base64",
             })
-        })?;
+        };
+        let bytes = check().map_err(|error| error.within("upload".to_owned()))?;
         responder.set_deadline(commands::timeout(request)?, CommandError::deadline, None);
-        let (uploads, node, responder) =
-            (self.uploads.clone(), self.node.clone(), responder.clone());
+        let (node, responder) = (self.node.clone(), responder.clone());
+        let uploads = self.uploads.clone();
         self.experiment_files.submit(move |_| {
             let received = uploads.receive(&piece.name, piece.offset, piece.length, &bytes);
             responder.finish(received, move |uploaded| {
@@ -71,14 +64,8 @@ impl Context {
         Ok(())
     }
 
-    fn open(
-        &self,
-        args: OpenArgs,
-        responder: &Responder,
-        request: &Request,
-    ) -> Result<(), CommandError> {
-        let key = keys::node_cmd(&self.prefix, &self.node, "replay");
-        let begun = self.begin::<ReplayArgs>("replay", &key, request, OPEN_TIMEOUT, responder)?;
+    fn open(&self, args: OpenArgs, command: &Parsed<'_>) -> Result<(), CommandError> {
+        let begun = self.begin::<ReplayArgs>("replay", command, OPEN_TIMEOUT)?;
         if begun.is_none() {
             return Ok(());
         }
@@ -87,7 +74,8 @@ impl Context {
         if let Some(recording) = &args.recording {
             check_name("recording", recording).map_err(within)?;
         }
-        let (host, node, responder) = (self.host.clone(), self.node.clone(), responder.clone());
+        let (node, responder) = (self.node.clone(), command.responder.clone());
+        let host = self.host.clone();
         let (uploads, recordings) = (self.uploads.clone(), self.recordings.clone());
         let opened = thread::Builder::new().name("replay".into()).spawn(move || {
             let source = match &args.recording {

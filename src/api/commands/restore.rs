@@ -4,11 +4,9 @@ use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use jostle_physics::simulation::ReserveError;
 use jostle_proto::verbs::RestoreArgs;
-use jostle_proto::{Request, keys};
 
-use crate::api::context::Context;
-use crate::api::responder::Responder;
-use crate::convert::commands::{CommandError, DEFAULT_TIMEOUT, check_name};
+use crate::api::context::{Context, Parsed};
+use crate::convert::commands::{CommandError, check_name};
 use crate::convert::validate;
 use crate::persistence::checkpoints;
 use crate::swarm::error::SwarmError;
@@ -17,14 +15,9 @@ use crate::swarm::phase::PauseReason;
 impl Context {
     pub(super) fn restore(
         &self,
-        responder: &Responder,
-        request: &Request,
+        command: &Parsed<'_>,
+        RestoreArgs { name, snapshot }: RestoreArgs,
     ) -> Result<(), CommandError> {
-        let key = keys::node_cmd(&self.prefix, &self.node, "restore");
-        let begun = self.begin("restore", &key, request, DEFAULT_TIMEOUT, responder)?;
-        let Some(RestoreArgs { name, snapshot }) = begun else {
-            return Ok(());
-        };
         check_name("name", &name)?;
         let checkpoint = STANDARD
             .decode(snapshot.as_bytes())
@@ -42,8 +35,8 @@ impl Context {
         if n > limit {
             return Err(SwarmError::from(ReserveError::TooMany { n, limit }).into());
         }
-        let copy = self.copy(name, PauseReason::Restored, &key, request, responder);
-        copy.make(checkpoint);
+        self.copy(name, PauseReason::Restored, command)
+            .make(checkpoint);
         Ok(())
     }
 }

@@ -26,10 +26,10 @@ impl Context {
 
     /// Replies to a query of one experiment; a wildcard matches `progress` alone.
     pub(crate) fn experiment_get(&self, incoming: &Incoming) {
-        if incoming.is_wild() {
+        if incoming.is_wild {
             for report in self.lab.reports() {
                 let key = keys::experiment(&self.prefix, &self.node, &report.name, "progress");
-                if incoming.matches(&key) {
+                if incoming.peer.matches(&key) {
                     let responder = self.replies.responder(incoming, key);
                     if let Err(error) = progress(incoming, &responder, report) {
                         responder.reject(&error, None);
@@ -40,7 +40,7 @@ impl Context {
         }
         let responder = self.responder(incoming);
         let prefix = keys::experiment(&self.prefix, &self.node, "", "");
-        let below = incoming.key().strip_prefix(prefix.trim_end_matches('/'));
+        let below = incoming.key.strip_prefix(prefix.trim_end_matches('/'));
         let (name, noun) = below
             .and_then(|below| below.trim_start_matches('/').split_once('/'))
             .unwrap_or_default();

@@ -17,7 +17,7 @@ use crate::convert::commands::{CommandError, truncate};
 impl Context {
     /// Rejects a query of a noun that does not exist.
     fn reject_noun(&self, incoming: &Incoming, known: &'static [&'static str]) {
-        let key = incoming.key();
+        let key = incoming.key.as_str();
         let noun = key.split_once("/get/").map_or(key, |(_, noun)| noun);
         let error = CommandError::UnknownNoun {
             noun: truncate(noun),

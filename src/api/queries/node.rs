@@ -18,12 +18,12 @@ impl Context {
         let mut is_known = false;
         for noun in keys::NODE_GETS {
             let key = keys::node_get(&self.prefix, &self.node, noun);
-            if !incoming.matches(&key) {
+            if !incoming.peer.matches(&key) {
                 continue;
             }
             is_known = true;
             // It is expensive and needs the name of a recording: a wildcard does not match it.
-            if noun == "recording" && incoming.is_wild() {
+            if noun == "recording" && incoming.is_wild {
                 continue;
             }
             let responder = self.replies.responder(incoming, key);
@@ -41,7 +41,7 @@ impl Context {
                 Err(error) => responder.reject(&error, None),
             }
         }
-        if !is_known && !incoming.is_wild() {
+        if !is_known && !incoming.is_wild {
             self.reject_noun(incoming, &keys::NODE_GETS);
         }
     }
@@ -67,11 +67,9 @@ impl Context {
     fn who_asks(&self, incoming: &Incoming) -> WhoAmI {
         let (person, role) = match &*self.rights.current() {
             Rights::Open => (None, Some(Role::Operator)),
-            known => known
-                .owner(incoming.token())
-                .map_or((None, None), |person| {
-                    (Some(person.name.clone()), Some(person.role))
-                }),
+            known => known.owner(&incoming.token).map_or((None, None), |person| {
+                (Some(person.name.clone()), Some(person.role))
+            }),
         };
         let may = |verbs: &[&str]| {
             let verbs = verbs.iter();

@@ -15,7 +15,7 @@ impl Context {
         incoming: &Incoming,
         responder: &Responder,
     ) -> Result<(), CommandError> {
-        self.rights.current().permit(incoming.token(), "record")?;
+        self.rights.current().permit(&incoming.token, "record")?;
         let (mut name, mut part, mut offset) = (None, 0, 0);
         for (parameter, value) in selector(incoming.parameters(), &["name", "part", "offset"])? {
             let number = |field| {

@@ -42,11 +42,11 @@ impl Context {
 
     /// Replies to each noun that the key expression matches.
     pub(crate) fn get(&self, swarm: &Arc<str>, incoming: &Incoming) {
-        let is_concrete = !incoming.is_wild();
+        let is_concrete = !incoming.is_wild;
         let mut is_known = false;
         for noun in keys::SWARM_GETS {
             let key = keys::get(&self.prefix, swarm, noun);
-            if !incoming.matches(&key) || (CONCRETE_ONLY.contains(&noun) && !is_concrete) {
+            if !incoming.peer.matches(&key) || (CONCRETE_ONLY.contains(&noun) && !is_concrete) {
                 continue;
             }
             is_known = true;
@@ -76,7 +76,7 @@ impl Context {
         if is_concrete {
             return self.reject_noun(incoming, &keys::SWARM_GETS);
         }
-        let key = incoming.key();
+        let key = incoming.key.as_str();
         let noun = key.rsplit_once('/').map_or(key, |(_, noun)| noun);
         if CONCRETE_ONLY.contains(&noun) {
             let error = CommandError::Field {

@@ -4,6 +4,16 @@ use std::os::unix::fs::PermissionsExt;
 
 use super::*;
 use crate::auth::Rights;
+use crate::auth::tests::made;
+
+/// The name of each user in `people.json` and in the file of passwords.
+fn names(folder: &Folder) -> Vec<[String; 2]> {
+    let (people, passwords) = (folder.people().unwrap().people, folder.passwords().unwrap());
+    assert_eq!(people.len(), passwords.len());
+    let both = people.into_iter().zip(passwords);
+    both.map(|(entry, (name, _))| [entry.person, name])
+        .collect()
+}
 
 fn viewer(name: &str) -> (String, Role) {
     (name.to_owned(), Role::Viewer)
@@ -13,10 +23,8 @@ fn viewer(name: &str) -> (String, Role) {
 fn init_keeps_what_exists_and_creates_the_rest_for_the_owner_only() {
     let base = tempfile::tempdir().unwrap();
     let folder = Folder::at(base.path().join("deep/auth"));
-    assert!(matches!(
-        Rights::read(folder.clone()),
-        Err(AuthError::NoUsers(_))
-    ));
+    let refused = Rights::read(folder.clone());
+    assert!(matches!(refused, Err(AuthError::NoUsers(_))));
     init(&folder, &[], &[viewer("anna")]).unwrap();
     let [ca, key] = folder.authority();
     let before = (read(&ca).unwrap(), folder.credentials("anna").unwrap());
@@ -26,15 +34,7 @@ fn init_keeps_what_exists_and_creates_the_rest_for_the_owner_only() {
     assert_eq!(read(&ca).unwrap(), before.0);
     assert!((&after.token, &after.password) == (&before.1.token, &before.1.password));
     assert_eq!(after.endpoint, "tls/lab.example:7447");
-    let names: Vec<_> = folder
-        .people()
-        .unwrap()
-        .people
-        .into_iter()
-        .map(|it| it.person)
-        .collect();
-    assert_eq!(names, ["anna", "ben", "cleo"]);
-    assert_eq!(folder.passwords().unwrap().len(), 3);
+    assert_eq!(names(&folder), ["anna", "ben", "cleo"].map(|it| [it; 2]));
 
     let mut folders = vec![folder.path().to_owned()];
     while let Some(path) = folders.pop() {
@@ -70,9 +70,7 @@ fn files_that_root_writes_belong_to_the_owner_of_the_folder() {
     if !rustix::process::geteuid().is_root() {
         return;
     }
-    let base = tempfile::tempdir().unwrap();
-    let folder = Folder::at(base.path().join("auth"));
-    init(&folder, &[], &[viewer("anna")]).unwrap();
+    let (_base, folder) = made(&[viewer("anna")]);
     let files = [
         folder.path().to_owned(),
         folder.people_file(),
@@ -85,20 +83,14 @@ fn files_that_root_writes_belong_to_the_owner_of_the_folder() {
     remove(&folder, &["anna".into()]).unwrap();
     for path in &files {
         let owner = fs::metadata(path).unwrap();
-        assert_eq!(
-            (owner.uid(), owner.gid()),
-            (12345, 12346),
-            "{}",
-            path.display()
-        );
+        let ids = (owner.uid(), owner.gid());
+        assert_eq!(ids, (12345, 12346), "{}", path.display());
     }
 }
 
 #[test]
 fn init_completes_an_interrupted_run() {
-    let base = tempfile::tempdir().unwrap();
-    let folder = Folder::at(base.path().join("auth"));
-    init(&folder, &[], &[viewer("anna")]).unwrap();
+    let (_base, folder) = made(&[viewer("anna")]);
     let [[ca, _], [daemon, daemon_key]] = [folder.authority(), folder.daemon()];
     for lost in [&ca, &daemon, &daemon_key] {
         fs::remove_file(lost).unwrap();
@@ -113,9 +105,7 @@ fn init_completes_an_interrupted_run() {
 
 #[test]
 fn concurrent_additions_and_removals_all_take_effect() {
-    let base = tempfile::tempdir().unwrap();
-    let folder = Folder::at(base.path().join("auth"));
-    init(&folder, &[], &[viewer("evil")]).unwrap();
+    let (_base, folder) = made(&[viewer("evil")]);
     std::thread::scope(|scope| {
         scope.spawn(|| remove(&folder, &["evil".into()]).unwrap());
         for name in ["a", "b", "c", "d"] {
@@ -123,19 +113,12 @@ fn concurrent_additions_and_removals_all_take_effect() {
             scope.spawn(move || add(folder, &[viewer(name)]).unwrap());
         }
     });
-    let known = folder.people().unwrap().people;
-    let names: Vec<_> = known.iter().map(|it| it.person.as_str()).collect();
-    assert_eq!(names, ["a", "b", "c", "d"]);
-    let passwords = folder.passwords().unwrap();
-    let names: Vec<_> = passwords.iter().map(|(name, _)| name.as_str()).collect();
-    assert_eq!(names, ["a", "b", "c", "d"]);
+    assert_eq!(names(&folder), ["a", "b", "c", "d"].map(|it| [it; 2]));
 }
 
 #[test]
 fn the_next_change_removes_what_is_left_of_unknown_users() {
-    let base = tempfile::tempdir().unwrap();
-    let folder = Folder::at(base.path().join("auth"));
-    init(&folder, &[], &[viewer("anna")]).unwrap();
+    let (_base, folder) = made(&[viewer("anna")]);
     type Change = fn(&Folder);
     let changes: [Change; 3] = [
         |folder| drop(init(folder, &[], &[viewer("anna")]).unwrap()),
@@ -147,14 +130,9 @@ fn the_next_change_removes_what_is_left_of_unknown_users() {
         add(&folder, &[viewer("ghost")]).unwrap();
         // As after a removal that is interrupted at once.
         folder.write_people(&known).unwrap();
-        let warnings = Rights::read(folder.clone())
-            .unwrap()
-            .expiry_warnings(60)
-            .unwrap();
-        assert!(
-            warnings[0].contains("`jostled auth remove ghost`"),
-            "{warnings:?}"
-        );
+        let rights = Rights::read(folder.clone()).unwrap();
+        let warning = &rights.expiry_warnings(60).unwrap()[0];
+        assert!(warning.contains("`jostled auth remove ghost`"), "{warning}");
         change(&folder);
         assert!(!folder.of("ghost").exists() && folder.of("anna").exists());
         let passwords = folder.passwords().unwrap();
@@ -165,30 +143,22 @@ fn the_next_change_removes_what_is_left_of_unknown_users() {
     known.until = None;
     folder.write_people(&known).unwrap();
     init(&folder, &[], &[]).unwrap();
-    assert_eq!(folder.people().unwrap().until, Some(last_day()));
+    assert_eq!(folder.people().unwrap().until, Some(in_days(DAYS)));
     let other = (String::from("anna"), Role::Operator);
-    assert!(matches!(
-        init(&folder, &[], &[other]),
-        Err(AuthError::Exists(_))
-    ));
-    assert!(matches!(
-        add(&folder, &[viewer(DAEMON)]),
-        Err(AuthError::Name(_))
-    ));
+    let refused = init(&folder, &[], &[other]);
+    assert!(matches!(refused, Err(AuthError::Exists(_))));
+    let refused = add(&folder, &[viewer(DAEMON)]);
+    assert!(matches!(refused, Err(AuthError::Name(_))));
 }
 
 #[test]
 fn an_error_changes_nothing() {
     let base = tempfile::tempdir().unwrap();
     let folder = Folder::at(base.path().join("auth"));
-    assert!(matches!(
-        add(&folder, &[viewer("anna")]),
-        Err(AuthError::NoUsers(_))
-    ));
-    assert!(matches!(
-        init(&folder, &[], &[viewer("anna"), viewer("anna")]),
-        Err(AuthError::Duplicate(_))
-    ));
+    let refused = add(&folder, &[viewer("anna")]);
+    assert!(matches!(refused, Err(AuthError::NoUsers(_))));
+    let refused = init(&folder, &[], &[viewer("anna"), viewer("anna")]);
+    assert!(matches!(refused, Err(AuthError::Duplicate(_))));
     assert!(!folder.path().exists());
     init(&folder, &[], &[viewer("anna")]).unwrap();
     let people = folder.people().unwrap();
@@ -201,31 +171,18 @@ fn an_error_changes_nothing() {
         remove(&folder, &["anna".into(), "ben".into()]).map(|()| Vec::new()),
     ] {
         let refused = refused.unwrap_err().to_string();
-        assert!(
-            refused.contains("anna") || refused.contains("ben"),
-            "{refused}"
-        );
+        let is_named = refused.contains("anna") || refused.contains("ben");
+        assert!(is_named, "{refused}");
         assert_eq!(folder.people().unwrap(), people);
         assert!(!folder.of("ben").exists() && folder.of("anna").exists());
     }
     remove(&folder, &["anna".into()]).unwrap();
     assert!(folder.people().unwrap().people.is_empty() && folder.passwords().unwrap().is_empty());
     assert!(!folder.of("anna").exists());
-    for strange in [
-        "no such host",
-        "",
-        "lab..example",
-        "tls/lab:7447",
-        "[::1]",
-        "10.0.0.300",
-    ] {
+    for strange in "no such host,,lab..example,tls/lab:7447,[::1],10.0.0.300".split(',') {
         let refused = init(&folder, &[strange.into()], &[]);
         assert!(matches!(refused, Err(AuthError::Host(_))), "{strange}");
     }
-    init(
-        &folder,
-        &["10.0.0.1".into(), "fe80::1".into(), "lab-1.example".into()],
-        &[],
-    )
-    .unwrap();
+    let hosts = ["10.0.0.1", "fe80::1", "lab-1.example"].map(str::to_owned);
+    init(&folder, &hosts, &[]).unwrap();
 }

@@ -13,10 +13,7 @@ struct Everything {
 
 /// Reads everything; an error if damage was reported.
 fn everything(folder: &Path, max_checked_bytes: u64) -> Result<Everything, String> {
-    let settings = Settings {
-        quota_bytes: u64::MAX,
-    };
-    let store = Store::open_checking(folder, settings, Box::new(|_| {}), max_checked_bytes)
+    let store = Store::open_checking(folder, UNLIMITED, Box::new(|_| {}), max_checked_bytes)
         .map_err(|error| error.to_string())?;
     let read = read_all(&store).map_err(|error| error.to_string());
     let damaged = store.health().damaged;
@@ -31,13 +28,9 @@ fn read_all(store: &Store) -> Result<Everything, StoreError> {
     let (mut rows, mut checkpoints) = (Vec::new(), Vec::new());
     for (swarm, _) in &swarms {
         rows.push(store.rows(swarm, 0, usize::MAX)?.rows);
-        let infos = store.checkpoints(swarm)?;
-        let read: Result<_, _> = infos
-            .iter()
-            .rev()
-            .map(|info| store.checkpoint(swarm, info.number))
-            .collect();
-        checkpoints.push(read?);
+        let infos = store.checkpoints(swarm)?.into_iter().rev();
+        let read = infos.map(|info| store.checkpoint(swarm, info.number));
+        checkpoints.push(read.collect::<Result<_, _>>()?);
     }
     Ok(Everything {
         swarms,
@@ -49,7 +42,7 @@ fn read_all(store: &Store) -> Result<Everything, StoreError> {
 
 /// Copies the database and its WAL, to be damaged.
 fn copy(from: &Path, to: &Path) {
-    for name in ["jostle.sqlite", "jostle.sqlite-wal"] {
+    for name in [FILE, WAL] {
         let _ = fs::remove_file(to.join(name));
         if from.join(name).exists() {
             fs::copy(from.join(name), to.join(name)).unwrap();
@@ -59,133 +52,95 @@ fn copy(from: &Path, to: &Path) {
 }
 
 /// Swarms `a` and `b` with a tree of several pages and checkpoints larger than a page.
-fn fill(store: &Store) {
+fn filled() -> (TempDir, Everything) {
     let mut writes = vec![create("a"), create("b")];
-    for number in 1..=120 {
-        let body = vec![number as u8; 300];
-        let row = Row {
-            body,
-            ..row(number)
-        };
-        writes.push(Write::Append {
-            swarm: "a".to_string(),
-            row,
-        });
-    }
-    writes.extend([
-        append("b", 1),
-        append("b", 2),
-        keep("b", 2, 10),
-        keep("a", 60, 9000),
-        keep("a", 120, 50),
-    ]);
+    writes.extend((1..=120).map(|number| append_large("a", number, 300)));
+    writes.extend(appends("b", 1..=2));
+    writes.extend([keep("b", 2, 10), keep("a", 60, 9000), keep("a", 120, 50)]);
     writes.extend((1..=40).map(|number| Write::Answer(answer(number))));
-    durable(store, writes).unwrap();
-}
-
-/// Flips a bit of every `step`-th byte of the file, one at a time. Returns how many were tried and how
-/// many reported.
-fn flip_file(step: usize, max_checked_bytes: u64) -> (usize, usize) {
-    let (folder, damaged) = (folder(), folder());
-    let store = open(folder.path());
-    fill(&store);
+    let (folder, store) = stored(writes);
     assert!(store.stop(TIMEOUT));
     let whole = everything(folder.path(), u64::MAX).unwrap();
-    let bytes = fs::read(folder.path().join(schema::FILE)).unwrap();
-    let (mut tried, mut reported) = (0, 0);
-    for place in (0..bytes.len()).step_by(step) {
+    (folder, whole)
+}
+
+/// Flips a bit of every `step`-th byte of the file `name`, one at a time, and passes the place and the
+/// folder of the damaged copy. Returns how many were flipped.
+fn flip(folder: &Path, name: &str, step: usize, mut judge: impl FnMut(usize, &Path)) -> usize {
+    let damaged = self::folder();
+    let bytes = fs::read(folder.join(name)).unwrap();
+    let places = (0..bytes.len()).step_by(step);
+    for place in places.clone() {
         let mut flipped = bytes.clone();
         flipped[place] ^= 1 << (place / step % 8);
-        copy(folder.path(), damaged.path());
-        fs::write(damaged.path().join(schema::FILE), flipped).unwrap();
-        match everything(damaged.path(), max_checked_bytes) {
+        copy(folder, damaged.path());
+        fs::write(damaged.path().join(name), flipped).unwrap();
+        judge(place, damaged.path());
+    }
+    places.len()
+}
+
+/// Flips bytes of the file. Returns how many were tried and how many reported.
+fn flip_file(max_checked_bytes: u64) -> (usize, usize) {
+    let (folder, whole) = filled();
+    let mut reported = 0;
+    let tried = flip(folder.path(), FILE, 64, |place, damaged| {
+        match everything(damaged, max_checked_bytes) {
             Ok(read) => assert!(read == whole, "byte {place} changed what is read"),
             Err(_) => reported += 1,
         }
-        tried += 1;
-    }
+    });
+    println!("{reported} of {tried} reported");
     (tried, reported)
 }
 
 #[test]
 fn a_flipped_byte_of_the_file_is_reported_or_changes_nothing() {
-    let (tried, reported) = flip_file(64, u64::MAX);
-    println!("{reported} of {tried} reported");
-    assert!(
-        tried > 1000 && reported > tried / 2,
-        "{reported} of {tried}"
-    );
+    let (tried, reported) = flip_file(u64::MAX);
+    assert!(tried > 1000 && reported > tried / 2);
 }
 
 #[test]
 fn checksums_and_extents_suffice_without_a_check_of_the_pages() {
-    let (tried, reported) = flip_file(64, 0);
-    println!("{reported} of {tried} reported");
-    assert!(reported > tried / 2, "{reported} of {tried}");
+    let (tried, reported) = flip_file(0);
+    assert!(reported > tried / 2);
 }
 
 /// Whether `part` is a prefix of `whole`.
 fn is_prefix(part: &Everything, whole: &Everything) -> bool {
-    let lists = |store: &Everything| [store.swarms.len(), store.answers.len()];
-    lists(part) <= lists(whole)
-        && part.swarms == whole.swarms[..part.swarms.len()]
-        && part.answers == whole.answers[..part.answers.len()]
-        && part
-            .rows
-            .iter()
-            .zip(&whole.rows)
-            .all(|(part, whole)| whole.starts_with(part))
-        && part
-            .checkpoints
-            .iter()
-            .zip(&whole.checkpoints)
-            .all(|(part, whole)| whole.starts_with(part))
+    fn all<T: PartialEq>(parts: &[Vec<T>], wholes: &[Vec<T>]) -> bool {
+        let mut pairs = parts.iter().zip(wholes);
+        pairs.all(|(part, whole)| whole.starts_with(part))
+    }
+    whole.swarms.starts_with(&part.swarms)
+        && whole.answers.starts_with(&part.answers)
+        && all(&part.rows, &whole.rows)
+        && all(&part.checkpoints, &whole.checkpoints)
 }
 
 /// Writes in many commits, and copies file and WAL as a crash would leave them.
 fn crashed(has_checkpointed: bool) -> (TempDir, Everything) {
-    let (live, crashed) = (folder(), folder());
-    let mut store = open(live.path());
-    durable(&store, vec![create("a"), create("b")]).unwrap();
+    let crashed = folder();
+    let (live, mut store) = stored(vec![create("a"), create("b")]);
     for number in 1..=60 {
         if number == 25 {
             // From here on the WAL changes pages that the file has.
             assert!(store.stop(TIMEOUT));
             store = open(live.path());
         }
-        let mut writes = vec![
-            append("a", number),
-            append("b", number),
-            Write::Answer(answer(number)),
-        ];
+        let mut writes = vec![append("a", number), append("b", number)];
+        writes.push(Write::Answer(answer(number)));
         if number % 20 == 0 {
             writes.push(keep("a", number, 6000));
         }
         durable(&store, writes).unwrap();
     }
-    let file = live.path().join(schema::FILE);
     if has_checkpointed {
-        let other = Connection::open(&file).unwrap();
-        other
-            .query_row("PRAGMA wal_checkpoint(PASSIVE)", [], |_| Ok(()))
-            .unwrap();
+        alter(live.path(), "PRAGMA wal_checkpoint(PASSIVE)");
     }
     copy(live.path(), crashed.path());
     let whole = read_all(&store).unwrap();
     (crashed, whole)
-}
-
-/// Flips bytes of the WAL, and passes what each read returns.
-fn flip_wal(crashed: &Path, step: usize, mut judge: impl FnMut(usize, Result<Everything, String>)) {
-    let damaged = folder();
-    let bytes = fs::read(crashed.join("jostle.sqlite-wal")).unwrap();
-    for place in (0..bytes.len()).step_by(step) {
-        let mut flipped = bytes.clone();
-        flipped[place] ^= 1 << (place / step % 8);
-        copy(crashed, damaged.path());
-        fs::write(damaged.path().join("jostle.sqlite-wal"), flipped).unwrap();
-        judge(place, everything(damaged.path(), 0));
-    }
 }
 
 /// SQLite reads a WAL up to the first wrong checksum: it cannot distinguish the torn last commit of a
@@ -195,12 +150,10 @@ fn flip_wal(crashed: &Path, step: usize, mut judge: impl FnMut(usize, Result<Eve
 fn with_a_flipped_byte_of_the_wal_a_prefix_is_read() {
     let (crashed, whole) = crashed(false);
     let mut lengths = std::collections::BTreeSet::new();
-    flip_wal(crashed.path(), 64 * 61, |place, read| {
-        let read = read.unwrap_or_else(|error| panic!("byte {place}: {error}"));
-        assert!(
-            is_prefix(&read, &whole),
-            "byte {place} changed what is read"
-        );
+    flip(crashed.path(), WAL, 64 * 61, |place, damaged| {
+        let read = everything(damaged, 0).unwrap_or_else(|error| panic!("byte {place}: {error}"));
+        let is_prefix = is_prefix(&read, &whole);
+        assert!(is_prefix, "byte {place} changed what is read");
         lengths.insert(read.answers.len());
     });
     assert!(lengths.len() > 30, "{lengths:?}");
@@ -211,93 +164,52 @@ fn with_a_flipped_byte_of_the_wal_a_prefix_is_read() {
 #[test]
 fn damage_to_a_checkpointed_wal_leaves_a_prefix_or_is_reported() {
     let (crashed, whole) = crashed(true);
-    let (mut reported, mut tried) = (0, 0);
-    flip_wal(crashed.path(), 64 * 61, |place, read| {
-        tried += 1;
-        match read {
-            Ok(read) => assert!(
-                is_prefix(&read, &whole),
-                "byte {place} changed what is read"
-            ),
+    let mut reported = 0;
+    let tried = flip(
+        crashed.path(),
+        WAL,
+        64 * 61,
+        |place, damaged| match everything(damaged, 0) {
+            Ok(read) => assert!(is_prefix(&read, &whole), "byte {place}"),
             Err(_) => reported += 1,
-        }
-    });
+        },
+    );
     println!("{reported} of {tried} reported");
 }
 
 #[test]
 fn the_rows_before_a_damaged_one_are_read() {
-    let folder = folder();
-    let store = open(folder.path());
-    durable(
-        &store,
-        (0..=9)
-            .map(|number| {
-                if number == 0 {
-                    create("a")
-                } else {
-                    append("a", number)
-                }
-            })
-            .collect(),
-    )
-    .unwrap();
-    assert!(store.stop(TIMEOUT));
-    alter(
-        folder.path(),
-        "UPDATE row SET step = step + 1 WHERE number = 5; DELETE FROM row WHERE number = 8",
-    );
-    let store = open(folder.path());
-    let expected: Vec<Row> = (1..=4).map(row).collect();
-    assert_eq!(
-        store.rows("a", 0, 99).unwrap(),
-        Rows {
-            rows: expected,
-            damaged_at: Some(5)
-        }
-    );
-    assert_eq!(
-        store.rows("a", 5, 99).unwrap(),
-        Rows {
-            rows: vec![row(6), row(7)],
-            damaged_at: Some(8)
-        }
-    );
+    let (folder, store) = stored(vec![create("a")]);
+    durable(&store, appends("a", 1..=9)).unwrap();
+    let sql = "UPDATE row SET step = step + 1 WHERE number = 5; DELETE FROM row WHERE number = 8";
+    let store = altered(&store, &folder, sql);
+    for (after, until, damaged_at) in [(0, 4, 5), (5, 7, 8)] {
+        let expected = Rows {
+            rows: (after + 1..=until).map(row).collect(),
+            damaged_at: Some(damaged_at),
+        };
+        assert_eq!(store.rows("a", after, 99).unwrap(), expected);
+    }
     assert_eq!(store.rows("a", 5, 2).unwrap().damaged_at, None);
     assert_eq!(store.health().damaged, 2);
 }
 
 #[test]
 fn damaged_checkpoints_and_answers_are_left_out_and_counted() {
-    let folder = folder();
-    let store = open(folder.path());
-    let mut writes = vec![
-        create("a"),
-        append("a", 1),
-        append("a", 2),
-        keep("a", 1, 100),
-        keep("a", 2, 100),
-    ];
+    let mut writes = vec![create("a"), append("a", 1), append("a", 2)];
+    writes.extend([keep("a", 1, 100), keep("a", 2, 100)]);
     writes.extend((1..=5).map(|number| Write::Answer(answer(number))));
-    durable(&store, writes).unwrap();
-    assert!(store.stop(TIMEOUT));
-    alter(
-        folder.path(),
-        "UPDATE checkpoint SET step = 0 WHERE number = 2;
-         UPDATE checkpoint SET body = x'00' WHERE number = 1;
-         UPDATE answer SET is_ok = 0 WHERE id = 2;
-         DELETE FROM answer WHERE id = 5",
-    );
-    let store = open(folder.path());
+    let (folder, store) = stored(writes);
+    let sql = "UPDATE checkpoint SET step = 0 WHERE number = 2;
+               UPDATE checkpoint SET body = x'00' WHERE number = 1;
+               UPDATE answer SET is_ok = 0 WHERE id = 2;
+               DELETE FROM answer WHERE id = 5";
+    let store = altered(&store, &folder, sql);
     assert_eq!(checkpoints(&store, "a"), [1, 0], "the step of 2 is wrong");
-    assert!(matches!(
-        store.checkpoint("a", 1),
-        Err(StoreError::Damaged { .. })
-    ));
-    assert!(matches!(
-        store.checkpoint("a", 2),
-        Err(StoreError::Damaged { .. })
-    ));
+    for number in [1, 2] {
+        let read = store.checkpoint("a", number);
+        assert!(matches!(read, Err(StoreError::Damaged { .. })), "{number}");
+    }
     assert_eq!(store.health().damaged, 1);
     assert_eq!(store.answers().unwrap(), [answer(1), answer(3), answer(4)]);
     assert_eq!(store.health().damaged, 3);
@@ -305,49 +217,32 @@ fn damaged_checkpoints_and_answers_are_left_out_and_counted() {
 
 #[test]
 fn a_damaged_or_missing_swarm_is_named_and_can_only_be_deleted() {
-    let folder = folder();
-    let store = open(folder.path());
-    durable(&store, vec![create("a"), create("b")]).unwrap();
-    assert!(store.stop(TIMEOUT));
-    alter(folder.path(), "UPDATE extent SET last = 7 WHERE id = 2");
-    let store = open(folder.path());
+    let (folder, store) = stored(vec![create("a"), create("b")]);
+    let store = altered(&store, &folder, "UPDATE extent SET last = 7 WHERE id = 2");
     let error = store.swarms().unwrap_err();
     assert!(
         matches!(&error, StoreError::Damaged { swarm, .. } if swarm == "b"),
         "{error}"
     );
-    assert!(matches!(
-        durable(&store, vec![append("b", 8)]),
-        Err(StoreFault::Refused(_))
-    ));
+    assert!(is_refused(&store, vec![append("b", 8)]));
     durable(&store, vec![append("a", 1)]).unwrap();
     durable(&store, vec![delete("b"), create("b")]).unwrap();
     assert_eq!(store.swarms().unwrap().len(), 2);
-    assert!(store.stop(TIMEOUT));
-    alter(folder.path(), "DELETE FROM swarm WHERE name = 'a'");
-    assert!(matches!(
-        open(folder.path()).swarms(),
-        Err(StoreError::Damaged { .. })
-    ));
+    let store = altered(&store, &folder, "DELETE FROM swarm WHERE name = 'a'");
+    assert!(matches!(store.swarms(), Err(StoreError::Damaged { .. })));
 }
 
 #[test]
 fn rows_can_follow_a_cut_before_a_damaged_row() {
-    let folder = folder();
-    let store = open(folder.path());
-    let rows = (1..=9).map(|number| append("a", number));
-    let mut writes: Vec<Write> = std::iter::once(create("a")).chain(rows).collect();
-    writes.extend([create("b"), append("b", 1)]);
-    writes.insert(4, keep("a", 3, 50));
+    let mut writes = vec![create("a"), create("b"), append("b", 1)];
+    writes.extend(appends("a", 1..=9));
+    writes.insert(6, keep("a", 3, 50));
     writes.push(keep("a", 8, 50));
-    durable(&store, writes).unwrap();
+    let (folder, store) = stored(writes);
     assert!(store.stop(TIMEOUT));
-    let file = folder.path().join(schema::FILE);
-    alter(
-        folder.path(),
-        "UPDATE row SET step = step + 1 WHERE number = 5",
-    );
-    let damaged = fs::read(&file).unwrap();
+    let sql = "UPDATE row SET step = step + 1 WHERE number = 5";
+    alter(folder.path(), sql);
+    let damaged = fs::read(folder.path().join(FILE)).unwrap();
 
     let store = open(folder.path());
     let cut = |after| Write::Cut {
@@ -355,10 +250,7 @@ fn rows_can_follow_a_cut_before_a_damaged_row() {
         after,
     };
     for outside in [10, u64::MAX] {
-        assert!(matches!(
-            durable(&store, vec![cut(outside)]),
-            Err(StoreFault::Refused(_))
-        ));
+        assert!(is_refused(&store, vec![cut(outside)]));
     }
     durable(&store, vec![cut(4), append("a", 5)]).unwrap();
     let expected = Rows {
@@ -379,31 +271,18 @@ fn rows_can_follow_a_cut_before_a_damaged_row() {
 
 #[test]
 fn rows_after_a_cut_are_found_whichever_byte_was_damaged() {
-    let (folder, damaged) = (folder(), folder());
-    let store = open(folder.path());
-    fill(&store);
-    assert!(store.stop(TIMEOUT));
-    let whole = everything(folder.path(), u64::MAX).unwrap();
-    let bytes = fs::read(folder.path().join(schema::FILE)).unwrap();
-    let (mut tried, mut cut) = (0, 0);
-    for place in (0..bytes.len()).step_by(61) {
-        let mut flipped = bytes.clone();
-        flipped[place] ^= 1 << (place / 61 % 8);
-        copy(folder.path(), damaged.path());
-        fs::write(damaged.path().join(schema::FILE), flipped).unwrap();
-        tried += 1;
-        let settings = Settings {
-            quota_bytes: u64::MAX,
-        };
-        let Ok(store) = Store::open(damaged.path(), settings, Box::new(|_| {})) else {
-            continue;
+    let (folder, whole) = filled();
+    let mut cut = 0;
+    let tried = flip(folder.path(), FILE, 61, |place, damaged| {
+        let Ok(store) = Store::open(damaged, UNLIMITED, Box::new(|_| {})) else {
+            return;
         };
         let rows = |store: &Store, swarm| store.rows(swarm, 0, usize::MAX);
         let (Ok(of_a), Ok(of_b)) = (rows(&store, "a"), rows(&store, "b")) else {
-            continue;
+            return;
         };
         let Some(lost) = of_a.damaged_at else {
-            continue;
+            return;
         };
         cut += 1;
         let place = format!("byte {place}, row {lost}");
@@ -413,21 +292,18 @@ fn rows_after_a_cut_are_found_whichever_byte_was_damaged() {
         };
         durable(&store, vec![after]).unwrap_or_else(|fault| panic!("{place}: {fault}"));
         for first in (lost..lost + 130).step_by(26) {
-            let rows = (first..first + 26).map(|number| append("a", number));
-            durable(&store, rows.collect())
+            durable(&store, appends("a", first..=first + 25))
                 .unwrap_or_else(|fault| panic!("{place}, then row {first}: {fault}"));
         }
         assert!(store.stop(TIMEOUT));
-        let store = open(damaged.path());
+        let store = open(damaged);
         let mut expected = whole.rows[0][..usize::try_from(lost).unwrap() - 1].to_vec();
         expected.extend((lost..lost + 130).map(row));
         let found = rows(&store, "a").unwrap();
-        assert!(
-            found.rows == expected && found.damaged_at.is_none(),
-            "{place}"
-        );
+        let is_whole = found.rows == expected && found.damaged_at.is_none();
+        assert!(is_whole, "{place}");
         assert_eq!(rows(&store, "b").unwrap(), of_b, "{place}");
-    }
+    });
     println!("{cut} of {tried} damaged a row of a");
     assert!(cut > 100, "{cut} of {tried}");
 }

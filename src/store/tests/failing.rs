@@ -2,15 +2,15 @@
 
 use std::process::Command;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Mutex, MutexGuard};
 
+use parking_lot::MutexGuard;
 use rusqlite::{ErrorCode, ffi};
 
 use super::super::backlog::Backlog;
 use super::*;
 
 /// Failpoints are global to the process: one test at a time sets them.
-static POINTS: Mutex<()> = Mutex::new(());
+static POINTS: Mutex<()> = parking_lot::const_mutex(());
 
 /// The folder in which [`killed_anywhere_completed_writes_are_durable`] runs its child.
 const CHILD: &str = "JOSTLE_STORE_TEST_FOLDER";
@@ -22,7 +22,7 @@ struct Failing {
 }
 
 fn failing(point: &'static str, folder: &Path) -> Failing {
-    let _alone = POINTS.lock().unwrap_or_else(PoisonError::into_inner);
+    let _alone = POINTS.lock();
     let name = folder.file_name().unwrap().to_str().unwrap();
     fail::cfg(point, &format!("return({name})")).unwrap();
     Failing { point, _alone }
@@ -36,50 +36,39 @@ impl Drop for Failing {
 
 #[test]
 fn on_a_full_disk_sync_submits_fail_and_deferred_ones_are_written_later() {
-    let folder = folder();
-    let store = open(folder.path());
-    durable(&store, vec![create("a"), append("a", 1)]).unwrap();
+    let (folder, store) = stored(vec![create("a"), append("a", 1)]);
     let full = failing("store-full", folder.path());
     for number in 2..=50 {
         store.submit(vec![append("a", number)], None);
     }
-    assert_eq!(
-        durable(&store, vec![append("a", 51)]),
-        Err(StoreFault::Full)
-    );
+    let last = || vec![append("a", 51)];
+    assert_eq!(durable(&store, last()), Err(StoreFault::Full));
     // The store retries once a second; replies do not wait for that.
     let began = Instant::now();
     for _ in 0..30 {
         assert_eq!(durable(&store, vec![create("b")]), Err(StoreFault::Full));
     }
     assert!(began.elapsed().as_secs() < 15, "{:?}", began.elapsed());
-    let health = store.health();
-    assert!(
-        health.is_full && !health.is_overrun && health.waiting == 49,
-        "{health:?}"
-    );
+    let it = store.health();
+    assert!(it.is_full && !it.is_overrun && it.waiting == 49, "{it:?}");
     assert_eq!(numbers(&store, "a"), [1]);
 
     drop(full);
     // The store retries without a submit.
     wait_until("the rows are written", || numbers(&store, "a").len() == 50);
     assert!(!store.health().is_full);
-    durable(&store, vec![append("a", 51), create("b")]).unwrap();
+    durable(&store, last()).unwrap();
+    durable(&store, vec![create("b")]).unwrap();
     assert_eq!(numbers(&store, "a"), (1..=51).collect::<Vec<_>>());
 }
 
 #[test]
 fn the_backlog_is_written_before_later_submits() {
-    let folder = folder();
-    let store = open(folder.path());
-    durable(&store, vec![create("a")]).unwrap();
+    let (folder, store) = stored(vec![create("a")]);
     let full = failing("store-full", folder.path());
     store.submit(vec![append("a", 1)], None);
-    assert_eq!(
-        durable(&store, Vec::new()),
-        Err(StoreFault::Full),
-        "the row is not there yet"
-    );
+    // The row is not there yet.
+    assert_eq!(durable(&store, Vec::new()), Err(StoreFault::Full));
     drop(full);
     durable(&store, vec![append("a", 2)]).unwrap();
     assert_eq!(numbers(&store, "a"), [1, 2]);
@@ -88,7 +77,7 @@ fn the_backlog_is_written_before_later_submits() {
 /// A writer without a thread.
 fn writer(folder: &Path) -> Writer {
     let lock = lock(folder).unwrap();
-    let connection = schema::open(&folder.join(schema::FILE), 0).unwrap();
+    let connection = schema::open(&folder.join(FILE), 0).unwrap();
     let shared = Arc::<Shared>::default();
     Writer::new((connection, folder.to_path_buf(), lock), u64::MAX, shared).unwrap()
 }
@@ -102,21 +91,15 @@ fn deferred(write: Write) -> Submit {
 
 fn process(writer: &mut Writer, writes: Vec<Write>) -> Result<(), StoreFault> {
     let (sender, receiver) = channel();
-    let done = Box::new(move |outcome| sender.send(outcome).unwrap());
-    writer
-        .process(vec![Submit {
-            writes,
-            durability: Durability::Sync(done),
-        }])
-        .unwrap();
+    let durability = Durability::Sync(Box::new(move |outcome| sender.send(outcome).unwrap()));
+    let submit = Submit { writes, durability };
+    writer.process(vec![submit]).unwrap();
     receiver.try_recv().unwrap()
 }
 
 fn limit_pages(writer: &Writer, pages: i64) {
-    writer
-        .connection
-        .pragma_update_and_check(None, "max_page_count", pages, |_| Ok(()))
-        .unwrap();
+    let pragma = format!("PRAGMA max_page_count = {pages}");
+    writer.connection.execute_batch(&pragma).unwrap();
 }
 
 #[test]
@@ -132,17 +115,14 @@ fn without_a_free_page_nothing_is_lost_and_deletions_succeed() {
         kept = writer.backlog.writes();
     }
     assert!(kept > 50, "the file was not full: {kept}");
-    assert_eq!(
-        process(&mut writer, vec![append("b", 1), keep("b", 1, 9000)]),
-        Err(StoreFault::Full)
-    );
+    let of_b = vec![append("b", 1), keep("b", 1, 9000)];
+    assert_eq!(process(&mut writer, of_b), Err(StoreFault::Full));
     assert!(writer.connection.is_autocommit(), "rolled back");
     process(&mut writer, vec![delete("b"), Write::Answer(answer(1))]).unwrap();
     assert_eq!(writer.backlog.writes(), kept);
     // The backlog of the deleted swarm is dropped.
-    writer
-        .process(vec![deferred(keep("a", 200, 9000))])
-        .unwrap();
+    let lazy = deferred(keep("a", 200, 9000));
+    writer.process(vec![lazy]).unwrap();
     assert_eq!(writer.backlog.writes(), kept + 1);
 
     limit_pages(&writer, 1_000_000);
@@ -163,68 +143,43 @@ fn deleting_a_swarm_on_a_full_disk_drops_its_backlog() {
     process(&mut writer, vec![create("a"), create("b")]).unwrap();
     limit_pages(&writer, 1);
     for number in 1..=3 {
-        let large = Row {
-            body: vec![7; 9000],
-            ..row(number)
-        };
         for swarm in ["a", "b"] {
-            let write = Write::Append {
-                swarm: swarm.to_string(),
-                row: large.clone(),
-            };
-            writer.process(vec![deferred(write)]).unwrap();
+            let lazy = deferred(append_large(swarm, number, 9000));
+            writer.process(vec![lazy]).unwrap();
         }
     }
     let kept = writer.backlog.writes();
     process(&mut writer, vec![delete("a")]).unwrap();
     assert!(writer.backlog.writes() < kept);
     limit_pages(&writer, 1_000_000);
-    process(
-        &mut writer,
-        vec![create("a"), append("a", 1), append("b", 4)],
-    )
-    .unwrap();
+    let later = vec![create("a"), append("a", 1), append("b", 4)];
+    process(&mut writer, later).unwrap();
     drop(writer);
     let store = open(folder.path());
-    assert_eq!(
-        (numbers(&store, "a"), numbers(&store, "b")),
-        (vec![1], vec![1, 2, 3, 4])
-    );
+    assert_eq!(numbers(&store, "a"), [1]);
+    assert_eq!(numbers(&store, "b"), [1, 2, 3, 4]);
 }
 
 #[test]
 fn beyond_its_limits_the_backlog_drops_checkpoints_then_answers_and_never_rows() {
-    let mut backlog = Backlog::with_limits(4, usize::MAX);
-    for write in [
-        append("a", 1),
-        keep("a", 1, 10),
-        Write::Answer(answer(1)),
-        append("a", 2),
+    let mut backlog = Backlog::new((4, usize::MAX));
+    for (write, writes, is_overrun) in [
+        (append("a", 1), 1, false),
+        (keep("a", 1, 10), 2, false),
+        (Write::Answer(answer(1)), 3, false),
+        (append("a", 2), 4, false),
+        // The checkpoint is dropped, then the answer.
+        (append("a", 3), 4, false),
+        (append("a", 4), 4, false),
+        (append("a", 5), 5, true),
     ] {
         backlog.push(deferred(write));
+        let found = (backlog.writes(), backlog.is_overrun());
+        assert_eq!(found, (writes, is_overrun));
     }
-    assert_eq!(backlog.writes(), 4);
-    backlog.push(deferred(append("a", 3)));
-    assert_eq!(backlog.writes(), 4, "the checkpoint was dropped");
-    backlog.push(deferred(append("a", 4)));
-    assert_eq!(
-        (backlog.writes(), backlog.is_overrun()),
-        (4, false),
-        "the answer was dropped"
-    );
-    backlog.push(deferred(append("a", 5)));
-    assert_eq!((backlog.writes(), backlog.is_overrun()), (5, true));
-    let front: Vec<Write> = backlog
-        .front((9, 9999))
-        .iter()
-        .flat_map(|submit| submit.writes.clone())
-        .collect();
-    assert_eq!(
-        front,
-        (1..=5)
-            .map(|number| append("a", number))
-            .collect::<Vec<_>>()
-    );
+    let front = backlog.front().iter();
+    let front: Vec<Write> = front.flat_map(|submit| submit.writes.clone()).collect();
+    assert_eq!(front, appends("a", 1..=5));
     backlog.pop(5);
     assert!(backlog.is_empty() && !backlog.is_overrun());
 }
@@ -233,12 +188,13 @@ fn beyond_its_limits_the_backlog_drops_checkpoints_then_answers_and_never_rows()
 fn a_submit_without_writes_is_never_dropped() {
     let completed = Arc::new(AtomicUsize::new(0));
     let counted = Arc::clone(&completed);
-    let mut backlog = Backlog::with_limits(2, usize::MAX);
+    let mut backlog = Backlog::new((2, usize::MAX));
+    let count = move |_: Result<(), StoreFault>| {
+        counted.fetch_add(1, Ordering::Relaxed);
+    };
     let waits = Submit {
         writes: Vec::new(),
-        durability: Durability::Deferred(Some(Box::new(move |_: Result<(), StoreFault>| {
-            counted.fetch_add(1, Ordering::Relaxed);
-        }))),
+        durability: Durability::Deferred(Some(Box::new(count))),
     };
     let keeps = |number| deferred(keep("a", number, 10));
     for submit in [keeps(1), waits, keeps(2)] {
@@ -264,30 +220,16 @@ fn after_a_failed_sync_every_submit_fails() {
         assert!(matches!(fault, StoreFault::Fatal(_)));
         counted.fetch_add(1, Ordering::SeqCst);
     });
-    let store = Store::open(
-        folder.path(),
-        Settings {
-            quota_bytes: 1 << 20,
-        },
-        on_fatal,
-    )
-    .unwrap();
+    let store = Store::open(folder.path(), UNLIMITED, on_fatal).unwrap();
     durable(&store, vec![create("a"), append("a", 1)]).unwrap();
     let failing = failing("store-fsync", folder.path());
-    let waiting: Vec<_> = (2..=5)
-        .map(|number| pending(&store, vec![append("a", number)]))
-        .collect();
-    for outcome in waiting {
-        assert!(matches!(
-            outcome.recv_timeout(TIMEOUT).unwrap(),
-            Err(StoreFault::Fatal(_))
-        ));
+    let is_fatal = |outcome| matches!(outcome, Err(StoreFault::Fatal(_)));
+    let waiting = (2..=5).map(|number| pending(&store, vec![append("a", number)]));
+    for outcome in waiting.collect::<Vec<_>>() {
+        assert!(is_fatal(outcome.recv_timeout(TIMEOUT).unwrap()));
     }
     drop(failing);
-    assert!(matches!(
-        durable(&store, vec![append("a", 2)]),
-        Err(StoreFault::Fatal(_))
-    ));
+    assert!(is_fatal(durable(&store, vec![append("a", 2)])));
     assert!(!store.stop(TIMEOUT));
     assert_eq!(calls.load(Ordering::SeqCst), 1);
     assert_eq!(numbers(&open(folder.path()), "a"), [1]);
@@ -327,38 +269,28 @@ fn killed_anywhere_completed_writes_are_durable() {
     if let Ok(folder) = std::env::var(CHILD) {
         return be_killed(Path::new(&folder));
     }
-    for (point, is_there) in [
-        ("store-begin", false),
-        ("store-written", false),
-        ("store-synced", true),
-        ("store-done", true),
+    let (_, module) = module_path!().split_once("::").unwrap();
+    let test = format!("{module}::killed_anywhere_completed_writes_are_durable");
+    for (point, completed, is_there) in [
+        ("store-begin", "1 ", false),
+        ("store-written", "1 ", false),
+        ("store-synced", "1 ", true),
+        ("store-done", "1 2 ", true),
     ] {
         let folder = folder();
         let status = Command::new(std::env::current_exe().unwrap())
-            .args([
-                "--exact",
-                &format!("{}::killed_anywhere_completed_writes_are_durable", module()),
-            ])
+            .args(["--exact", &test])
             .env(CHILD, folder.path())
             .env("JOSTLE_STORE_TEST_POINT", point)
             .output()
             .unwrap()
             .status;
         assert!(!status.success(), "it was not killed at {point}");
-        let completed = fs::read_to_string(folder.path().join("completed")).unwrap();
-        let expected = if point == "store-done" { "1 2 " } else { "1 " };
-        assert_eq!(completed, expected, "{point}");
-        let store = open(folder.path());
-        assert_eq!(
-            numbers(&store, "a"),
-            if is_there { vec![1, 2] } else { vec![1] },
-            "{point}"
-        );
+        let found = fs::read_to_string(folder.path().join("completed")).unwrap();
+        assert_eq!(found, completed, "{point}");
+        let expected = &[1, 2][..1 + usize::from(is_there)];
+        assert_eq!(numbers(&open(folder.path()), "a"), expected, "{point}");
     }
-}
-
-fn module() -> &'static str {
-    module_path!().split_once("::").unwrap().1
 }
 
 /// Writes one row; is killed while it writes the second.
@@ -400,10 +332,8 @@ fn arm_at_second_write(point: String) {
 }
 
 fn rejection(folder: &Path) -> StoreError {
-    match Store::open(folder, Settings { quota_bytes: 1 }, Box::new(|_| {})) {
-        Ok(_) => panic!("it was opened"),
-        Err(error) => error,
-    }
+    let opened = Store::open(folder, UNLIMITED, Box::new(|_| {}));
+    opened.err().expect("it was opened")
 }
 
 #[test]
@@ -412,17 +342,12 @@ fn a_folder_is_open_once_at_a_time_and_accessible_to_its_owner_only() {
     let folder = folder();
     let inner = folder.path().join("data/of one");
     let store = open(&inner);
-    assert_eq!(
-        fs::metadata(&inner).unwrap().permissions().mode() & 0o777,
-        0o700
-    );
+    let mode = fs::metadata(&inner).unwrap().permissions().mode();
+    assert_eq!(mode & 0o777, 0o700);
     let error = rejection(&inner);
-    assert!(matches!(error, StoreError::InUse { .. }));
-    assert!(
-        error
-            .to_string()
-            .contains("another jostled uses this folder: stop it, or name another --data-dir")
-    );
+    assert!(matches!(error, StoreError::InUse(_)));
+    let expected = "another jostled uses this folder: stop it, or name another --data-dir";
+    assert!(error.to_string().contains(expected), "{error}");
     assert!(store.stop(TIMEOUT));
     drop(open(&inner));
 }
@@ -431,40 +356,21 @@ fn a_folder_is_open_once_at_a_time_and_accessible_to_its_owner_only() {
 fn foreign_and_newer_files_are_rejected() {
     let folder = folder();
     drop(open(folder.path()));
-    let file = folder.path().join(schema::FILE);
-    Connection::open(&file)
-        .unwrap()
-        .pragma_update(None, "user_version", schema::KNOWN + 1)
-        .unwrap();
+    alter(folder.path(), "PRAGMA user_version = 3");
     let error = rejection(folder.path());
     assert!(matches!(error, StoreError::Newer { .. }));
     let expected = "written by a newer jostled (schema 3, this one knows 2): upgrade, or name another --data-dir";
     assert!(error.to_string().ends_with(expected), "{error}");
 
     let foreign = self::folder();
-    let file = foreign.path().join(schema::FILE);
-    Connection::open(&file)
-        .unwrap()
-        .execute_batch("CREATE TABLE other (x)")
-        .unwrap();
-    assert!(matches!(
-        rejection(foreign.path()),
-        StoreError::Foreign { .. }
-    ));
-    fs::write(
-        &file,
-        "no database at all, but long enough to be looked at".repeat(100),
-    )
-    .unwrap();
-    assert!(matches!(
-        rejection(foreign.path()),
-        StoreError::Foreign { .. }
-    ));
+    alter(foreign.path(), "CREATE TABLE other (x)");
+    let is_foreign = || matches!(rejection(foreign.path()), StoreError::Foreign(_));
+    assert!(is_foreign());
+    let text = "no database at all, but long enough to be looked at".repeat(100);
+    fs::write(foreign.path().join(FILE), text).unwrap();
+    assert!(is_foreign());
 
-    let blocked = self::folder();
-    fs::write(blocked.path().join("data"), "").unwrap();
-    assert!(matches!(
-        rejection(&blocked.path().join("data")),
-        StoreError::Folder { .. }
-    ));
+    let blocked = foreign.path().join("data");
+    fs::write(&blocked, "").unwrap();
+    assert!(matches!(rejection(&blocked), StoreError::Folder { .. }));
 }

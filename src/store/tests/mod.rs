@@ -5,6 +5,7 @@ mod failing;
 mod retention;
 mod writing;
 
+use std::ops::RangeInclusive;
 use std::path::Path;
 use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
@@ -20,8 +21,20 @@ fn folder() -> TempDir {
     tempfile::tempdir().unwrap()
 }
 
+const UNLIMITED: Settings = Settings {
+    quota_bytes: u64::MAX,
+};
+
 fn open(folder: &Path) -> Store {
     open_with(folder, u64::MAX)
+}
+
+/// A store in a new folder, with these writes.
+fn stored(writes: Vec<Write>) -> (TempDir, Store) {
+    let folder = folder();
+    let store = open(folder.path());
+    durable(&store, writes).unwrap();
+    (folder, store)
 }
 
 fn open_with(folder: &Path, quota_bytes: u64) -> Store {
@@ -45,6 +58,23 @@ fn append(swarm: &str, number: u64) -> Write {
     Write::Append {
         swarm: swarm.to_string(),
         row: row(number),
+    }
+}
+
+/// Rows with these numbers.
+fn appends(swarm: &str, numbers: RangeInclusive<u64>) -> Vec<Write> {
+    numbers.map(|number| append(swarm, number)).collect()
+}
+
+/// A row with a body of so many bytes.
+fn append_large(swarm: &str, number: u64, bytes: usize) -> Write {
+    let body = vec![number as u8; bytes];
+    Write::Append {
+        swarm: swarm.to_string(),
+        row: Row {
+            body,
+            ..row(number)
+        },
     }
 }
 
@@ -119,6 +149,16 @@ fn durable(store: &Store, writes: Vec<Write>) -> Result<(), StoreFault> {
     pending(store, writes).recv_timeout(TIMEOUT).unwrap()
 }
 
+/// The names of the swarms.
+fn names(store: &Store) -> Vec<String> {
+    let swarms = store.swarms().unwrap().into_iter();
+    swarms.map(|(name, _)| name).collect()
+}
+
+fn is_refused(store: &Store, writes: Vec<Write>) -> bool {
+    matches!(durable(store, writes), Err(StoreFault::Refused(_)))
+}
+
 fn numbers(store: &Store, swarm: &str) -> Vec<u64> {
     let read = store.rows(swarm, 0, usize::MAX).unwrap();
     assert_eq!(read.damaged_at, None);
@@ -133,13 +173,20 @@ fn checkpoints(store: &Store, swarm: &str) -> Vec<u64> {
 
 /// Executes SQL on the database of a folder.
 fn alter(folder: &Path, sql: &str) {
-    let database = Connection::open(folder.join(schema::FILE)).unwrap();
+    let database = Connection::open(folder.join(FILE)).unwrap();
     database.execute_batch(sql).unwrap();
+}
+
+/// Stops the store, alters its file, and opens it again.
+fn altered(store: &Store, folder: &TempDir, sql: &str) -> Store {
+    assert!(store.stop(TIMEOUT));
+    alter(folder.path(), sql);
+    open(folder.path())
 }
 
 fn count(store: &Store, sql: &str) -> i64 {
     let read = |connection: &Connection| Ok(connection.query_row(sql, [], |row| row.get(0))?);
-    store.read("", read).unwrap()
+    store.read(read).unwrap()
 }
 
 /// Waits until `condition` holds.

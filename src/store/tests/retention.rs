@@ -9,7 +9,7 @@ const FIXTURE: &str = "JOSTLE_STORE_FIXTURE_TO";
 fn wait_until_swept(store: &Store, quota_bytes: u64) {
     wait_until("the swarm is within its quota", || {
         let read = |connection: &Connection| Ok(integrity::read_extent(connection, 1)?);
-        store.read("a", read).unwrap().unwrap().bytes <= quota_bytes
+        store.read(read).unwrap().unwrap().bytes <= quota_bytes
     });
 }
 
@@ -24,22 +24,17 @@ fn beyond_the_quota_checkpoints_thin_out_then_the_oldest_history_goes() {
             writes.push(keep("a", number, 10_000));
         }
         store.submit(writes, None);
-        let infos = store.checkpoints("a").unwrap();
-        let newest = infos[0].number;
-        assert!(
-            infos.len() < 2 || newest < 20 || infos[1].number + 10 == newest,
-            "{infos:?}"
-        );
+        let kept = checkpoints(&store, "a");
+        let is_dense = kept.len() < 2 || kept[0] < 20 || kept[1] + 10 == kept[0];
+        assert!(is_dense, "{kept:?}");
     }
     durable(&store, Vec::new()).unwrap();
     wait_until_swept(&store, quota);
-    let infos = store.checkpoints("a").unwrap();
-    assert_eq!((infos[0].number, infos[1].number), (600, 590));
+    let kept = checkpoints(&store, "a");
+    assert_eq!(kept[..2], [600, 590]);
     // Thinned: checkpoints reach back further than at their first density, and all rows are there.
-    assert!(
-        infos.len() < 40 && store.history_from("a").unwrap() == Some(state(0, 0).info()),
-        "{infos:?}"
-    );
+    assert!(kept.len() < 40, "{kept:?}");
+    assert_eq!(store.history_from("a").unwrap(), Some(state(0, 0).info()));
     assert_eq!(numbers(&store, "a").len(), 600);
 
     for number in 601..=8000 {
@@ -59,24 +54,21 @@ fn beyond_the_quota_checkpoints_thin_out_then_the_oldest_history_goes() {
 
 #[test]
 fn history_from_is_the_oldest_checkpoint_after_every_change() {
-    let folder = folder();
-    let store = open(folder.path());
-    durable(&store, vec![create("a")]).unwrap();
+    let (_folder, store) = stored(vec![create("a")]);
     let begins = || store.history_from("a").unwrap().map(|mark| mark.step);
     let first = state(0, 0);
     assert_eq!(begins(), Some(first.step));
     // One of the same number replaces it.
     let checkpoint = Checkpoint { step: 77, ..first };
-    let swarm = || "a".to_owned();
     let keep_again = Write::Keep {
-        swarm: swarm(),
+        swarm: "a".to_owned(),
         checkpoint,
     };
     durable(&store, vec![keep_again]).unwrap();
     assert_eq!(begins(), Some(77));
     durable(&store, vec![append("a", 1), keep("a", 1, 0)]).unwrap();
     assert_eq!(begins(), Some(77));
-    durable(&store, vec![Write::Delete { swarm: swarm() }]).unwrap();
+    durable(&store, vec![delete("a")]).unwrap();
     assert!(store.history_from("a").is_err());
     durable(&store, vec![create("a")]).unwrap();
     assert_eq!(begins(), Some(0));
@@ -87,11 +79,10 @@ fn the_two_newest_checkpoints_and_the_rows_after_them_stay_whatever_the_quota() 
     let folder = folder();
     let store = open_with(folder.path(), 1);
     durable(&store, vec![create("a")]).unwrap();
-    for number in 1..=2000 {
-        store.submit(vec![append("a", number)], None);
-    }
-    for number in [500, 1000, 1500] {
-        store.submit(vec![keep("a", number, 5000)], None);
+    let mut writes = appends("a", 1..=2000);
+    writes.extend([500, 1000, 1500].map(|number| keep("a", number, 5000)));
+    for write in writes {
+        store.submit(vec![write], None);
     }
     durable(&store, Vec::new()).unwrap();
     wait_until("the rest is gone", || {
@@ -108,29 +99,22 @@ fn the_two_newest_checkpoints_and_the_rows_after_them_stay_whatever_the_quota() 
 
 #[test]
 fn a_checkpoint_of_the_same_row_replaces_the_one_before() {
-    let folder = folder();
-    let store = open(folder.path());
-    durable(&store, vec![create("a")]).unwrap();
+    let (_folder, store) = stored(vec![create("a")]);
     let later = Checkpoint {
         step: 777,
         ..state(0, 4000)
     };
-    durable(
-        &store,
-        vec![Write::Keep {
-            swarm: "a".to_string(),
-            checkpoint: later.clone(),
-        }],
-    )
-    .unwrap();
+    let keep_later = Write::Keep {
+        swarm: "a".to_string(),
+        checkpoint: later.clone(),
+    };
+    durable(&store, vec![keep_later]).unwrap();
     assert_eq!(store.checkpoints("a").unwrap(), [later.info()]);
     assert_eq!(store.checkpoint("a", 0).unwrap(), later);
 }
 
 #[test]
 fn deleted_answers_do_not_count_as_damaged() {
-    let folder = folder();
-    let store = open(folder.path());
     let forget = |number| {
         let Answer {
             client, request_id, ..
@@ -145,7 +129,7 @@ fn deleted_answers_do_not_count_as_damaged() {
     };
     writes.push(Write::Answer(answer(7)));
     writes.push(Write::Answer(namesake.clone()));
-    durable(&store, writes).unwrap();
+    let (folder, store) = stored(writes);
     assert!(!store.has_forgotten());
     // 9999 does not exist.
     durable(&store, vec![forget(9999)]).unwrap();
@@ -164,9 +148,7 @@ fn deleted_answers_do_not_count_as_damaged() {
     let store = open(folder.path());
     assert_eq!(store.answers().unwrap(), left);
     assert_eq!(store.health().damaged, 0);
-    assert!(store.stop(TIMEOUT));
-    alter(folder.path(), "DELETE FROM answer WHERE id = 2");
-    let store = open(folder.path());
+    let store = altered(&store, &folder, "DELETE FROM answer WHERE id = 2");
     assert_eq!(store.answers().unwrap(), left[1..]);
     assert_eq!(store.health().damaged, 1);
 }
@@ -177,11 +159,8 @@ fn space_of_deleted_swarms_is_reused() {
     let store = open(folder.path());
     let mut sizes = Vec::new();
     for _ in 0..6 {
-        durable(
-            &store,
-            vec![create("a"), append("a", 1), keep("a", 1, 6_000_000)],
-        )
-        .unwrap();
+        let large = vec![create("a"), append("a", 1), keep("a", 1, 6_000_000)];
+        durable(&store, large).unwrap();
         durable(&store, vec![delete("a")]).unwrap();
         wait_until("all is swept", || {
             count(&store, "SELECT count(*) FROM gone") == 0
@@ -194,25 +173,12 @@ fn space_of_deleted_swarms_is_reused() {
 /// Writes the fixture: every kind of record.
 fn fixture(folder: &Path) {
     let store = open(folder);
-    durable(
-        &store,
-        vec![
-            create("a"),
-            append("a", 1),
-            append("a", 2),
-            keep("a", 1, 5000),
-        ],
-    )
-    .unwrap();
-    durable(
-        &store,
-        vec![
-            create("b"),
-            Write::Answer(answer(1)),
-            Write::Answer(answer(2)),
-        ],
-    )
-    .unwrap();
+    let mut of_a = vec![create("a"), append("a", 1), append("a", 2)];
+    of_a.push(keep("a", 1, 5000));
+    durable(&store, of_a).unwrap();
+    let answers = [1, 2].map(|number| Write::Answer(answer(number)));
+    let rest = [create("b")].into_iter().chain(answers);
+    durable(&store, rest.collect()).unwrap();
     assert!(store.stop(TIMEOUT));
 }
 
@@ -222,19 +188,10 @@ fn a_file_of_version_1_opens() {
         return fixture(Path::new(&folder));
     }
     let folder = folder();
-    fs::write(
-        folder.path().join(schema::FILE),
-        include_bytes!("../fixtures/v1.sqlite"),
-    )
-    .unwrap();
+    let file = folder.path().join(FILE);
+    fs::write(file, include_bytes!("../fixtures/v1.sqlite")).unwrap();
     let store = open(folder.path());
-    let names: Vec<String> = store
-        .swarms()
-        .unwrap()
-        .into_iter()
-        .map(|(name, _)| name)
-        .collect();
-    assert_eq!(names, ["a", "b"]);
+    assert_eq!(names(&store), ["a", "b"]);
     assert_eq!(store.rows("a", 0, 9).unwrap().rows, [row(1), row(2)]);
     assert_eq!(store.checkpoint("a", 1).unwrap(), state(1, 5000));
     assert_eq!(store.checkpoint("b", 0).unwrap(), state(0, 300));

@@ -1,36 +1,24 @@
 //! Submits are durable and in order.
 
-use std::sync::Mutex;
-
 use super::*;
 
 #[test]
 fn done_is_called_after_the_data_is_durable() {
-    let folder = folder();
-    let store = open(folder.path());
-    let writes = vec![
-        create("a"),
-        append("a", 1),
-        append("a", 2),
-        keep("a", 2, 5000),
-    ];
-    durable(&store, writes).unwrap();
+    let mut writes = vec![create("a"), append("a", 1), append("a", 2)];
+    writes.push(keep("a", 2, 5000));
+    let (folder, store) = stored(writes);
     // The files as a crash would leave them: the WAL was never checkpointed.
     let crashed = self::folder();
-    for name in ["jostle.sqlite", "jostle.sqlite-wal"] {
+    for name in [FILE, WAL] {
         fs::copy(folder.path().join(name), crashed.path().join(name)).unwrap();
     }
     for store in [store, open(crashed.path())] {
-        assert_eq!(
-            store.swarms().unwrap(),
-            [("a".to_string(), b"about a".to_vec())]
-        );
+        let swarm = ("a".to_string(), b"about a".to_vec());
+        assert_eq!(store.swarms().unwrap(), [swarm]);
         assert_eq!(store.rows("a", 0, 9).unwrap().rows, [row(1), row(2)]);
         assert_eq!(store.rows("a", 1, 9).unwrap().rows, [row(2)]);
-        assert_eq!(
-            store.checkpoints("a").unwrap(),
-            [state(2, 0).info(), state(0, 0).info()]
-        );
+        let kept = [2, 0].map(|number| state(number, 0).info());
+        assert_eq!(store.checkpoints("a").unwrap(), kept);
         assert_eq!(store.checkpoint("a", 2).unwrap(), state(2, 5000));
         assert!(matches!(
             store.checkpoint("a", 1),
@@ -41,15 +29,13 @@ fn done_is_called_after_the_data_is_durable() {
 
 #[test]
 fn groups_are_committed_and_completed_in_the_order_of_submission() {
-    let folder = folder();
-    let store = open(folder.path());
-    durable(&store, vec![create("a")]).unwrap();
+    let (_folder, store) = stored(vec![create("a")]);
     let completed = Arc::new(Mutex::new(Vec::new()));
     for number in 1..=3000 {
         let completed = Arc::clone(&completed);
         let done = move |outcome: Result<(), StoreFault>| {
             outcome.unwrap();
-            completed.lock().unwrap().push(number);
+            completed.lock().push(number);
         };
         // Every third is deferred, and is committed in the same order.
         match number % 3 {
@@ -59,41 +45,31 @@ fn groups_are_committed_and_completed_in_the_order_of_submission() {
     }
     durable(&store, Vec::new()).unwrap();
     let expected: Vec<u64> = (1..=3000).filter(|number| number % 3 > 0).collect();
-    assert_eq!(*completed.lock().unwrap(), expected);
+    assert_eq!(*completed.lock(), expected);
     assert_eq!(numbers(&store, "a"), (1..=3000).collect::<Vec<_>>());
-    assert!(
-        store.health().commits < 1500,
-        "no commit was shared: {:?}",
-        store.health()
-    );
+    let commits = store.health().commits;
+    assert!(commits < 1500, "no commit was shared: {commits}");
 }
 
 #[test]
 fn deferred_writes_are_written_soon() {
-    let folder = folder();
-    let store = open(folder.path());
-    durable(&store, vec![create("a")]).unwrap();
+    let (_folder, store) = stored(vec![create("a")]);
     store.submit(vec![append("a", 1)], None);
     wait_until("the row is there", || numbers(&store, "a") == [1]);
 }
 
 #[test]
 fn all_writes_of_a_submit_are_written_or_none() {
-    let folder = folder();
-    let store = open(folder.path());
-    durable(&store, vec![create("a")]).unwrap();
-    let rejected = |writes| matches!(durable(&store, writes), Err(StoreFault::Refused(_)));
-    assert!(rejected(vec![append("a", 1), append("a", 3)]), "a gap");
-    assert!(
-        rejected(vec![append("a", 1), append("b", 1)]),
-        "no such swarm"
-    );
-    assert!(rejected(vec![append("a", 1), create("a")]), "it exists");
-    assert!(
-        rejected(vec![append("a", 1), keep("a", 2, 9)]),
-        "a checkpoint of what is not there"
-    );
-    assert!(rejected(vec![delete("b")]), "no such swarm to delete");
+    let (_folder, store) = stored(vec![create("a")]);
+    for (write, problem) in [
+        (append("a", 3), "a gap"),
+        (append("b", 1), "no such swarm"),
+        (create("a"), "it exists"),
+        (keep("a", 2, 9), "a checkpoint of what is not there"),
+        (delete("b"), "no such swarm to delete"),
+    ] {
+        assert!(is_refused(&store, vec![append("a", 1), write]), "{problem}");
+    }
     assert_eq!(numbers(&store, "a"), [0; 0]);
     durable(&store, vec![append("a", 1)]).unwrap();
     assert_eq!(numbers(&store, "a"), [1]);
@@ -101,11 +77,8 @@ fn all_writes_of_a_submit_are_written_or_none() {
 
 #[test]
 fn a_deleted_swarm_leaves_nothing_to_the_next_of_its_name() {
-    let folder = folder();
-    let store = open(folder.path());
-    let first: Vec<Write> = (1..=2500).map(|number| append("a", number)).collect();
-    durable(&store, vec![create("a")]).unwrap();
-    durable(&store, first).unwrap();
+    let (folder, store) = stored(vec![create("a")]);
+    durable(&store, appends("a", 1..=2500)).unwrap();
     durable(&store, vec![keep("a", 2500, 100_000)]).unwrap();
     let again = vec![delete("a"), create("a"), append("a", 1)];
     durable(&store, again).unwrap();
@@ -124,47 +97,27 @@ fn a_deleted_swarm_leaves_nothing_to_the_next_of_its_name() {
 fn any_text_is_a_name() {
     let folder = folder();
     let store = open(folder.path());
-    let names = [
-        "",
-        "'; DROP TABLE row; --",
-        "a\0b",
-        "\u{202e}",
-        "ä/../*",
-        "%_",
-    ];
-    for name in names {
-        durable(
-            &store,
-            vec![create(name), append(name, 1), keep(name, 1, 10)],
-        )
-        .unwrap();
+    let drop_table = "'; DROP TABLE row; --";
+    // Sorted.
+    let given = ["", "%_", drop_table, "a\0b", "ä/../*", "\u{202e}"];
+    for name in given.into_iter().rev() {
+        let writes = vec![create(name), append(name, 1), keep(name, 1, 10)];
+        durable(&store, writes).unwrap();
     }
-    let mut sorted = names.to_vec();
-    sorted.sort_unstable();
     drop(store);
     let store = open(folder.path());
-    let stored: Vec<String> = store
-        .swarms()
-        .unwrap()
-        .into_iter()
-        .map(|(name, _)| name)
-        .collect();
-    assert_eq!(stored, sorted);
-    for name in names {
+    assert_eq!(names(&store), given);
+    for name in given {
         assert_eq!(numbers(&store, name), [1]);
     }
-    assert!(matches!(
-        store.rows("a", 0, 1),
-        Err(StoreError::NoSwarm { .. })
-    ));
+    let read = store.rows("a", 0, 1);
+    assert!(matches!(read, Err(StoreError::NoSwarm(_))));
 }
 
 #[test]
 fn answers_come_back_as_they_were() {
-    let folder = folder();
-    let store = open(folder.path());
     let answers: Vec<Answer> = (1..=2500).map(answer).collect();
-    durable(&store, answers.iter().cloned().map(Write::Answer).collect()).unwrap();
+    let (folder, store) = stored(answers.iter().cloned().map(Write::Answer).collect());
     assert_eq!(store.answers().unwrap(), answers);
     drop(store);
     assert_eq!(open(folder.path()).answers().unwrap(), answers);
@@ -174,30 +127,20 @@ fn answers_come_back_as_they_were() {
 fn after_stop_everything_is_in_the_file_and_submits_fail() {
     let folder = folder();
     let store = open(folder.path());
-    store.submit(
-        (1..=500)
-            .map(|number| match number {
-                1 => create("a"),
-                number => append("a", number - 1),
-            })
-            .collect(),
-        None,
-    );
+    let mut writes = appends("a", 1..=499);
+    writes.insert(0, create("a"));
+    store.submit(writes, None);
     assert!(store.stop(TIMEOUT));
-    assert_eq!(
-        durable(&store, vec![append("a", 500)]),
-        Err(StoreFault::Stopped)
-    );
+    let later = durable(&store, vec![append("a", 500)]);
+    assert_eq!(later, Err(StoreFault::Stopped));
     assert!(matches!(store.swarms(), Err(StoreError::Stopped)));
-    assert!(!folder.path().join("jostle.sqlite-wal").exists());
+    assert!(!folder.path().join(WAL).exists());
     assert_eq!(numbers(&open(folder.path()), "a").len(), 499);
 }
 
 #[test]
 fn a_callback_may_submit_and_may_own_the_last_clone() {
-    let folder = folder();
-    let store = open(folder.path());
-    durable(&store, vec![create("a")]).unwrap();
+    let (folder, store) = stored(vec![create("a")]);
     let (sender, receiver) = channel();
     let clone = store.clone();
     submit_sync(&store, vec![append("a", 1)], move |_| {
@@ -208,7 +151,7 @@ fn a_callback_may_submit_and_may_own_the_last_clone() {
     drop(store);
     receiver.recv_timeout(TIMEOUT).unwrap().unwrap();
     wait_until("the lock is free", || {
-        Store::open(folder.path(), Settings { quota_bytes: 1 }, Box::new(|_| {})).is_ok()
+        Store::open(folder.path(), UNLIMITED, Box::new(|_| {})).is_ok()
     });
 }
 

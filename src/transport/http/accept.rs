@@ -87,7 +87,7 @@ async fn serve(
         Ok(Ok(stream)) => serve_http(stream, router, slot, stopped).await,
         // The client has gone, or does not speak TLS.
         Ok(Err(_)) => {}
-        Err(_) => slot.count_closed(CloseReason::HandshakeTimeout),
+        Err(_) => slot.connections.count_closed(CloseReason::HandshakeTimeout),
     }
 }
 
@@ -116,7 +116,7 @@ async fn serve_http<Stream>(
         // An error is the client's: it has gone, timed out, or does not speak HTTP.
         ended = connection.as_mut() => {
             if ended.is_err_and(|error| error.is_timeout()) {
-                slot.count_closed(CloseReason::HeaderTimeout);
+                slot.connections.count_closed(CloseReason::HeaderTimeout);
             }
             return;
         }
@@ -144,7 +144,7 @@ pub async fn whole_body(request: Request) -> Result<Bytes, Response> {
         Ok(body) => body.map_err(IntoResponse::into_response),
         Err(_) => {
             if let Some(slot) = slot {
-                slot.count_closed(CloseReason::BodyTimeout);
+                slot.connections.count_closed(CloseReason::BodyTimeout);
             }
             let message = format!("the body did not arrive within {BODY_TIMEOUT:?}\n");
             let close = [(CONNECTION, HeaderValue::from_static("close"))];

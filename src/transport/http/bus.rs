@@ -49,23 +49,20 @@ impl Bus {
     }
 
     /// Sends a query to one key, with selector parameters, an optional request in JSON and the token
-    /// of the sender.
-    ///
-    /// # Errors
-    ///
-    /// `invalid_argument` for a wildcard, `not_found` without a reply.
+    /// of the sender. The error is the response: `invalid_argument` for a wildcard, `not_found` without
+    /// a reply.
     pub async fn query(
         &self,
         rest: &str,
         parameters: &str,
         request: Option<Bytes>,
         token: Option<&str>,
-    ) -> Result<Reply, Error> {
+    ) -> Result<Reply, Response> {
         let key = self.key(rest);
         let is_one_key = KeyExpr::new(key.as_str()).is_ok_and(|key| !key.is_wild());
         if !is_one_key {
             let message = format!("{rest:?} is not a single key");
-            return Err(error(ErrorCode::InvalidArgument, message));
+            return Err(reject(ErrorCode::InvalidArgument, message));
         }
         let selector = match parameters {
             "" => key,
@@ -91,7 +88,7 @@ impl Bus {
         };
         let reply = reply.ok_or_else(|| {
             let message = format!("no reply to {rest:?}: check the list of swarms");
-            error(ErrorCode::NotFound, message)
+            reject(ErrorCode::NotFound, message)
         })?;
         let (is_ok, payload, encoding) = match reply.result() {
             Ok(sample) => (true, sample.payload(), sample.encoding()),
@@ -130,21 +127,17 @@ impl IntoResponse for Reply {
     }
 }
 
-/// An error of the HTTP server itself.
-pub fn error(code: ErrorCode, message: impl Into<String>) -> Error {
-    Error {
+/// The response for an error of the HTTP server itself.
+pub fn reject(code: ErrorCode, message: impl Into<String>) -> Response {
+    let error = Error {
         code,
         message: message.into(),
         details: serde_json::Map::new(),
         step: None,
-    }
-}
-
-/// The response for an error.
-pub fn reject(error: &Error) -> Response {
-    let text = serde_json::to_string(error).unwrap_or_default();
+    };
+    let text = serde_json::to_string(&error).unwrap_or_default();
     let kind = [(CONTENT_TYPE, jostle_proto::JSON)];
-    (status(error.code), kind, text).into_response()
+    (status(code), kind, text).into_response()
 }
 
 fn status(code: ErrorCode) -> StatusCode {

@@ -2,10 +2,11 @@
 
 use std::collections::HashMap;
 use std::net::IpAddr;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
+use parking_lot::Mutex;
 use rustix::process::{Resource, getrlimit};
 use tokio::sync::Notify;
 
@@ -35,11 +36,8 @@ pub enum CloseReason {
     Evicted,
     /// The cap was reached, and no other connection could be evicted for it.
     Refused,
-    /// The TLS handshake took too long.
     HandshakeTimeout,
-    /// The header of a request took too long.
     HeaderTimeout,
-    /// The body of a request took too long.
     BodyTimeout,
 }
 
@@ -55,9 +53,7 @@ const LABELS: [&str; 5] = [
 /// The connections in numbers.
 #[derive(Debug)]
 pub struct HttpFigures {
-    /// Open connections.
     pub open: u64,
-    /// Accepts that failed.
     pub accept_failures: u64,
     /// Connections that the daemon closed, by the label of the reason.
     pub closed: [(&'static str, u64); 5],
@@ -104,15 +100,13 @@ impl Connections {
         self.accept_failures.fetch_add(1, Ordering::Relaxed) + 1
     }
 
-    /// Counts a connection that the daemon closed.
     pub fn count_closed(&self, reason: CloseReason) {
         self.closed[reason as usize].fetch_add(1, Ordering::Relaxed);
     }
 
-    /// The connections in numbers.
     pub fn figures(&self) -> HttpFigures {
         HttpFigures {
-            open: self.lock().entries.len() as u64,
+            open: self.registry.lock().entries.len() as u64,
             accept_failures: self.accept_failures.load(Ordering::Relaxed),
             closed: std::array::from_fn(|reason| {
                 (LABELS[reason], self.closed[reason].load(Ordering::Relaxed))
@@ -124,7 +118,7 @@ impl Connections {
     /// gone longest without completing a request; at the cap of one peer, such a connection of that
     /// peer. Returns `None` if there is none to evict.
     pub fn register(self: &Arc<Self>, peer: IpAddr) -> Option<Arc<Slot>> {
-        let mut registry = self.lock();
+        let mut registry = self.registry.lock();
         let of_peer = |entry: &&Entry| entry.peer == peer;
         let used = registry.entries.values().filter(of_peer).count();
         let is_peer_full = !peer.to_canonical().is_loopback() && used >= self.max_per_peer;
@@ -149,10 +143,6 @@ impl Connections {
             connections: self.clone(),
         }))
     }
-
-    fn lock(&self) -> MutexGuard<'_, Registry> {
-        self.registry.lock().unwrap_or_else(PoisonError::into_inner)
-    }
 }
 
 impl Registry {
@@ -169,7 +159,8 @@ impl Registry {
 pub struct Slot {
     id: u64,
     evicted: Arc<Notify>,
-    connections: Arc<Connections>,
+    /// The registry.
+    pub connections: Arc<Connections>,
 }
 
 impl Slot {
@@ -178,27 +169,18 @@ impl Slot {
         self.evicted.notified().await;
     }
 
-    /// Counts the connection as closed by the daemon.
-    pub fn count_closed(&self, reason: CloseReason) {
-        self.connections.count_closed(reason);
-    }
-
     /// Records that a request was answered.
     pub fn complete(&self) {
-        if let Some(entry) = self.connections.lock().entries.get_mut(&self.id) {
+        if let Some(entry) = self.connections.registry.lock().entries.get_mut(&self.id) {
             entry.last_complete = Instant::now();
         }
     }
 
     /// Records that the connection is a WebSocket from now on, which is not evicted. At most
     /// [`MAX_SOCKETS`] are open, and at most three quarters of all connections, so that WebSockets
-    /// alone cannot reach that cap.
-    ///
-    /// # Errors
-    ///
-    /// A message that names the limit that is reached.
+    /// alone cannot reach that cap. The error names the limit that is reached.
     pub fn upgrade(&self, person: Option<&str>) -> Result<(), String> {
-        let mut registry = self.connections.lock();
+        let mut registry = self.connections.registry.lock();
         let max = MAX_SOCKETS.min((self.connections.max * 3 / 4).max(1));
         let entries = registry.entries.values();
         let sockets: Vec<_> = entries.filter_map(|it| it.socket.as_ref()).collect();
@@ -222,7 +204,7 @@ impl Slot {
 
 impl Drop for Slot {
     fn drop(&mut self) {
-        self.connections.lock().entries.remove(&self.id);
+        self.connections.registry.lock().entries.remove(&self.id);
     }
 }
 
@@ -238,7 +220,13 @@ mod tests {
     const REMOTE: IpAddr = IpAddr::V4(Ipv4Addr::new(10, 0, 0, 1));
 
     fn ids(connections: &Arc<Connections>) -> Vec<u64> {
-        let mut ids: Vec<u64> = connections.lock().entries.keys().copied().collect();
+        let mut ids: Vec<u64> = connections
+            .registry
+            .lock()
+            .entries
+            .keys()
+            .copied()
+            .collect();
         ids.sort_unstable();
         ids
     }
@@ -257,7 +245,7 @@ mod tests {
         slots[1].upgrade(None).unwrap();
         assert!(fourth.upgrade(None).is_err(), "three quarters");
         // Sockets reach a cap only if it is that of one peer.
-        let mut registry = connections.lock();
+        let mut registry = connections.registry.lock();
         registry.entries.get_mut(&fourth.id).unwrap().socket = Some(None);
         drop(registry);
         assert!(connections.register(LOCAL).is_none(), "all are WebSockets");
@@ -298,6 +286,6 @@ mod tests {
         slots.pop();
         assert!(open(Some("bob")).is_ok());
         drop(slots);
-        assert!(connections.lock().entries.is_empty());
+        assert!(connections.registry.lock().entries.is_empty());
     }
 }

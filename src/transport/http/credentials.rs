@@ -75,7 +75,7 @@ impl Credentials {
             Credentials::PageToken(token) => format!(
                 "no valid token: send the one in {} as `Authorization: Bearer`, or open the page \
                  with it",
-                token.file().display()
+                token.file.display()
             ),
             Credentials::Users(_) => {
                 "no valid token: send yours as `Authorization: Bearer`, or open the page with it (`jostle --credentials FOLDER auth link` prints the link)"

@@ -4,11 +4,12 @@
 //! [`EVENT_CAPACITY`] are dropped and counted; the page queries them.
 
 use std::collections::HashMap;
-use std::sync::{Arc, Mutex, PoisonError, Weak};
+use std::sync::{Arc, Weak};
 use std::time::Duration;
 
 use axum::extract::ws::Message;
 use jostle_proto::keys;
+use parking_lot::Mutex;
 use serde_json::value::RawValue;
 use tokio::sync::{broadcast, watch};
 use tokio::task::spawn_blocking;
@@ -141,7 +142,7 @@ impl Feeds {
     }
 
     async fn feed(&self, swarm: &str) -> Option<Arc<Feed>> {
-        if let Some(feed) = self.lock().get(swarm).and_then(Weak::upgrade) {
+        if let Some(feed) = self.watched.lock().get(swarm).and_then(Weak::upgrade) {
             return Some(feed);
         }
         let (bus, name) = (self.bus.clone(), swarm.to_owned());
@@ -150,7 +151,7 @@ impl Feeds {
             debug!(swarm, %error, "failed to subscribe for the page");
         });
         let feed = Arc::new(subscribed.ok()?);
-        let mut watched = self.lock();
+        let mut watched = self.watched.lock();
         watched.retain(|_, feed| feed.strong_count() > 0);
         // Another tab may have inserted one meanwhile.
         if let Some(feed) = watched.get(swarm).and_then(Weak::upgrade) {
@@ -158,10 +159,6 @@ impl Feeds {
         }
         watched.insert(swarm.to_owned(), Arc::downgrade(&feed));
         Some(feed)
-    }
-
-    fn lock(&self) -> std::sync::MutexGuard<'_, HashMap<String, Weak<Feed>>> {
-        self.watched.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 

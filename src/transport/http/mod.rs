@@ -31,7 +31,7 @@ use axum::extract::{
 };
 use axum::http::header::CONTENT_TYPE;
 use axum::http::{HeaderMap, StatusCode};
-use axum::middleware::{from_fn, from_fn_with_state, map_response};
+use axum::middleware::{from_fn, map_response};
 use axum::response::{IntoResponse, Response};
 use axum::routing::{self, any, post};
 use jostle_proto::{ErrorCode, Role, keys};
@@ -44,13 +44,11 @@ use tokio_rustls::TlsAcceptor;
 
 use crate::health::Watch;
 use crate::transport::http::accept::{accept, record_completion, whole_body};
-use crate::transport::http::bus::{error, reject};
+use crate::transport::http::bus::{Reply, reject};
 use crate::transport::http::connections::{Connections, Slot, max_connections};
 use crate::transport::http::credentials::PROTOCOL;
 use crate::transport::http::feed::Feeds;
-use crate::transport::http::origin_guard::{
-    MAX_BODY_BYTES, OriginGuard, check_origin, security_headers,
-};
+use crate::transport::http::origin_guard::{MAX_BODY_BYTES, check_origin, security_headers};
 
 /// Why the server cannot start.
 #[derive(Debug, Error)]
@@ -146,10 +144,6 @@ impl Gateway {
     }
 
     /// Serves in a new task, over TLS with an `acceptor`.
-    ///
-    /// # Errors
-    ///
-    /// The listener has no address.
     pub fn serve(
         listener: TcpListener,
         acceptor: Option<TlsAcceptor>,
@@ -178,7 +172,9 @@ impl Gateway {
             .fallback(routing::get(page::file))
             .layer(DefaultBodyLimit::max(MAX_BODY_BYTES))
             .with_state(Arc::new(server))
-            .layer(from_fn_with_state(OriginGuard { is_secure }, check_origin))
+            .layer(from_fn(move |request, next| {
+                check_origin(is_secure, request, next)
+            }))
             .layer(map_response(security_headers))
             .layer(from_fn(record_completion));
         let serving = tokio::spawn(accept(listener, acceptor, router, connections));
@@ -216,12 +212,15 @@ struct Server {
 type SharedServer = State<Arc<Server>>;
 
 impl Server {
-    /// The response to a request without a valid token.
-    fn unauthorized(&self) -> Response {
-        let remedy = self.credentials.remedy();
-        let mut response = reject(&error(ErrorCode::PermissionDenied, remedy));
+    /// Rejects a request without a valid token.
+    #[expect(clippy::result_large_err, reason = "handlers return it as it is")]
+    fn authorize(&self, is_valid: bool) -> Result<(), Response> {
+        if is_valid {
+            return Ok(());
+        }
+        let mut response = reject(ErrorCode::PermissionDenied, self.credentials.remedy());
         *response.status_mut() = StatusCode::UNAUTHORIZED;
-        response
+        Err(response)
     }
 }
 
@@ -234,28 +233,28 @@ async fn healthz(State(server): SharedServer) -> Response {
     };
     let listed = |code: &str, message: String| json!({"code": code, "message": message});
     let reason_list = reasons.iter().map(|it| listed(it.code(), it.to_string()));
-    let warnings = watch.warnings();
-    let warnings = warnings.iter().map(|it| listed(it.code(), it.to_string()));
+    let warnings = watch.warning().map(|(code, message)| listed(code, message));
     let document = json!({
         "healthy": reasons.is_empty(),
         "node": node,
         "uptime_secs": watch.uptime().as_secs_f64(),
         "reasons": reason_list.collect::<Vec<_>>(),
-        "warnings": warnings.collect::<Vec<_>>(),
+        "warnings": Vec::from_iter(warnings),
     });
     let json = [(CONTENT_TYPE, "application/json")];
     (status, json, format!("{document}\n")).into_response()
 }
 
-async fn metrics(State(server): SharedServer, headers: HeaderMap) -> Response {
-    if !server.credentials.may_watch(&headers) {
-        return server.unauthorized();
-    }
+async fn metrics(
+    State(server): SharedServer,
+    headers: HeaderMap,
+) -> Result<impl IntoResponse, Response> {
+    server.authorize(server.credentials.may_watch(&headers))?;
     let text = openmetrics::encode(server.watch.figures(), server.connections.figures());
-    ([(CONTENT_TYPE, openmetrics::CONTENT_TYPE)], text).into_response()
+    Ok(([(CONTENT_TYPE, openmetrics::CONTENT_TYPE)], text))
 }
 
-async fn hello(State(server): SharedServer, headers: HeaderMap) -> Response {
+async fn hello(State(server): SharedServer, headers: HeaderMap) -> impl IntoResponse {
     let person = server.credentials.person(&headers);
     let role = person.as_ref().map(|person| person.role);
     let token = server.credentials.page_token();
@@ -267,11 +266,10 @@ async fn hello(State(server): SharedServer, headers: HeaderMap) -> Response {
         "may_command": server.credentials.may_command(&headers) && role.is_none_or(|it| it == Role::Operator),
         "person": person.map(|person| person.name),
         "role": role,
-        "token_file": token.map(|token| token.file().display().to_string()),
-        "token_needs_root": token.map(Token::needs_root),
+        "token_file": token.map(|token| token.file.display().to_string()),
+        "token_needs_root": token.map(|token| token.needs_root),
     });
-    let json = [(CONTENT_TYPE, jostle_proto::JSON)];
-    (json, document.to_string()).into_response()
+    ([(CONTENT_TYPE, jostle_proto::JSON)], document.to_string())
 }
 
 /// Queries a key that changes nothing: one with `get` in it, or the state of a swarm.
@@ -280,14 +278,12 @@ async fn get(
     Path(rest): Path<String>,
     RawQuery(parameters): RawQuery,
     headers: HeaderMap,
-) -> Response {
-    if !server.credentials.may_watch(&headers) {
-        return server.unauthorized();
-    }
+) -> Result<Reply, Response> {
+    server.authorize(server.credentials.may_watch(&headers))?;
     let chunks: Vec<&str> = rest.split('/').collect();
     // Only operators may send this query.
-    if chunks[..] == ["@node", "get", "recording"] && !server.credentials.may_command(&headers) {
-        return server.unauthorized();
+    if chunks[..] == ["@node", "get", "recording"] {
+        server.authorize(server.credentials.may_command(&headers))?;
     }
     let is_query = match chunks[..] {
         ["@node", "get", _] | [_, "get", _] | [_, "state"] => true,
@@ -296,24 +292,19 @@ async fn get(
     };
     if !is_query {
         let message = format!("unknown query {rest:?}: use SWARM/get/… or @node/get/…");
-        return reject(&error(ErrorCode::NotFound, message));
+        return Err(reject(ErrorCode::NotFound, message));
     }
-    let parameters = match parameters::selector(&parameters.unwrap_or_default()) {
-        Ok(parameters) => parameters,
-        Err(message) => return reject(&error(ErrorCode::InvalidArgument, message)),
-    };
+    let parameters = parameters::selector(&parameters.unwrap_or_default())
+        .map_err(|message| reject(ErrorCode::InvalidArgument, message))?;
     let token = server.credentials.token(&headers);
-    match server.bus.query(&rest, &parameters, None, token).await {
-        Ok(reply) => reply.into_response(),
-        Err(error) => reject(&error),
-    }
+    server.bus.query(&rest, &parameters, None, token).await
 }
 
 async fn command(
     State(server): SharedServer,
     Path((swarm, verb)): Path<(String, String)>,
     request: Request,
-) -> Response {
+) -> Result<Reply, Response> {
     send(server, format!("{swarm}/cmd/{verb}"), request).await
 }
 
@@ -321,31 +312,23 @@ async fn node_command(
     State(server): SharedServer,
     Path(verb): Path<String>,
     request: Request,
-) -> Response {
+) -> Result<Reply, Response> {
     send(server, format!("@node/cmd/{verb}"), request).await
 }
 
 /// Sends a command, which needs a token.
-async fn send(server: Arc<Server>, rest: String, request: Request) -> Response {
+async fn send(server: Arc<Server>, rest: String, request: Request) -> Result<Reply, Response> {
     let headers = request.headers().clone();
     let body = whole_body(request).await;
-    if !server.credentials.may_command(&headers) {
-        return server.unauthorized();
-    }
-    let body = match body {
-        Ok(body) => body,
-        Err(rejection) => return rejection,
-    };
+    server.authorize(server.credentials.may_command(&headers))?;
+    let body = body?;
     // A command is not cancelled when the client disconnects.
     let reply = tokio::spawn(async move {
         let token = server.credentials.token(&headers);
         server.bus.query(&rest, "", Some(body), token).await
     });
-    match reply.await {
-        Ok(Ok(reply)) => reply.into_response(),
-        Ok(Err(error)) => reject(&error),
-        Err(_) => reject(&error(ErrorCode::Internal, "the daemon is stopping")),
-    }
+    let stopping = |_| reject(ErrorCode::Internal, "the daemon is stopping");
+    reply.await.map_err(stopping)?
 }
 
 /// The swarm that a tab watches, in addition to the list.
@@ -360,29 +343,26 @@ async fn websocket(
     Extension(slot): Extension<Arc<Slot>>,
     headers: HeaderMap,
     upgrade: WebSocketUpgrade,
-) -> Response {
-    if !server.credentials.may_watch(&headers) {
-        return server.unauthorized();
-    }
+) -> Result<Response, Response> {
+    server.authorize(server.credentials.may_watch(&headers))?;
     if let Some(swarm) = &watched.swarm
         && !keys::is_name(swarm)
     {
         let message = format!("invalid swarm name {swarm:?}");
-        return reject(&error(ErrorCode::InvalidArgument, message));
+        return Err(reject(ErrorCode::InvalidArgument, message));
     }
     let person = server.credentials.person(&headers);
     let name = person.as_ref().map(|person| person.name.as_str());
-    if let Err(message) = slot.upgrade(name) {
-        return reject(&error(ErrorCode::ResourceExhausted, message));
-    }
+    slot.upgrade(name)
+        .map_err(|message| reject(ErrorCode::ResourceExhausted, message))?;
     let feeds = server.feeds.clone();
     let upgrade = upgrade.protocols([PROTOCOL]);
     let upgrade = upgrade.max_message_size(4096).max_frame_size(4096);
-    upgrade.on_upgrade(async move |socket| {
+    Ok(upgrade.on_upgrade(async move |socket| {
         let revoked = server.credentials.revoked(&headers);
         socket::serve(socket, feeds, watched.swarm, revoked).await;
         drop(slot);
-    })
+    }))
 }
 
 #[cfg(test)]

@@ -31,7 +31,7 @@ enum Value {
     Gauges(&'static str, fn(&Input) -> Vec<(&'static str, f64)>),
     Counters(&'static str, fn(&Input) -> Vec<(&'static str, f64)>),
     SwarmGauge(fn(&SwarmFigures) -> Option<f64>),
-    SwarmCounter(fn(&SwarmFigures) -> f64),
+    SwarmCounter(fn(&SwarmFigures) -> Option<f64>),
 }
 
 use Value::{Counter, Counters, Gauge, Gauges, Histogram, OptionalGauge, SwarmCounter, SwarmGauge};
@@ -86,9 +86,9 @@ const METRICS: &[(&str, &str, Value)] = &[
         ("failed", it.daemon.recordings.failed.len() as f64),
     ])),
     ("swarms_unlabelled", "Swarms without series of their own, because there are too many", Gauge(|it| it.daemon.swarms.len().saturating_sub(MAX_LABELLED) as f64)),
-    ("swarm_steps", "Executed steps of the swarm", SwarmCounter(|swarm| swarm.totals.step_time.count() as f64)),
-    ("swarm_step_seconds", "Total duration of its steps", SwarmCounter(|swarm| swarm.totals.step_time.secs())),
-    ("swarm_step_lateness_seconds", "Total delay of its steps behind their due times", SwarmCounter(|swarm| swarm.totals.lateness.secs())),
+    ("swarm_steps", "Executed steps of the swarm", SwarmCounter(|swarm| Some(swarm.totals.step_time.count() as f64))),
+    ("swarm_step_seconds", "Total duration of its steps", SwarmCounter(|swarm| Some(swarm.totals.step_time.secs()))),
+    ("swarm_step_lateness_seconds", "Total delay of its steps behind their due times", SwarmCounter(|swarm| Some(swarm.totals.lateness.secs()))),
     ("swarm_real_time_factor", "Recent time units per second of wall clock, while it runs", SwarmGauge(|swarm| swarm.summary.real_time_factor)),
     ("swarm_individuals", "Individuals of the swarm", SwarmGauge(|swarm| Some(swarm.summary.n as f64))),
     ("swarm_contacts", "Contacts of its last step", SwarmGauge(|swarm| Some(swarm.last.contacts as f64))),
@@ -137,15 +137,10 @@ pub fn encode(daemon: Figures, http: HttpFigures) -> String {
                     sample(&format!("{{{label}=\"{name}\"}}"), value);
                 }
             }
-            SwarmGauge(value) => {
+            SwarmGauge(value) | SwarmCounter(value) => {
                 for swarm in labelled {
                     let labels = format!("{{swarm=\"{}\"}}", swarm.name);
                     value(swarm).into_iter().for_each(|it| sample(&labels, it));
-                }
-            }
-            SwarmCounter(value) => {
-                for swarm in labelled {
-                    sample(&format!("{{swarm=\"{}\"}}", swarm.name), value(swarm));
                 }
             }
             Histogram(durations) => histogram(&mut text, name, durations(&input)),

@@ -1,8 +1,6 @@
 //! Checks of `Host`, `Origin` and body length, before a request is handled.
 
-use std::net::IpAddr;
-
-use axum::extract::{Request, State};
+use axum::extract::Request;
 use axum::http::header::{
     CACHE_CONTROL, CONTENT_LENGTH, HOST, ORIGIN, TRANSFER_ENCODING, X_CONTENT_TYPE_OPTIONS,
 };
@@ -10,29 +8,20 @@ use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, Uri};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 
+use crate::auth::address::is_loopback;
+
 /// The maximum length of a body: that of a request on the bus.
 pub const MAX_BODY_BYTES: usize = (1 << 20) - 4096;
 
-/// The state of [`check_origin`].
-#[derive(Clone, Copy)]
-pub struct OriginGuard {
-    /// Whether the server uses TLS. Then any `Host` is accepted: a page under a rebound name has no
-    /// user's token.
-    pub is_secure: bool,
-}
-
 /// Middleware that rejects a request with a foreign `Host` or `Origin`, and one with a body that no
-/// handler reads.
-pub async fn check_origin(
-    State(guard): State<OriginGuard>,
-    request: Request,
-    next: Next,
-) -> Response {
+/// handler reads. Over TLS (`is_secure`) any `Host` is accepted: a page under a rebound name has no
+/// user's token.
+pub async fn check_origin(is_secure: bool, request: Request, next: Next) -> Response {
     let headers = request.headers();
     let mut hosts = headers.get_all(HOST).iter();
     let is_ours = matches!((hosts.next(), hosts.next()), (Some(host), None) if is_own(host))
-        && request.uri().host().is_none_or(is_own_name);
-    if !is_ours && !guard.is_secure {
+        && request.uri().host().is_none_or(is_loopback);
+    if !is_ours && !is_secure {
         let message = "foreign Host: use 127.0.0.1 or localhost in the URL\n";
         return (StatusCode::MISDIRECTED_REQUEST, message).into_response();
     }
@@ -94,13 +83,7 @@ fn is_own(host: &HeaderValue) -> bool {
         Some((name, port)) if port.parse::<u16>().is_ok() && !host.ends_with(']') => name,
         _ => host,
     };
-    is_own_name(name)
-}
-
-fn is_own_name(name: &str) -> bool {
-    let bare = name.strip_prefix('[').and_then(|it| it.strip_suffix(']'));
-    let address = bare.unwrap_or(name).parse::<IpAddr>();
-    name.eq_ignore_ascii_case("localhost") || address.is_ok_and(|it| it.is_loopback())
+    is_loopback(name)
 }
 
 #[cfg(test)]

@@ -7,11 +7,7 @@ use axum::http::Uri;
 const SEPARATOR: char = ';';
 
 /// Decodes a percent-encoded query string with the separators `&` or `;`, and encodes its parameters
-/// for a selector.
-///
-/// # Errors
-///
-/// A message if a selector cannot express the parameters.
+/// for a selector. The error is the reason why a selector cannot express them.
 pub fn selector(query: &str) -> Result<String, String> {
     let unreadable = || format!("invalid parameters {query:?}: use NAME=VALUE&NAME=VALUE");
     let uri = format!("/?{}", query.replace(SEPARATOR, "&"));

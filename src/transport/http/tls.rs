@@ -11,10 +11,6 @@ use tokio_rustls::rustls::ServerConfig;
 use tokio_rustls::rustls::crypto::ring;
 
 /// An acceptor with a certificate and its key, from PEM files.
-///
-/// # Errors
-///
-/// The files cannot be read or do not match.
 pub fn acceptor([certificate, key]: &[PathBuf; 2]) -> io::Result<TlsAcceptor> {
     let chain = CertificateDer::pem_file_iter(certificate).map_err(io::Error::other)?;
     let chain: Result<Vec<_>, _> = chain.collect();

@@ -92,22 +92,14 @@ fn roles(prefix: &str) -> Vec<Value> {
         .map(every)
         .collect();
     let everything = [every("**"), keys::node_cmd(prefix, "*", "**")];
+    let recording = keys::node_get(prefix, "*", "recording");
+    let set_points = keys::ctl(prefix, "*", "*");
     vec![
         rule("watch", "ingress", &READ, &ALL_KEYS),
         rule("get", "ingress", &["query"], &gets),
-        denial(
-            "no_recording",
-            "ingress",
-            "query",
-            &keys::node_get(prefix, "*", "recording"),
-        ),
+        denial("no_recording", "ingress", "query", &recording),
         // A set-point contains the token of its sender.
-        denial(
-            "no_set_points",
-            "egress",
-            "put",
-            &keys::ctl(prefix, "*", "*"),
-        ),
+        denial("no_set_points", "egress", "put", &set_points),
         rule("control", "ingress", &["query"], &controllers),
         rule("operate", "ingress", &["query"], &everything),
     ]
@@ -161,20 +153,13 @@ fn subjects_of(person: &User, subjects: &mut Vec<Value>) -> [String; 2] {
 /// Permits controllers of these names to publish set-points (`ID_put`) and to declare their token
 /// (`ID_live`).
 fn control_rules(prefix: &str, id: &str, controllers: &[String]) -> [Value; 2] {
-    let each = |key: fn(&str, &str, &str) -> String| -> Vec<String> {
-        let names = controllers.iter();
-        names
-            .map(|controller| key(prefix, "*", controller))
-            .collect()
+    let each = |suffix: &str, message: &str, key: fn(&str, &str, &str) -> String| {
+        let keys: Vec<_> = controllers.iter().map(|it| key(prefix, "*", it)).collect();
+        rule(&format!("{id}_{suffix}"), "ingress", &[message], &keys)
     };
     [
-        rule(&format!("{id}_put"), "ingress", &["put"], &each(keys::ctl)),
-        rule(
-            &format!("{id}_live"),
-            "ingress",
-            &["liveliness_token"],
-            &each(keys::ctl_alive),
-        ),
+        each("put", "put", keys::ctl),
+        each("live", "liveliness_token", keys::ctl_alive),
     ]
 }
 

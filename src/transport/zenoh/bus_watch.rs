@@ -121,8 +121,7 @@ impl BusWatch {
     fn check_now(&self, state: &mut State) {
         let age = state.since.map_or(Duration::ZERO, |since| since.elapsed());
         if age >= CHECK_INTERVAL && state.closing.is_empty() {
-            let closing = self.sessions.closing();
-            state.closing = closing.into_iter().map(|(client, _)| client).collect();
+            state.closing = self.sessions.closing();
         }
         if age >= PROBE_TIMEOUT && !state.is_counted {
             state.is_counted = true;

@@ -57,26 +57,22 @@ impl std::fmt::Display for Client {
 }
 
 impl Sessions {
-    /// The sessions that zenoh is closing, each with the time when this was first seen, the oldest
-    /// first.
+    /// The clients of the sessions that zenoh is closing, in the order in which this was first seen.
     ///
     /// zenoh closes the links of a session, then removes its declarations, then removes the session.
-    pub fn closing(&self) -> Vec<(Client, Instant)> {
+    pub fn closing(&self) -> Vec<Client> {
         let mut known = self.known.lock();
         let mut closing = Vec::new();
         for entry in &mut known.entries {
             // An error means that zenoh has removed the session.
-            if entry
-                .transport
-                .get_links()
-                .is_ok_and(|links| links.is_empty())
-            {
+            let links = entry.transport.get_links();
+            if links.is_ok_and(|links| links.is_empty()) {
                 let since = *entry.closing.get_or_insert_with(Instant::now);
-                closing.push((entry.client.clone(), since));
+                closing.push((since, entry.client.clone()));
             }
         }
-        closing.sort_by_key(|(_, since)| *since);
-        closing
+        closing.sort_by_key(|(since, _)| *since);
+        closing.into_iter().map(|(_, client)| client).collect()
     }
 }
 

@@ -93,9 +93,9 @@ impl Dispatcher {
         let Gateway {
             context, claims, ..
         } = &*self.gateway;
-        let (name, is_command) = match incoming.target() {
+        let (name, is_command) = match &incoming.target {
             Target::Deletion => {
-                if !incoming.is_wild() && !self.endpoints.serves(incoming.key()) {
+                if !incoming.is_wild && !self.endpoints.serves(&incoming.key) {
                     context.handle(incoming);
                 }
                 return None;
@@ -107,7 +107,7 @@ impl Dispatcher {
         };
         // A command that is not permitted or has a wildcard executes nothing, so it is not held:
         // its handler rejects it.
-        let executes = is_command && !incoming.is_wild() && context.permit(incoming).is_ok();
+        let executes = is_command && !incoming.is_wild && context.permit(incoming).is_ok();
         let mut created = None;
         let error = match claims.gate(&name, executes) {
             Gate::Open | Gate::First if !executes => None,
@@ -138,7 +138,7 @@ impl Dispatcher {
             Some(error) => context.reject(incoming, &error),
         }
         // `fork`, `restore` and `replay` finish later; `create` has succeeded or failed by now.
-        let is_create = incoming.key().ends_with("/create");
+        let is_create = incoming.key.ends_with("/create");
         if let Some(created) = created
             && is_create
             && context.host.find(&created).is_none()
@@ -204,7 +204,6 @@ impl Dispatcher {
         reply.send();
     }
 
-    /// Opens a swarm's keys.
     fn open(&mut self, swarm: &str) {
         let Some(handle) = self.gateway.context.host.find(swarm) else {
             return;

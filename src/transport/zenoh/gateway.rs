@@ -74,10 +74,10 @@ impl Gateway {
     /// case if the request is a short command whose handler does not take long, and if no other request
     /// is queued before it.
     pub fn handles_inline(&self, incoming: &Incoming, bytes: usize) -> bool {
-        let Target::Command(swarm) = incoming.target() else {
+        let Target::Command(swarm) = &incoming.target else {
             return false;
         };
-        let verb = incoming.key().rsplit('/').next();
+        let verb = incoming.key.rsplit('/').next();
         let is_slow = verb.is_none_or(|verb| matches!(verb, "fork" | "seek" | "delete"));
         let is_first = self.queued.load(Ordering::Acquire) == 0;
         bytes <= MAX_INLINE_BYTES
@@ -125,10 +125,8 @@ pub(super) fn queryable(
     let gateway = gateway.clone();
     let unanswered = Arc::new(AtomicUsize::new(0));
     let used = AtomicU32::new(0);
-    let Payload {
-        bytes, encoding, ..
-    } = Payload::json(&CommandError::Busy.to_wire(None));
-    let busy = ZBytes::from(bytes);
+    let busy = Payload::json(&CommandError::Busy.to_wire(None));
+    let (busy, encoding) = (ZBytes::from(busy.bytes), busy.encoding);
     session
         .declare_queryable(key)
         .callback(move |query| {

@@ -9,13 +9,14 @@
 //! an unbounded channel, but only when its queue was empty before: the channel stays short.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, SyncSender, channel};
-use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
 use jostle_proto::{CBOR, JSON, keys};
+use parking_lot::Mutex;
 use tracing::warn;
 use zenoh::pubsub::Publisher as ZenohPublisher;
 use zenoh::qos::CongestionControl;
@@ -79,10 +80,6 @@ enum PublishMessage {
 
 impl Publisher {
     /// Starts the thread.
-    ///
-    /// # Errors
-    ///
-    /// When no thread can be started.
     pub fn start(
         prefix: &str,
         dispatcher: SyncSender<DispatchMessage>,
@@ -108,10 +105,6 @@ impl Publisher {
     }
 
     /// Begins to publish a swarm in a leased session.
-    ///
-    /// # Errors
-    ///
-    /// When zenoh rejects a publisher.
     pub fn open(&self, lease: Lease, output: &Arc<Output>) -> zenoh::Result<()> {
         let (prefix, swarm) = (&self.prefix, &output.name);
         let event = lease
@@ -130,7 +123,9 @@ impl Publisher {
             output: output.clone(),
             _lease: lease,
         });
-        self.lock().insert(swarm.clone(), publication.clone());
+        self.publications
+            .lock()
+            .insert(swarm.clone(), publication.clone());
         output.set_publisher(&publication);
         Ok(())
     }
@@ -168,7 +163,7 @@ impl Publisher {
             let swarm = match message {
                 Ok(PublishMessage::Notify(swarm)) => scheduler.notify(swarm, began),
                 Ok(PublishMessage::Close(swarm, reply)) => {
-                    let publication = self.lock().remove(&swarm);
+                    let publication = self.publications.lock().remove(&swarm);
                     if let Some(publication) = publication {
                         publication.publish();
                     }
@@ -201,13 +196,7 @@ impl Publisher {
     }
 
     fn find(&self, swarm: &str) -> Option<Arc<Publication>> {
-        self.lock().get(swarm).cloned()
-    }
-
-    fn lock(&self) -> std::sync::MutexGuard<'_, BTreeMap<String, Arc<Publication>>> {
-        self.publications
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
+        self.publications.lock().get(swarm).cloned()
     }
 }
 

@@ -30,12 +30,12 @@ pub struct SwarmEndpoints {
     node: String,
     gateway: Arc<Gateway>,
     swarms: BTreeMap<String, Endpoint>,
-    /// The liveliness token and the queryables of the daemon itself.
+    /// The liveliness token and the queryables of the daemon itself, undeclared in this order.
     node_keys: Option<(LivelinessToken, [Queryable<()>; 4])>,
     swept: Instant,
 }
 
-/// The keys of one swarm.
+/// The keys of one swarm, undeclared in this order: the token first.
 struct Endpoint {
     /// Declared exactly while the swarm exists.
     token: Option<LivelinessToken>,
@@ -111,19 +111,14 @@ impl SwarmEndpoints {
         Ok(())
     }
 
-    /// Undeclares the daemon's own keys, the token first.
+    /// Undeclares the daemon's own keys.
     pub fn close_node(&mut self) {
-        if let Some((token, queryables)) = self.node_keys.take() {
-            drop(token);
-            drop(queryables);
-        }
+        self.node_keys = None;
     }
 
-    /// Undeclares the keys of a swarm at once, the token first: another daemon serves it.
+    /// Undeclares the keys of a swarm at once: another daemon serves it.
     pub fn close_now(&mut self, swarm: &str) {
-        if let Some(mut endpoint) = self.swarms.remove(swarm) {
-            drop(endpoint.token.take());
-        }
+        self.swarms.remove(swarm);
     }
 
     /// Undeclares the token of a swarm, and its keys after [`LINGER`]. Returns whether it had a token.

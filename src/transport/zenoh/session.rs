@@ -1,6 +1,5 @@
 //! Opens the daemon's zenoh session: its endpoints, limits and authentication.
 
-use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
 use std::thread;
 
@@ -14,6 +13,7 @@ use zenoh::{Config, Session, Wait};
 use zenoh_runtime::ZRuntime;
 
 use crate::auth::Rights;
+use crate::auth::address::is_loopback;
 use crate::auth::folder::Folder;
 use crate::transport::zenoh::acl;
 use crate::transport::zenoh::clients::{Handler, Sessions};
@@ -187,6 +187,7 @@ fn reason(text: &str) -> String {
 
 /// Every setting that differs from zenoh's default.
 fn settings(listen: &[String], max_clients: usize) -> Vec<(&'static str, Value)> {
+    let (max_sessions, max_bytes) = (max_clients + MAX_EXTRA_SESSIONS, MAX_MESSAGE_BYTES);
     vec![
         // A zenoh router forwards claims to other routers, but not from one peer to another.
         ("mode", json!("router")),
@@ -205,27 +206,19 @@ fn settings(listen: &[String], max_clients: usize) -> Vec<(&'static str, Value)>
         // Connections that send nothing must not block new clients.
         ("transport/unicast/accept_timeout", json!(2000)),
         ("transport/unicast/accept_pending", json!(1000)),
-        (
-            "transport/unicast/max_sessions",
-            json!(max_clients + MAX_EXTRA_SESSIONS),
-        ),
+        ("transport/unicast/max_sessions", json!(max_sessions)),
         // A client that was disconnected is noticed within three seconds.
         ("transport/link/tx/lease", json!(3000)),
-        (
-            "transport/link/rx/max_message_size",
-            json!(MAX_MESSAGE_BYTES),
-        ),
+        ("transport/link/rx/max_message_size", json!(max_bytes)),
     ]
 }
 
 /// The authentication of sessions: by password, and over TLS by certificate, too.
 fn authentication(folder: &Folder) -> [(&'static str, Value); 2] {
     let ([authority, _], [certificate, key]) = (folder.authority(), folder.daemon());
+    let passwords = json!(folder.passwords_file());
     [
-        (
-            "transport/auth/usrpwd/dictionary_file",
-            json!(folder.passwords_file()),
-        ),
+        ("transport/auth/usrpwd/dictionary_file", passwords),
         (
             "transport/link/tls",
             json!({
@@ -242,12 +235,9 @@ fn authentication(folder: &Folder) -> [(&'static str, Value); 2] {
 /// Whether an address has options other than the interface, such as `0.0.0.0:7447#enable_mtls=false`:
 /// to zenoh they take precedence over its settings.
 fn has_options(address: &str) -> bool {
-    let Some((_, settings)) = address.split_once('#') else {
-        return false;
-    };
-    settings
-        .split(';')
-        .any(|setting| !setting.starts_with("iface="))
+    let settings = address.split_once('#').map(|(_, settings)| settings);
+    let mut settings = settings.into_iter().flat_map(|it| it.split(';'));
+    settings.any(|setting| !setting.starts_with("iface="))
 }
 
 /// Whether only this machine can reach `endpoint`.
@@ -258,12 +248,9 @@ fn is_local(endpoint: &str) -> bool {
     let address = rest.split(['?', '#']).next().unwrap_or(rest);
     match protocol {
         "unixsock-stream" => true,
-        "tcp" => match address.parse::<SocketAddr>() {
-            Ok(address) => address.ip().is_loopback(),
-            Err(_) => address.rsplit_once(':').is_some_and(|(host, _)| {
-                host == "localhost" || host.parse::<IpAddr>().is_ok_and(|ip| ip.is_loopback())
-            }),
-        },
+        "tcp" => address
+            .rsplit_once(':')
+            .is_some_and(|(host, _)| is_loopback(host)),
         _ => false,
     }
 }

@@ -158,6 +158,7 @@ mod tests {
     #[tokio::test(flavor = "multi_thread")]
     async fn sessions_are_replaced_kept_while_leased_and_closed_after() {
         let pool = pool().await;
+        let lease_all = || (0..MAX_LEASES).for_each(|_| drop(pool.lease().unwrap()));
         let first = pool.lease().unwrap();
         for _ in 1..MAX_LEASES {
             assert!(pool.lease().unwrap().session == first.session);
@@ -166,20 +167,14 @@ mod tests {
         let second = pool.lease().unwrap();
         assert!(second.session != first.session);
         assert_eq!(open(&pool), 2);
-        for _ in 0..MAX_LEASES {
-            pool.lease().unwrap();
-        }
+        lease_all();
         assert_eq!(open(&pool), 3, "two of them have a lease");
         let (closed, guard) = (second.session.clone(), second.guard());
         drop(second);
-        for _ in 0..MAX_LEASES {
-            pool.lease().unwrap();
-        }
+        lease_all();
         assert!(!closed.is_closed(), "a guard keeps it open");
         drop(guard);
-        for _ in 0..MAX_LEASES {
-            pool.lease().unwrap();
-        }
+        lease_all();
         assert_eq!(open(&pool), 2, "the first one, and the one that is leased");
         assert!(closed.is_closed() && !first.is_closed());
         pool.close();

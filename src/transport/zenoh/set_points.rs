@@ -2,7 +2,7 @@
 //! a reply.
 
 use std::sync::Arc;
-use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::sync::mpsc::{Receiver, sync_channel};
 use std::thread;
 use std::time::Duration;
 
@@ -25,14 +25,6 @@ const MAX_QUEUED: usize = 4096;
 /// The timeout of a query for another token of the same controller.
 const TOKEN_QUERY_TIMEOUT: Duration = Duration::from_secs(1);
 
-/// A sample on its way to the thread.
-enum Received {
-    /// Set-points.
-    Put(Sample),
-    /// The token of a controller was undeclared.
-    Lost(Sample),
-}
-
 /// Starts the thread and subscribes to set-points and tokens.
 pub fn listen(
     session: &Session,
@@ -52,12 +44,15 @@ pub fn listen(
     thread::Builder::new()
         .name("control".into())
         .spawn(move || reader.run(&received))?;
-    let puts: SyncSender<Received> = messages.clone();
+    let puts = messages.clone();
     let puts = session
         .declare_subscriber(keys::ctl(prefix, "*", "*"))
         .callback(move |sample| {
-            // A dropped set-point is replaced by the next one.
-            let _ = puts.try_send(Received::Put(sample));
+            // zenoh's access rules let no deletion through.
+            if sample.kind() == SampleKind::Put {
+                // A dropped set-point is replaced by the next one.
+                let _ = puts.try_send(sample);
+            }
         })
         .wait()?;
     let tokens = session
@@ -65,7 +60,7 @@ pub fn listen(
         .declare_subscriber(keys::ctl_alive(prefix, "*", "*"))
         .callback(move |sample| {
             if sample.kind() == SampleKind::Delete {
-                let _ = messages.send(Received::Lost(sample));
+                let _ = messages.send(sample);
             }
         })
         .wait()?;
@@ -81,11 +76,12 @@ struct Reader {
 }
 
 impl Reader {
-    fn run(&self, messages: &Receiver<Received>) {
-        while let Ok(message) = messages.recv() {
-            match message {
-                Received::Put(sample) => self.put(&sample),
-                Received::Lost(sample) => self.lost(&sample),
+    fn run(&self, samples: &Receiver<Sample>) {
+        while let Ok(sample) = samples.recv() {
+            match sample.kind() {
+                SampleKind::Put => self.put(&sample),
+                // The token of a controller was undeclared.
+                SampleKind::Delete => self.lost(&sample),
             }
         }
     }
@@ -105,10 +101,7 @@ impl Reader {
             return handle.send(Message::Put(controller.to_owned(), None, None));
         }
         let is_cbor = *sample.encoding() == Encoding::APPLICATION_CBOR;
-        let read = match sample.kind() {
-            SampleKind::Put => control::read(controller, &sample.payload().to_bytes(), is_cbor),
-            SampleKind::Delete => return,
-        };
+        let read = control::read(controller, &sample.payload().to_bytes(), is_cbor);
         let (epoch, put) = match read {
             Ok((epoch, put)) => (epoch, Some(put)),
             Err(problem) => {

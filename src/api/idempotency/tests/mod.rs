@@ -73,12 +73,8 @@ fn beside_n_other_names_a_client_keeps_its_share_of_n_plus_1() {
     assert_eq!(kept.count(), 10);
     // With as many names as there is room for replies, none of it is kept.
     for id in 0..100 {
-        reply(
-            &mut requests,
-            Some(&format!("more-{id}")),
-            &id.to_string(),
-            10,
-        );
+        let name = format!("more-{id}");
+        reply(&mut requests, Some(&name), &id.to_string(), 10);
     }
     assert!(!(0..10).any(|id| knows(&requests, Some("operator"), &id.to_string())));
 }
@@ -169,9 +165,7 @@ fn the_totals_are_the_sums_of_what_is_remembered() {
 #[tokio::test]
 async fn a_retry_of_a_request_that_was_dropped_is_not_executed() {
     let folder = tempfile::tempdir().unwrap();
-    let settings = store::Settings {
-        quota_bytes: u64::MAX,
-    };
+    let settings = store::Settings { quota_bytes: 1 };
     let store = Store::open(folder.path(), settings, Box::new(|_| {})).unwrap();
     let cache = IdempotencyCache::new(store.clone(), false);
     let sender = Replies::start().unwrap();

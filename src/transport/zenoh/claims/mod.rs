@@ -118,17 +118,15 @@ impl Claims {
             true => Standing::Changed,
             false => Standing::Waiting,
         };
-        let settled = {
-            let mut known = self.known.lock();
-            known.changed.insert(name.clone());
-            let settled = match known.routers.is_empty() || has_changed {
-                true => now,
-                false => now + SETTLING,
-            };
-            let own = Own::new(standing, settled, None);
-            known.own.insert(name.clone(), own);
-            settled
+        let mut known = self.known.lock();
+        known.changed.insert(name.clone());
+        let settled = match known.routers.is_empty() || has_changed {
+            true => now,
+            false => now + SETTLING,
         };
+        let own = Own::new(standing, settled, None);
+        known.own.insert(name.clone(), own);
+        drop(known);
         // Without a router no daemon can contest the name: `reconcile` declares `serving` first.
         if has_changed || settled > now {
             self.declare(name, standing);
@@ -194,22 +192,17 @@ impl Claims {
         let now = Instant::now();
         let mut known = self.known.lock();
         known.notice_pause(now);
-        if !known.own.contains_key(name) {
+        let Some((verdict, own)) = known.verdict(name, &self.claimant) else {
             // A swarm that was just deleted here, of a name that another daemon serves now.
             let is_of_another = !known.routers.is_empty() && known.others.contains_key(name);
-            return if is_of_another {
-                Gate::Drop
-            } else {
-                Gate::Open
+            return match is_of_another {
+                true => Gate::Drop,
+                false => Gate::Open,
             };
-        }
+        };
         if is_command && now < known.stale_until {
             return Gate::Busy;
         }
-        let (verdict, own) = match known.verdict(name, &self.claimant) {
-            Some(judged) => judged,
-            None => return Gate::Open,
-        };
         match verdict {
             Verdict::Reject(other) => Gate::Reject(Box::new(self.contest(name, &other, false))),
             Verdict::Serve if own.is_rejecting => Gate::Busy,
@@ -226,18 +219,11 @@ impl Claims {
     /// about to be executed.
     pub fn change(&self, name: &Name) {
         for name in [&Name::Node, name] {
-            let has_changed = {
-                let mut known = self.known.lock();
-                let own = known.own.get_mut(name);
-                own.is_some_and(|own| {
-                    let is_served = own.standing == Standing::Serving;
-                    if is_served {
-                        own.standing = Standing::Changed;
-                    }
-                    is_served
-                })
-            };
-            if has_changed {
+            let mut known = self.known.lock();
+            let own = known.own.get_mut(name);
+            if let Some(own) = own.filter(|own| own.standing == Standing::Serving) {
+                own.standing = Standing::Changed;
+                drop(known);
                 self.declare(name, Standing::Changed);
             }
         }
@@ -294,15 +280,12 @@ impl Claims {
                 let Some(own) = known.own.get_mut(&name) else {
                     continue;
                 };
-                if own
-                    .reserved
-                    .is_some_and(|since| now >= since + MAX_RESERVATION)
-                {
-                    ended.push(name);
-                    continue;
-                }
-                let due = match own.reserved {
-                    Some(since) => Some(since + MAX_RESERVATION),
+                let due = match own.reserved.map(|since| since + MAX_RESERVATION) {
+                    Some(due) if now >= due => {
+                        ended.push(name);
+                        continue;
+                    }
+                    Some(due) => Some(due),
                     None => {
                         let before = own.standing;
                         actions.extend(own.apply(&name, &verdict, now));
