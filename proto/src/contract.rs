@@ -10,10 +10,11 @@ use serde_json::Value;
 
 use crate::schema::{has_type, received, sent};
 use crate::verbs::{
-    AdvanceArgs, AdvanceResult, BatchArgs, BatchResult, Control, CreateArgs, CreateResult,
-    DeleteArgs, DiscardArgs, EmptyResult, ForkArgs, IdsResult, InformArgs, InjectArgs, JoinArgs,
-    JoinResult, LeaveArgs, PauseArgs, RemoveArgs, ResetArgs, ResetResult, RestoreArgs, RunArgs,
-    RunResult, Scheduled, SetArgs, SetResult, StepArgs, StepResult, UninformArgs,
+    AdvanceArgs, AdvanceResult, AnnotateArgs, BatchArgs, BatchResult, Control, CreateArgs,
+    CreateResult, DeleteArgs, DiscardArgs, EmptyResult, ForkArgs, IdsResult, InformArgs,
+    InjectArgs, JoinArgs, JoinResult, LeaveArgs, PauseArgs, RemoveArgs, ResetArgs, ResetResult,
+    RestoreArgs, RunArgs, RunResult, Scheduled, SetArgs, SetResult, StepArgs, StepResult,
+    UninformArgs,
 };
 use crate::{
     ControllerList, Error, Event, Events, ExperimentArgs, ExperimentResult, Experiments, Hello,
@@ -241,6 +242,11 @@ pub const CHANNELS: &[Channel] = &{
             "Removes a controller.",
         ),
         plain(
+            "{swarm}/cmd/annotate",
+            Command("annotate.args", "annotate.reply"),
+            "Writes a note into the journal and the events; the state is unchanged.",
+        ),
+        plain(
             "{swarm}/cmd/seek",
             Command("seek.args", "seek.reply"),
             "Moves a playback to another frame.",
@@ -424,6 +430,8 @@ pub fn schemas() -> BTreeMap<&'static str, Schema> {
         ("advance.reply", sent::<Reply<AdvanceResult>>()),
         ("leave.args", received::<LeaveArgs>()),
         ("leave.reply", sent::<Reply<EmptyResult>>()),
+        ("annotate.args", received::<AnnotateArgs>()),
+        ("annotate.reply", sent::<Reply<EmptyResult>>()),
         ("control.args", received::<Control>()),
         ("seek.args", received::<SeekArgs>()),
         ("seek.reply", sent::<Reply<EmptyResult>>()),

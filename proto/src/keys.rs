@@ -19,9 +19,9 @@ pub const SWARM_GETS: [&str; 9] = [
 ];
 
 /// The verbs that `{prefix}/{swarm}/cmd/` executes.
-pub const SWARM_VERBS: [&str; 16] = [
+pub const SWARM_VERBS: [&str; 17] = [
     "delete", "run", "pause", "step", "reset", "set", "inform", "uninform", "inject", "remove",
-    "batch", "fork", "join", "advance", "leave", "seek",
+    "batch", "fork", "join", "advance", "leave", "annotate", "seek",
 ];
 
 /// Commands that a swarm gives itself because of its controllers, in its journal and its events. No

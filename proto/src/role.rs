@@ -18,13 +18,14 @@ pub enum Role {
     /// Watch: every `get`, states, orders, events.
     Viewer,
     /// Steer individuals: join swarms as a controller of one's own name, advance, put set-points.
+    /// Also write notes into a swarm's journal.
     Controller,
     /// Everything.
     Operator,
 }
 
 /// The verbs of controllers.
-const CONTROLLER_VERBS: [&str; 3] = ["join", "advance", "leave"];
+const CONTROLLER_VERBS: [&str; 4] = ["join", "advance", "leave", "annotate"];
 
 impl Role {
     /// Every role, the least first.
@@ -155,7 +156,7 @@ mod tests {
 
     /// Every verb of the contract, and the least role that may have it executed. `docs/security.md`
     /// has the same table.
-    const LEAST: [(&str, Role); 22] = [
+    const LEAST: [(&str, Role); 23] = [
         ("delete", Role::Operator),
         ("run", Role::Operator),
         ("pause", Role::Operator),
@@ -171,6 +172,7 @@ mod tests {
         ("join", Role::Controller),
         ("advance", Role::Controller),
         ("leave", Role::Controller),
+        ("annotate", Role::Controller),
         ("seek", Role::Operator),
         ("create", Role::Operator),
         ("restore", Role::Operator),

@@ -36,6 +36,9 @@ pub struct Snapshot {
     pub step: u64,
     /// Counts the applied commands.
     pub seq: u64,
+    /// How many of them were annotations, which the numbers of random draws leave out.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub annotations: u64,
     /// BLAKE3 of the state, in hexadecimal.
     pub state_hash: String,
     /// What it is doing.
@@ -102,6 +105,10 @@ pub struct Snapshot {
     /// one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub digest: Option<String>,
+}
+
+fn is_zero(count: &u64) -> bool {
+    *count == 0
 }
 
 /// The values of the parameters that may change while a swarm lives. What is left out is as in

@@ -6,6 +6,7 @@ use schemars::JsonSchema;
 use serde::de::{Error as _, IgnoredAny, SeqAccess, Visitor};
 use serde::{Deserialize, Serialize};
 
+use crate::envelope::PLAIN_TEXT_RULE;
 use crate::keys::NAME_RULE;
 use crate::walk::lenient;
 use crate::{Attraction, ContactRule, LARGEST_WHOLE, ParameterValues, Spec, State, Stepping};
@@ -335,6 +336,19 @@ pub struct LeaveArgs {
     pub controller: String,
 }
 
+/// Writes a note into the journal and the events of a swarm, in every phase. The note changes neither
+/// the state nor the random draws of later commands.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct AnnotateArgs {
+    /// The note: 1 to 1000 characters in one line, without control characters.
+    #[schemars(length(min = 1, max = MAX_NOTE_CHARS), regex(pattern = PLAIN_TEXT_RULE))]
+    pub text: String,
+}
+
+/// The longest text of `annotate`, in characters.
+pub const MAX_NOTE_CHARS: usize = 1000;
+
 /// Set-points that a controller puts on `ctl/{controller}` while the swarm runs, as JSON or CBOR.
 /// They apply at the next step; the newest wins.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -426,7 +440,8 @@ pub struct SetResult {
     pub scaled_by: f64,
 }
 
-/// The individuals that a command changes. A draw is seeded by the swarm's seed and `seq`.
+/// The individuals that a command changes. A draw is seeded by the swarm's seed and `seq`
+/// minus the number of annotations so far.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum Select {

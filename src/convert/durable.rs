@@ -27,6 +27,7 @@ pub fn snapshot(swarm: &str, checkpoint: &Checkpoint) -> proto::Snapshot {
         scheduled,
         pending,
         controllers,
+        annotations,
         events,
         lines,
         is_last,
@@ -56,6 +57,8 @@ pub fn snapshot(swarm: &str, checkpoint: &Checkpoint) -> proto::Snapshot {
             sent: sent(sender),
         }),
         controllers: controllers.iter().map(member).collect(),
+        seq: checkpoint.seq(),
+        annotations: *annotations,
         events: *events,
         lines: *lines,
         is_last: *is_last,
@@ -68,7 +71,11 @@ pub fn checkpoint(
     snapshot: &proto::Snapshot,
     read: &dyn Fn(&Sender) -> Result<Command, String>,
 ) -> Result<Checkpoint, SnapshotError> {
-    let simulation = jostle_convert::snapshot::from_proto(snapshot)?;
+    let mut simulation = jostle_convert::snapshot::from_proto(snapshot)?;
+    let annotations = snapshot.annotations;
+    simulation.seq = simulation.seq.checked_sub(annotations).ok_or_else(|| {
+        SnapshotError::Unreadable(format!("more annotations than commands: {annotations}"))
+    })?;
     let scheduled = snapshot.scheduled.iter().map(|waiting| {
         let sender = sender(&waiting.sent)?;
         let scheduled = Scheduled {
@@ -97,6 +104,7 @@ pub fn checkpoint(
             .iter()
             .map(membership)
             .collect::<Result<_, _>>()?,
+        annotations,
         events: snapshot.events,
         lines: snapshot.lines,
         is_last: snapshot.is_last,

@@ -22,6 +22,9 @@ pub fn check(checkpoint: &Checkpoint) -> Result<(), SnapshotError> {
     if let Err(error) = rate(checkpoint.rate) {
         return impossible(error.to_string());
     }
+    if checkpoint.seq() > LARGEST_WHOLE {
+        return impossible("it has a count that is too large".to_owned());
+    }
     let at_steps = || checkpoint.scheduled.iter().map(|(at_step, _)| *at_step);
     if at_steps().any(|it| it > LARGEST_WHOLE) {
         return impossible("it has a count that is too large".to_owned());
@@ -56,9 +59,10 @@ mod tests {
     #[test]
     fn a_snapshot_that_no_swarm_can_have_is_rejected() {
         type Change = (&'static str, fn(&mut Checkpoint));
-        let changes: [Change; 3] = [
+        let changes: [Change; 4] = [
             // The other conditions of the simulation are tested in jostle-convert.
             ("finite", |it| it.simulation.means.drift = f64::INFINITY),
+            ("too large", |it| it.annotations = LARGEST_WHOLE),
             ("rate", |it| it.rate = Some(0.0)),
             ("past", |it| it.simulation.state.step = 101),
         ];

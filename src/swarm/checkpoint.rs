@@ -25,6 +25,9 @@ pub struct Checkpoint {
     pub pending: Option<(u64, Arc<Sender>)>,
     /// The controllers that have joined.
     pub controllers: Vec<(String, ControllerState)>,
+    /// How many annotations were applied. The `seq` of the simulation, which keys random draws, does
+    /// not count them.
+    pub annotations: u64,
     /// The number of the last event.
     pub events: u64,
     /// The number of journal lines that it includes.
@@ -43,10 +46,16 @@ impl Checkpoint {
             scheduled: Vec::new(),
             pending: None,
             controllers: Vec::new(),
+            annotations: 0,
             events: 0,
             lines: 0,
             is_last: false,
         }
+    }
+
+    /// The number of the last command, annotations included.
+    pub fn seq(&self) -> u64 {
+        self.simulation.seq + self.annotations
     }
 
     /// The start of another swarm with the same state: paused, with a history of its own.
@@ -60,6 +69,7 @@ impl Checkpoint {
             phase,
             rate: self.rate,
             scheduled: self.scheduled,
+            annotations: self.annotations,
             ..Checkpoint::start(simulation::Checkpoint {
                 epoch: 1,
                 ..self.simulation

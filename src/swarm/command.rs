@@ -51,6 +51,8 @@ pub enum Command {
         /// The set-points.
         set: SetPoints,
     },
+    /// Write a note into the journal and the events. Its text is in the arguments of its sender.
+    Annotate,
     /// Delete the swarm.
     Delete,
 }
@@ -64,6 +66,14 @@ impl Command {
             | Command::Leave(controller) => Some(controller),
             _ => None,
         }
+    }
+
+    /// Whether a faulted swarm executes it.
+    pub fn is_allowed_when_faulted(&self) -> bool {
+        matches!(
+            self,
+            Command::Reset(_) | Command::Delete | Command::Annotate
+        )
     }
 
     /// Whether it is executed before it is durable, since it is sent thousands of times a second.

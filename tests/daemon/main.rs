@@ -3,6 +3,7 @@
 #![expect(clippy::unwrap_used, reason = "tests")]
 
 mod abuse;
+mod annotate;
 mod apart;
 mod architecture;
 mod backup;

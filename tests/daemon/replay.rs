@@ -384,6 +384,7 @@ async fn a_replay_refuses_what_would_change_it_and_a_swarm_to_be_sought_through(
         ("reset", json!({"seed": 5})),
         ("fork", json!({"name": "other"})),
         ("join", json!({"controller": "bob"})),
+        ("annotate", json!({"text": "note"})),
         ("pause", json!({"at_step": 100, "args": {}})),
     ] {
         let (code, message) = client.err("tape", verb, args).await;

@@ -127,9 +127,12 @@ pub fn bytes(bytes: u64) -> String {
     }
 }
 
-/// A command as a line: its verb and its arguments, the long ones cut.
+/// A command as a line: its verb and its arguments, the long ones cut. A note is whole.
 pub fn command(verb: &str, args: &Value) -> String {
     const LONGEST: usize = 100;
+    if let ("annotate", Some(text @ Value::String(_))) = (verb, args.get("text")) {
+        return format!("{verb} {text}");
+    }
     let mut line = String::from(verb);
     match (verb, args) {
         ("batch", Value::Object(fields)) => {
@@ -275,6 +278,8 @@ mod tests {
         );
         let long = command("inform", &json!({"select": {"ids": vec![7; 1000]}}));
         assert_eq!(long.chars().count(), 101);
+        let note = command("annotate", &json!({"text": "\u{e9}\"".repeat(500)}));
+        assert_eq!(note.chars().count(), "annotate ".len() + 2 + 1500);
         assert!(long.ends_with('…'));
     }
 

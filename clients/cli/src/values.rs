@@ -7,7 +7,7 @@ use std::ops::RangeInclusive;
 use glob::Pattern;
 use jostle_figures::Kind;
 use jostle_proto::keys::{NAME_RULE, is_name};
-use jostle_proto::verbs::{Pose, Region};
+use jostle_proto::verbs::{MAX_NOTE_CHARS, Pose, Region};
 use jostle_proto::{LARGEST_WHOLE, MAX_LABEL_LENGTH};
 use serde_json::{Value, json};
 
@@ -253,6 +253,24 @@ pub fn label(text: &str) -> Result<String, String> {
             Err(format!("it is longer than {MAX_LABEL_LENGTH} bytes"))
         }
         _ if text.chars().any(char::is_control) => Err("it has control characters".into()),
+        _ => Ok(text.into()),
+    }
+}
+
+/// Reads a note.
+///
+/// # Errors
+///
+/// What is wrong with it.
+pub fn note(text: &str) -> Result<String, String> {
+    match text {
+        "" => Err("it is empty".into()),
+        _ if text.chars().count() > MAX_NOTE_CHARS => {
+            Err(format!("it is longer than {MAX_NOTE_CHARS} characters"))
+        }
+        _ if text.chars().any(char::is_control) => {
+            Err("it has control characters: write one line".into())
+        }
         _ => Ok(text.into()),
     }
 }

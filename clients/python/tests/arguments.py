@@ -33,6 +33,7 @@ TAKEN: dict[str, tuple[str, ...]] = {
     "Swarm.inject": _ALL,
     "Swarm.remove": _ALL,
     "Swarm.batch": _ALL,
+    "Swarm.annotate": _ALL,
     "Swarm.delete": _ALL,
     "Swarm.join": _EXPECTING,
     "Controller.leave": _EXPECTING,

@@ -237,6 +237,7 @@ COMMANDS = [
         [cmd("run", {"until_time": 3.0}), get("get/wait?step=151;timeout_secs=0.250")],
     ),
     Row("Swarm.pause", take(), [cmd("pause", {})]),
+    Row("Swarm.annotate", take("ready"), [cmd("annotate", {"text": "ready"})]),
     Row("Swarm.step", take(), [cmd("step", {"steps": 1}, **HOUR)]),
     Row("Swarm.step", take(np.int64(50)), [cmd("step", {"steps": 50}, **HOUR)]),
     Row(

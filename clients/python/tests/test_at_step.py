@@ -65,6 +65,7 @@ def test_every_command_may_wait_for_its_step(create: Create) -> None:
         swarm.inject(1, at_step=5),
         swarm.remove(one, at_step=5),
         swarm.batch([jostle.Set(pi3=3.0)], at_step=5),
+        swarm.annotate("note", at_step=5),
         swarm.step(3, at_step=5),
         swarm.step(3, state=True, at_step=5),
         swarm.run(until_step=9, at_step=5),

@@ -119,6 +119,23 @@ def test_set_changes_what_is_named(create: Create) -> None:
     assert (changed.attraction["kind"], changed.contacts) == ("voronoi", "endpoints")
 
 
+def test_a_note_is_in_journal_and_events_and_changes_nothing(create: Create) -> None:
+    swarm = create(n=5)
+    before = swarm.status()
+    reply = swarm.annotate("Kamera 2 ersetzt: ü")
+    assert (reply.seq, reply.step, reply.phase) == (before.seq + 1, 0, "paused")
+    assert swarm.status().state_hash == before.state_hash
+    (entry,) = swarm.journal()
+    assert (entry.verb, entry.args) == ("annotate", {"text": "Kamera 2 ersetzt: ü"})
+    event = swarm.history()[-1]
+    assert (event.kind, event.verb, event.args) == ("command", "annotate", entry.args)
+    for wrong in ("", "a" * 1001, "two\nlines", 7):
+        with pytest.raises(jostle.InvalidArgument) as caught:
+            swarm.annotate(wrong)  # type: ignore[arg-type]
+        assert caught.value.details["field"] == "text"
+    assert swarm.status().seq == reply.seq
+
+
 def test_longer_bodies_are_let_in_with_make_room(create: Create) -> None:
     swarm = create(n=20, pi1=1.0)
     swarm.step(500)

@@ -20,12 +20,12 @@ from jostle import aio
 
 PEOPLE = {"vera": "viewer", "cleo": "controller", "olga": "operator"}
 
-OF_CONTROLLERS = ["join", "advance", "leave"]
+OF_CONTROLLERS = ["join", "advance", "leave", "annotate"]
 """The verbs that controllers may have executed, by the table in `docs/security.md`."""
 
 SWARM_VERBS = [
     *("delete", "run", "pause", "step", "reset", "set", "inform", "uninform", "inject", "remove"),
-    *("batch", "fork", "join", "advance", "leave", "seek"),
+    *("batch", "fork", "join", "advance", "leave", "annotate", "seek"),
 ]
 """The verbs that operators may have swarms execute."""
 
@@ -76,6 +76,9 @@ def test_each_person_may_what_their_role_may_and_hears_what_it_may_not(
             clients[name].create("another", {"n": 3})
     with pytest.raises(jostle.PermissionDenied, match="join takes a controller"):
         clients["vera"].swarm("s").join("vera")
+    with pytest.raises(jostle.PermissionDenied, match="annotate takes a controller"):
+        clients["vera"].swarm("s").annotate("note")
+    clients["cleo"].swarm("s").annotate("note")
     with (
         pytest.raises(jostle.PermissionDenied, match="a controller of yours is called cleo"),
         clients["cleo"].swarm("s").join("arm", select=jostle.count(1)),

@@ -38,6 +38,7 @@ ENDED: dict[str, Ended] = {
     "Swarm.inject": Ended(take(1)),
     "Swarm.remove": Ended(take(_ANYONE)),
     "Swarm.batch": Ended(take([jostle.Set(pi3=2.0)])),
+    "Swarm.annotate": Ended(take("ready")),
     "Swarm.delete": Ended(take()),
     "Swarm.join": Ended(take("bob")),
     "Swarm.fork": Ended(take("twin", 0)),

@@ -47,6 +47,10 @@ test("every kind of event has words", () => {
   assert.match(told("scheduled"), /^run rate 2 is to apply at step 551/);
   assert.match(told("refused"), /^run refused: the swarm was reset before step 551/);
   assert.match(told("created"), /^created/);
+  const noted = json<SwarmEvent>("event.command.json");
+  noted.event.verb = "annotate";
+  noted.event.args = json<object>("annotate.args.json");
+  assert.equal(describe(noted), "note: camera 2 replaced · by ada@lab");
 });
 
 test("every parameter has its range in words", () => {

@@ -50,7 +50,7 @@ pub fn hexadecimal(hash: &[u8; 32]) -> String {
 }
 
 /// Returns the snapshot of a simulation, with the rate of its spec. The fields for schedule,
-/// controllers and journal, which only a daemon has, are empty.
+/// controllers, journal and annotations, which only a daemon has, are empty.
 pub fn to_proto(swarm: &str, checkpoint: &Checkpoint, doing: Doing) -> proto::Snapshot {
     let Checkpoint {
         spec,
@@ -77,6 +77,7 @@ pub fn to_proto(swarm: &str, checkpoint: &Checkpoint, doing: Doing) -> proto::Sn
         epoch: *epoch,
         step: state.step,
         seq: *seq,
+        annotations: 0,
         state_hash: hexadecimal(&state.hash()),
         doing,
         rate: spec.rate,

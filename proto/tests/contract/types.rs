@@ -1,10 +1,11 @@
 //! The Rust type of every message.
 
 use jostle_proto::verbs::{
-    AdvanceArgs, AdvanceResult, BatchArgs, BatchResult, Control, CreateArgs, CreateResult,
-    DeleteArgs, DiscardArgs, EmptyResult, ForkArgs, IdsResult, InformArgs, InjectArgs, JoinArgs,
-    JoinResult, LeaveArgs, PauseArgs, RemoveArgs, ResetArgs, ResetResult, RestoreArgs, RunArgs,
-    RunResult, Scheduled, SetArgs, SetResult, StepArgs, StepResult, UninformArgs,
+    AdvanceArgs, AdvanceResult, AnnotateArgs, BatchArgs, BatchResult, Control, CreateArgs,
+    CreateResult, DeleteArgs, DiscardArgs, EmptyResult, ForkArgs, IdsResult, InformArgs,
+    InjectArgs, JoinArgs, JoinResult, LeaveArgs, PauseArgs, RemoveArgs, ResetArgs, ResetResult,
+    RestoreArgs, RunArgs, RunResult, Scheduled, SetArgs, SetResult, StepArgs, StepResult,
+    UninformArgs,
 };
 use jostle_proto::{
     Arguments, ControllerList, Error, Event, Events, ExperimentArgs, ExperimentResult, Experiments,
@@ -54,13 +55,13 @@ pub fn written_back_as_text(message: &str, text: &str) -> Result<String, String>
         "advance.args" => asked::<AdvanceArgs>(text),
         "advance.reply" => told::<Reply<AdvanceResult>>(text),
         "leave.args" => asked::<LeaveArgs>(text),
+        "annotate.args" => asked::<AnnotateArgs>(text),
         "control.args" => asked::<Control>(text),
         "seek.args" => asked::<SeekArgs>(text),
         "replay.args" => asked::<ReplayArgs>(text),
         "replay.reply" => told::<NodeReply<ReplayResult>>(text),
-        "delete.reply" | "discard.reply" | "pause.reply" | "leave.reply" | "seek.reply" => {
-            told::<Reply<EmptyResult>>(text)
-        }
+        "delete.reply" | "discard.reply" | "pause.reply" | "leave.reply" | "annotate.reply"
+        | "seek.reply" => told::<Reply<EmptyResult>>(text),
         "run.args" => asked::<RunArgs>(text),
         "run.reply" => told::<Reply<RunResult>>(text),
         "pause.args" => asked::<PauseArgs>(text),

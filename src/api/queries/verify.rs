@@ -88,7 +88,7 @@ fn verified(
     let (simulation, now) = (&end.simulation, &present.simulation);
     let hash = now.state.hash();
     let here = (simulation.epoch, simulation.state.step);
-    let is_there = (here, simulation.seq) == ((now.epoch, now.state.step), now.seq);
+    let is_there = (here, end.seq()) == ((now.epoch, now.state.step), present.seq());
     // A swarm that has moved on is not compared.
     let now = is_there.then(|| simulation.state.hash() == hash);
     let differs_at = replayed.differs_at.or((now == Some(false)).then_some(here));

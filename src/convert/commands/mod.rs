@@ -78,6 +78,10 @@ pub fn read(verb: &str, request: &Request) -> Result<(CommandMessage, bool), Com
             swarm::advance(args)?
         }
         "leave" => Command::Leave(controller(request)?),
+        "annotate" => {
+            swarm::check_note(&request.args()?)?;
+            Command::Annotate
+        }
         _ => unreachable!("every known verb is above"),
     };
     let at_step = request.at_step;
@@ -185,7 +189,7 @@ pub fn check_name(field: &'static str, name: &str) -> Result<(), CommandError> {
 
 /// Whether a character is safe to print: it is no control character and does not change the
 /// direction of text.
-fn is_plain(c: char) -> bool {
+pub(crate) fn is_plain(c: char) -> bool {
     !c.is_control() && !matches!(c, '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
 }
 

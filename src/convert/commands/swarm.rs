@@ -1,10 +1,12 @@
 //! The arguments of commands to a swarm that need more than their types.
 
 use jostle_convert::{WireError, change, value};
-use jostle_proto::verbs::{AdvanceArgs, BatchArgs, JoinArgs, RunArgs};
+use jostle_proto::verbs::{
+    AdvanceArgs, AnnotateArgs, BatchArgs, JoinArgs, MAX_NOTE_CHARS, RunArgs,
+};
 use jostle_proto::{RequestError, SeekArgs};
 
-use crate::convert::commands::{CommandError, check_name};
+use crate::convert::commands::{CommandError, check_name, is_plain};
 use crate::swarm::command::{Command, Seek, Until};
 use crate::swarm::membership::{self, ControllerSettings, JoinOptions};
 
@@ -97,6 +99,22 @@ pub fn seek(args: SeekArgs) -> Result<Seek, CommandError> {
             Err(CommandError::field("args", problem))
         }
     }
+}
+
+/// Checks the text of `annotate`.
+pub fn check_note(args: &AnnotateArgs) -> Result<(), CommandError> {
+    let chars = args.text.chars().count();
+    if !(1..=MAX_NOTE_CHARS).contains(&chars) {
+        return Err(CommandError::field(
+            "text",
+            "must have 1 to 1000 characters",
+        ));
+    }
+    if !args.text.chars().all(is_plain) {
+        let problem = "has characters that are not seen: write one line without control characters";
+        return Err(CommandError::field("text", problem));
+    }
+    Ok(())
 }
 
 /// Returns an error with the alternatives for parameters that cannot change.

@@ -155,8 +155,11 @@ impl Worker {
         let before = self.phase.clone();
         let seq = self.simulation.seq;
         let is_group_committed = command.is_group_committed();
-        // The number of a command is the key of its random draws.
-        self.simulation.seq += 1;
+        match command {
+            Command::Annotate => self.annotations += 1,
+            // The number of a command is the key of its random draws.
+            _ => self.simulation.seq += 1,
+        }
         let outcome = match command {
             Command::Delete => match self.delete(&sender) {
                 Ok(reply) => return Some(End::Deleted(DeferredReply::new(reply_to, Ok(reply)))),
@@ -172,6 +175,7 @@ impl Worker {
                 Err(error) => Err(error),
             },
             Command::Batch(changes) => self.change(&changes).map(Outcome::Batch),
+            Command::Annotate => Ok(Outcome::Done),
             Command::Join(_)
             | Command::Leave(_)
             | Command::Advance { .. }
@@ -187,7 +191,7 @@ impl Worker {
             Ok(_) if is_group_committed => {}
             Ok(outcome) => {
                 let is_reset = matches!(outcome, Outcome::Reset(_));
-                self.record_outcome(input, Ok(self.simulation.seq));
+                self.record_outcome(input, Ok(self.seq()));
                 self.push_event(EventKind::Command(sender));
                 if is_reset {
                     self.drop_scheduled();
@@ -339,7 +343,7 @@ impl Worker {
 
     /// The record of an executed command whose line is `input`, 0 if it has none yet.
     pub(super) fn applied_record(&self, input: u64, sender: &Arc<Sender>) -> Record {
-        let (seq, unix_secs) = (Some(self.simulation.seq), self.unix_secs());
+        let (seq, unix_secs) = (Some(self.seq()), self.unix_secs());
         match input {
             0 => Record::Input {
                 at_step: None,

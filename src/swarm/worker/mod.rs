@@ -63,6 +63,8 @@ pub struct Worker {
     summary_updated: Instant,
     min_frame_interval: Duration,
     frame_due: Instant,
+    /// How many annotations were applied; [`Worker::seq`] counts them, the simulation does not.
+    annotations: u64,
     events: u64,
     pending: Option<Pending>,
     waiters: Waiters,
@@ -138,6 +140,7 @@ impl Worker {
             summary_updated: now,
             min_frame_interval,
             frame_due: now,
+            annotations: checkpoint.annotations,
             events: checkpoint.events,
             pending: checkpoint.pending.map(|(from, sender)| Pending {
                 reply_to: reply_for(&sender),
@@ -206,6 +209,7 @@ impl Worker {
             scheduled: self.schedule.list(),
             pending: pending.map(|pending| (pending.from, pending.sender.clone())),
             controllers: self.controllers.states(),
+            annotations: self.annotations,
             events: self.events,
             lines: self.journal.lines(),
             is_last: false,
@@ -360,6 +364,12 @@ impl Worker {
     pub(super) fn reject(&self, reply_to: ReplyTo, error: SwarmError) {
         let step = Some(self.simulation.state.step);
         reply_to.send(Err(Rejection { step, error }));
+    }
+
+    /// The number of the last command. The simulation does not count annotations, since its number
+    /// keys the random draws of commands, which an annotation must not change.
+    fn seq(&self) -> u64 {
+        self.simulation.seq + self.annotations
     }
 
     fn at(&self) -> (u64, u64) {

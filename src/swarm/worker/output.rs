@@ -38,7 +38,7 @@ impl Worker {
             step: self.simulation.state.step,
             time: self.simulation.state.time(),
             phase: self.phase.clone(),
-            seq: self.simulation.seq,
+            seq: self.seq(),
         }
     }
 

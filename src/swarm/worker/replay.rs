@@ -202,7 +202,7 @@ impl Fold {
                     ..
                 },
                 Some(command),
-            ) if !worker.is_faulted() || matches!(command, Command::Reset(_) | Command::Delete) => {
+            ) if !worker.is_faulted() || command.is_allowed_when_faulted() => {
                 let is_grouped = command.is_group_committed() && at_step.is_none();
                 let input = if is_grouped { 0 } else { line.number };
                 let applied_at = match (at_step, worker.journal.outcome(line.number)) {

@@ -245,7 +245,7 @@ impl Sender {
         let inform = json!({
             "select": {"count": 2}, "direction": direction, "weight": weight, "for_time": 0.5,
         });
-        match dice.below(6) {
+        match dice.below(7) {
             0 => ("set", None, json!({"pi3": 0.9 + 0.2 * dice.part()})),
             1 | 2 => ("inform", None, inform),
             3 => ("uninform", None, json!({"select": {"fraction": 0.5}})),
@@ -257,6 +257,11 @@ impl Sender {
                     {"verb": "remove", "args": {"select": {"count": 1}}},
                     {"verb": "inform", "args": inform},
                 ]}),
+            ),
+            5 => (
+                "annotate",
+                None,
+                json!({"text": format!("note {}", self.count)}),
             ),
             _ => ("inject", None, json!({"count": 1, "direction": direction})),
         }

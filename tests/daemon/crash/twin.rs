@@ -27,6 +27,8 @@ type Name = (String, String);
 pub struct Twin {
     name: String,
     simulation: Simulation,
+    /// The notes so far, which the number of a draw does not count.
+    annotations: u64,
     moving: Moving,
     waiting: BTreeMap<u64, Vec<(u64, Vec<Change>, Name)>>,
     /// The last line carried out.
@@ -64,6 +66,7 @@ impl Twin {
         Twin {
             name: name.to_owned(),
             simulation: Simulation::new(&recipe).unwrap(),
+            annotations: 0,
             moving: Moving::No,
             waiting: BTreeMap::new(),
             line: 0,
@@ -75,6 +78,10 @@ impl Twin {
             is_trying: false,
             passed: None,
         }
+    }
+
+    fn seq(&self) -> u64 {
+        self.simulation.seq + self.annotations
     }
 
     fn at(&self) -> u64 {
@@ -194,10 +201,14 @@ impl Twin {
                 },
                 None,
             ) if until < step => None,
+            (Command::Annotate, None) => {
+                self.annotations += 1;
+                Some(self.seq())
+            }
             (order, None) => {
                 self.simulation.seq += 1;
                 self.move_by(order, answer);
-                Some(self.simulation.seq)
+                Some(self.seq())
             }
             (order, at_step) => panic!("{}: {order:?} at {at_step:?}", self.name),
         };
@@ -253,7 +264,7 @@ impl Twin {
         self.simulation.seq += 1;
         if self.simulation.apply_all(changes).is_ok() {
             self.remember();
-            return Some(self.simulation.seq);
+            return Some(self.seq());
         }
         self.simulation.rollback(before);
         None
@@ -261,7 +272,7 @@ impl Twin {
 
     fn note(&mut self, id: Name) {
         let told = format!("{}: {id:?} was carried out twice", self.name);
-        let before = self.applied.insert(id, self.simulation.seq);
+        let before = self.applied.insert(id, self.seq());
         assert!(before.is_none(), "{told}");
     }
 
@@ -304,7 +315,7 @@ impl Twin {
             Moving::To(_) => Phase::Running,
         };
         assert_eq!(phase, expected, "{name}: {status}");
-        assert_eq!(self.simulation.seq, seq, "{name}: {status}");
+        assert_eq!(self.seq(), seq, "{name}: {status}");
         let hash = &status["result"]["state_hash"];
         assert_eq!(*hash, self.hash(), "{name} at step {step}, {moving:?}");
         // A crash may take it back to here once more.

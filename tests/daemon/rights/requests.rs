@@ -116,6 +116,7 @@ impl Request {
             "join" => json!({"controller": "cleo", "select": {"count": 1}}),
             "advance" => json!({"controller": "cleo", "steps": 1}),
             "leave" => json!({"controller": "cleo"}),
+            "annotate" => json!({"text": "note"}),
             "seek" => json!({"fraction": 1.0}),
             _ => panic!("{verb} has no request here"),
         };

@@ -16,11 +16,12 @@ pub const COLUMNS: [(&str, &str); 3] = [
 
 const NOBODY_BUT_OPERATORS: [&str; 3] = ["no", "no", "yes"];
 const THEIR_CONTROLLERS: [&str; 3] = ["no", "own", "yes"];
+const CONTROLLERS_TOO: [&str; 3] = ["no", "yes", "yes"];
 const EVERYBODY: [&str; 3] = ["yes", "yes", "yes"];
 
 /// Every request of a client, and whether a viewer, a controller and an operator may send it; `own`
 /// is for controllers named after the person alone.
-pub const TABLE: [(&str, [&str; 3]); 46] = [
+pub const TABLE: [(&str, [&str; 3]); 47] = [
     ("{swarm}/cmd/delete", NOBODY_BUT_OPERATORS),
     ("{swarm}/cmd/run", NOBODY_BUT_OPERATORS),
     ("{swarm}/cmd/pause", NOBODY_BUT_OPERATORS),
@@ -36,6 +37,7 @@ pub const TABLE: [(&str, [&str; 3]); 46] = [
     ("{swarm}/cmd/join", THEIR_CONTROLLERS),
     ("{swarm}/cmd/advance", THEIR_CONTROLLERS),
     ("{swarm}/cmd/leave", THEIR_CONTROLLERS),
+    ("{swarm}/cmd/annotate", CONTROLLERS_TOO),
     ("{swarm}/cmd/seek", NOBODY_BUT_OPERATORS),
     ("@node/{node}/cmd/create", NOBODY_BUT_OPERATORS),
     ("@node/{node}/cmd/restore", NOBODY_BUT_OPERATORS),

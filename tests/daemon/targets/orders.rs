@@ -9,6 +9,7 @@ use jostled::convert::commands::{self, CommandError, create};
 use jostled::swarm::command::{Command, Until};
 use jostled::swarm::handle::CommandMessage;
 use jostled::swarm::registry::Limits;
+use serde_json::Value;
 
 const LIMITS: Limits = Limits {
     max_individuals: 2000,
@@ -127,6 +128,12 @@ fn is_in_range(message: &CommandMessage, timeout: Duration) {
         Command::Leave(controller) => assert!(keys::is_name(controller)),
         Command::Deadline(_) | Command::Lost(_) | Command::Control { .. } => {
             panic!("nobody can order {command:?}")
+        }
+        Command::Annotate => {
+            let args: Value = serde_json::from_str(&sender.args).unwrap();
+            let text = args["text"].as_str().unwrap();
+            assert!((1..=1000).contains(&text.chars().count()), "{text:?}");
+            assert!(!text.chars().any(char::is_control), "{text:?}");
         }
         Command::Pause | Command::Delete => {}
     }

@@ -129,6 +129,8 @@ pub enum Verb {
     Batch(BatchArguments),
     /// Has a controller leave a swarm, so that nobody waits for it
     Leave(LeaveArguments),
+    /// Writes a note into the journal and the events of a swarm; changes nothing else
+    Annotate(AnnotateArguments),
     /// Deletes swarms
     Delete(DeleteArguments),
     /// Makes another swarm as this one is or was, paused: one future until treated differently
@@ -248,6 +250,7 @@ mod tests {
             "run demo --until 3 --until-step 3",
             "create demo",
             "set demo",
+            "annotate demo",
             "delete",
             "watch demo --count 0",
             "record demo",

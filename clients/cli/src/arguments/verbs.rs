@@ -287,6 +287,21 @@ pub struct LeaveArguments {
     pub sending: SendingArguments,
 }
 
+/// The note for a swarm.
+#[derive(Debug, Args)]
+#[command(after_help = "Example:\n  jostle annotate school \"camera 2 replaced\"")]
+pub struct AnnotateArguments {
+    /// The swarm
+    #[arg(value_parser = values::name, add = ArgValueCompleter::new(completion::swarms))]
+    pub name: String,
+    /// The note: 1 to 1000 characters in one line
+    #[arg(value_parser = values::note)]
+    pub text: String,
+    /// How it is sent.
+    #[command(flatten)]
+    pub sending: SendingArguments,
+}
+
 /// Which swarms to delete.
 #[derive(Debug, Args)]
 pub struct DeleteArguments {

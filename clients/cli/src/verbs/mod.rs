@@ -124,6 +124,7 @@ async fn once(bus: &Bus, output: Output, verb: Verb) -> Result<(), Failure> {
         Verb::Reset(arguments) => steer::reset(bus, output, &arguments).await,
         Verb::Set(arguments) => steer::set(bus, output, &arguments).await,
         Verb::Leave(arguments) => steer::leave(bus, output, &arguments).await,
+        Verb::Annotate(arguments) => steer::annotate(bus, output, &arguments).await,
         Verb::Delete(arguments) => delete::delete(bus, output, &arguments).await,
         Verb::Inform(arguments) => individuals::inform(bus, output, &arguments).await,
         Verb::Uninform(arguments) => individuals::uninform(bus, output, &arguments).await,

@@ -1,14 +1,14 @@
-//! `pause`, `step`, `reset`, `set` and `leave`: the swarm as a whole.
+//! `pause`, `step`, `reset`, `set`, `leave` and `annotate`: the swarm as a whole.
 
 use jostle_proto::verbs::{
-    EmptyResult, LeaveArgs, PauseArgs, ResetArgs, ResetResult, Return, SetResult, StepArgs,
-    StepResult,
+    AnnotateArgs, EmptyResult, LeaveArgs, PauseArgs, ResetArgs, ResetResult, Return, SetResult,
+    StepArgs, StepResult,
 };
 use jostle_proto::{Error, ErrorCode, Parameter, Reply, State, Status, contract};
 use serde_json::{Map, Value};
 
 use crate::arguments::{
-    LeaveArguments, PauseArguments, ResetArguments, SetArguments, StepArguments,
+    AnnotateArguments, LeaveArguments, PauseArguments, ResetArguments, SetArguments, StepArguments,
 };
 use crate::bus::Bus;
 use crate::failure::Failure;
@@ -180,6 +180,26 @@ pub async fn leave(bus: &Bus, output: Output, arguments: &LeaveArguments) -> Res
     print_outcome(output, &answer, "leave", |reply: &Reply<EmptyResult>| {
         let (controller, swarm) = (&arguments.controller, &reply.swarm);
         format!("{controller} has left {swarm}, which is {}", place(reply))
+    })
+}
+
+/// Writes a note into the journal and the events.
+///
+/// # Errors
+///
+/// Why it was not written.
+pub async fn annotate(
+    bus: &Bus,
+    output: Output,
+    arguments: &AnnotateArguments,
+) -> Result<(), Failure> {
+    let args = AnnotateArgs {
+        text: arguments.text.clone(),
+    };
+    let AnnotateArguments { name, sending, .. } = arguments;
+    let answer = bus.command(name, "annotate", &args, sending).await?;
+    print_outcome(output, &answer, "annotate", |reply: &Reply<EmptyResult>| {
+        format!("{} has the note (seq {})", reply.swarm, reply.seq)
     })
 }
 

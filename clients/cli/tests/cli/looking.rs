@@ -77,6 +77,13 @@ async fn the_journal_holds_what_was_applied_and_can_be_cut() {
     assert_eq!(seqs(&daemon.reply("journal demo").await), [1, 2, 3]);
     assert_eq!(seqs(&daemon.reply("journal demo --after 1").await), [2, 3]);
     assert_eq!(seqs(&daemon.reply("journal demo --limit 1").await), [3]);
+    daemon.said("annotate demo ready").await;
+    for line in ["journal demo", "events demo"] {
+        let table = daemon.said(line).await;
+        assert!(table.contains(r#"annotate "ready""#), "{line}: {table}");
+    }
+    let ended = daemon.jostle_with("annotate demo \u{7}", "").await;
+    assert_eq!(ended.code, Some(2), "{ended:?}");
     daemon.stop().await;
 }
 

@@ -15,7 +15,8 @@ use tokio::task::JoinSet;
 use crate::support::{Daemon, Ended, Running};
 
 /// A command line for each verb, with a verb of its own where it has any. `{}` is a folder.
-const LINES: [&str; 51] = [
+const LINES: [&str; 52] = [
+    "annotate demo note",
     "auth can pause",
     "auth link",
     "auth whoami",

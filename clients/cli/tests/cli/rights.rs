@@ -38,18 +38,19 @@ const WHOAMI: [(&str, &str); 3] = [
     ),
     (
         "cleo",
-        "cleo, controller on test\nof swarms: watch, join, advance, leave\nof the daemon: nothing\n",
+        "cleo, controller on test\nof swarms: watch, join, advance, leave, annotate\nof the daemon: nothing\n",
     ),
     (
         "olga",
         "olga, operator on test\nof swarms: watch, delete, run, pause, step, reset, set, inform, \
-         uninform, inject, remove, batch, fork, join, advance, leave, seek\nof the daemon: create, \
-         restore, discard, experiment, replay, record\n",
+         uninform, inject, remove, batch, fork, join, advance, leave, annotate, seek\nof the \
+         daemon: create, restore, discard, experiment, replay, record\n",
     ),
 ];
 
 /// Whether vera, cleo and olga may, by the same table.
-const CAN: [(&str, [bool; 3]); 4] = [
+const CAN: [(&str, [bool; 3]); 5] = [
+    ("annotate", [false, true, true]),
     ("advance", [false, true, true]),
     ("reset", [false, false, true]),
     ("seek", [false, false, true]),

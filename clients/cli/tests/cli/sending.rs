@@ -47,6 +47,7 @@ async fn what_is_expected_is_expected_of_every_change() {
         "step demo",
         "reset demo",
         "set demo pi3=2",
+        "annotate demo note",
         "inform demo --ids 1 --direction 0",
         "uninform demo --ids 1",
         "inject demo --count 1",

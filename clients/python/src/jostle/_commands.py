@@ -518,6 +518,29 @@ class Commands(Questions):
             self._pi1 = self._pi1 if changed.now is None else changed.now.pi1
         return result
 
+    @overload
+    def annotate(self, text: str, **options: Unpack[Options]) -> Reply: ...
+    @overload
+    def annotate(
+        self, text: str, *, at_step: SupportsIndex | None, **options: Unpack[Options]
+    ) -> Reply | Scheduled: ...
+    def annotate(
+        self, text: str, *, at_step: SupportsIndex | None = None, **options: Unpack[Options]
+    ) -> Reply | Scheduled:
+        """Writes a note into its journal and its events, in every phase.
+
+            swarm.annotate("camera 2 replaced")
+            notes = [entry.args["text"] for entry in swarm.journal() if entry.verb == "annotate"]
+
+        Neither its state changes nor what later commands draw.
+
+        Args:
+            text: The note: 1 to 1000 characters in one line, without control characters.
+            at_step: Carry it out at this step, see `Swarm`.
+            options: See `Options`.
+        """
+        return self._command("annotate", {"text": text}, Reply, at_step, options)
+
     def delete(self, *, at_step: SupportsIndex | None = None, **options: Unpack[Options]) -> Reply:
         """Deletes the swarm from its daemon, for good.
 

@@ -87,9 +87,13 @@ def proofs(credentials: Credentials, folder: Path) -> dict[str, Any]:
     }
 
 
+# The verbs that a controller may send.
+_OF_CONTROLLERS = ("join", "advance", "leave", "annotate")
+
+
 def refusal(who: WhoAmI, verb: str) -> str:
     """The words for a verb that takes another role, as the daemon has them."""
-    takes = "a controller" if verb in ("join", "advance", "leave") else "an operator"
+    takes = "a controller" if verb in _OF_CONTROLLERS else "an operator"
     if who.person is None or who.role is None:
         told = "no token came along that belongs to a person here"
     else:

@@ -280,6 +280,7 @@ class Swarm:
     inject = _awaited(jostle.Swarm.inject)
     remove = _awaited(jostle.Swarm.remove)
     batch = _awaited(jostle.Swarm.batch)
+    annotate = _awaited(jostle.Swarm.annotate)
     delete = _awaited(jostle.Swarm.delete)
     seek = _awaited(jostle.Swarm.seek)
     fork = _made(jostle.Swarm.fork, lambda sync: Swarm(sync))

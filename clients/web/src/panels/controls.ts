@@ -1,13 +1,16 @@
-/** Run, pause, step, rate, inject, fork, reset, delete. */
+/** Run, pause, step, rate, inject, fork, reset, delete, annotate. */
 import { announce, attempt } from "../parts/announce.ts";
 import { confirmDialog } from "../parts/dialog.ts";
 import { el, say } from "../parts/dom.ts";
-import { form, nameField, numberField, numberIn } from "../parts/field.ts";
+import { form, nameField, numberField, numberIn, textField } from "../parts/field.ts";
 import { plural } from "../parts/format.ts";
 import type { Session } from "../parts/session.ts";
 import { tokenNote } from "../parts/token_dialog.ts";
 import { command } from "../wire/http.ts";
 import type { Phase, SwarmRow } from "../wire/messages.ts";
+
+/** The longest text of `annotate`. */
+const MOST_CHARACTERS = 1000;
 
 export class Controls {
   readonly element: HTMLElement;
@@ -29,6 +32,8 @@ export class Controls {
     placeholder: "max",
   });
   private readonly fields: HTMLFieldSetElement;
+  private readonly text = textField("note in the journal", MOST_CHARACTERS);
+  private readonly notes: HTMLFieldSetElement;
   private readonly note: HTMLElement;
   private readonly stepButton = el("button", {}, "Step");
   private readonly changing: HTMLElement[];
@@ -80,7 +85,13 @@ export class Controls {
       ...this.changing,
       el("p", { class: "buttons" }, reset, remove),
     );
-    this.element = el("div", {}, this.note, this.fields);
+    this.notes = el(
+      "fieldset",
+      { class: "controls" },
+      el("legend", { class: "hidden" }, "notes"),
+      form({ class: "row" }, () => this.annotate(), this.text.label, el("button", {}, "Add note")),
+    );
+    this.element = el("div", {}, this.note, this.fields, this.notes);
     this.rate.input.title = "empty: as fast as possible";
   }
 
@@ -91,6 +102,7 @@ export class Controls {
     for (const part of this.changing) {
       part.hidden = row?.replay ?? false;
     }
+    this.notes.hidden = row?.replay ?? false;
     if (row) {
       this.showPhase(row.phase, row.rate);
     }
@@ -113,6 +125,7 @@ export class Controls {
   allow(): void {
     this.note.hidden = this.session.mayCommand;
     this.fields.disabled = !this.session.mayCommand || !this.there;
+    this.notes.disabled = !this.session.mayAnnotate || !this.there;
   }
 
   async toggle(): Promise<void> {
@@ -142,6 +155,13 @@ export class Controls {
     const said = rate === null ? "as fast as possible" : `${rate} time units a second`;
     // `run` is what changes a rate; a swarm that stands still is told when it is run.
     await attempt(() => command(this.swarm, "run", { rate }), `running, ${said}`);
+  }
+
+  private async annotate(): Promise<void> {
+    const text = this.text.input.value;
+    if (await attempt(() => command(this.swarm, "annotate", { text }), "note added")) {
+      this.text.input.value = "";
+    }
   }
 
   private async fork(name: string): Promise<void> {

@@ -16,6 +16,9 @@ export function describe({ event, phase }: SwarmEvent): string {
   const by = said("client") === "" ? "" : ` · by ${said("client")}`;
   switch (event.kind) {
     case "command":
+      if (event.verb === "annotate") {
+        return `note: ${String((event.args as { text?: unknown } | null)?.text)}${by}`;
+      }
       return `${said("verb")} ${args(event.args)}${by}`;
     case "phase":
       return said("reason") === "" ? phase : `${phase}: ${said("reason")}`;

@@ -45,6 +45,20 @@ export function nameField(
   return { label: el("label", {}, el("span", {}, label), input), input };
 }
 
+/** A line of text of at most `longest` UTF-16 code units. */
+export function textField(
+  label: string,
+  longest: number,
+): { label: HTMLLabelElement; input: HTMLInputElement } {
+  const input = el("input", {
+    type: "text",
+    required: true,
+    maxlength: String(longest),
+    autocomplete: "off",
+  });
+  return { label: el("label", {}, el("span", {}, label), input), input };
+}
+
 /** What is in a field: a number, or nothing if it is empty. */
 export function numberIn(input: HTMLInputElement): number | undefined {
   return input.value === "" ? undefined : input.valueAsNumber;

@@ -44,6 +44,11 @@ export class Session {
     return this.hello?.may_command ?? false;
   }
 
+  /** Whether this tab may write notes, which controllers may, too. */
+  get mayAnnotate(): boolean {
+    return this.mayCommand || this.hello?.role === "controller";
+  }
+
   /** Whether the daemon shows itself to this tab; yes, until it says no. */
   get mayWatch(): boolean {
     return this.hello?.may_watch ?? true;

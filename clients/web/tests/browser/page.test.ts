@@ -122,7 +122,7 @@ test("without a token nothing can be commanded, and the daemon refuses it, too",
   await daemon.command("school", "run");
   const page = await open("/swarm/school", false);
   await until("a state", () => step(page));
-  for (const name of ["Pause", "Step", "Inject", "Fork", "Delete", "Inform", "Uninform"]) {
+  for (const name of ["Pause", "Step", "Inject", "Fork", "Delete", "Inform", "Uninform", "Add note"]) {
     const button = page.locator(".panels button", { hasText: name }).first();
     assert.equal(await button.isDisabled(), true, name);
   }
@@ -345,6 +345,16 @@ test("a parameter is set, and a refusal is said in the daemon's words", async ()
   const at = await clock.getAttribute("title");
   assert.ok(Math.abs(Date.parse(at ?? "") - Date.now()) < 60_000, `the event has the time ${at}`);
   assert.equal(await clock.textContent(), `${at?.slice(11, 19)}Z`);
+});
+
+test("a note is added and stands among the events", async () => {
+  const page = await open("/swarm/herd");
+  const field = page.getByLabel("note in the journal");
+  await field.fill("lights off, s and space are no keys here");
+  await page.getByRole("button", { name: "Add note" }).click();
+  const noted = page.locator(".events li", { hasText: "note: lights off, s and space" });
+  await noted.waitFor();
+  await until("an empty field", async () => (await field.inputValue()) === "");
 });
 
 test("a swarm is created, forked and deleted, the last after a question", async () => {

@@ -63,7 +63,7 @@ pub struct Simulation {
     /// The number of the run: 1 at first, and one more after each reset.
     pub epoch: u64,
     /// The number of the present command, which keys its random draws. The caller increments it
-    /// before each command; [`Self::apply`] does not.
+    /// before each command that may change the simulation; [`Self::apply`] does not.
     pub seq: u64,
     /// Means over the steps since the start or reset.
     pub means: RunningMeans,

@@ -59,6 +59,8 @@ async fn crowd(lab: &Lab<'_>) {
     let run = json!({"until_step": 90, "rate": STANDING});
     lab.cmd("", "crowd", "run", run).await;
     lab.get("", "crowd", "wait?step=31").await;
+    let note = args("annotate.args");
+    lab.cmd("annotate.reply", "crowd", "annotate", note).await;
     lab.get("snapshot.reply.running", "crowd", "snapshot").await;
     let step = json!({});
     lab.cmd("error.incorrect_state", "crowd", "step", step)

@@ -52,11 +52,19 @@ impl Past {
         }
     }
 
-    /// The commands after a `seq` that say where its way leads.
-    fn after(&self, seq: u64) -> impl Iterator<Item = &Told> {
-        self.told
-            .iter()
-            .filter(move |told| told.seq > seq && !MOVING.contains(&told.verb.as_str()))
+    /// The commands after a `seq` that say where its way leads, each with the number that keys its
+    /// draws: its `seq` without the annotations after that `seq`.
+    fn after(&self, seq: u64) -> impl Iterator<Item = (u64, &Told)> {
+        let mut annotations = 0;
+        let told = self.told.iter().filter(move |told| told.seq > seq);
+        told.filter_map(move |told| {
+            if told.verb == "annotate" {
+                annotations += 1;
+                return None;
+            }
+            let is_moving = MOVING.contains(&told.verb.as_str());
+            (!is_moving).then_some((told.seq - annotations, told))
+        })
     }
 }
 
@@ -71,8 +79,8 @@ pub fn parting(one: &Past, other: &Past) -> (u64, Option<Parting>) {
             (Some(one), Some(other)) if is_same(one, other) => {}
             (one, other) => {
                 let parting = Parting {
-                    one: one.cloned(),
-                    other: other.cloned(),
+                    one: one.map(|(_, told)| told.clone()),
+                    other: other.map(|(_, told)| told.clone()),
                 };
                 return (after, Some(parting));
             }
@@ -81,8 +89,8 @@ pub fn parting(one: &Past, other: &Past) -> (u64, Option<Parting>) {
 }
 
 /// Whether both have one effect on swarms that are the same.
-fn is_same(one: &Told, other: &Told) -> bool {
-    let is_one_draw = one.seq == other.seq || !(draws(&one.args) || draws(&other.args));
+fn is_same((key, one): (u64, &Told), (other_key, other): (u64, &Told)) -> bool {
+    let is_one_draw = key == other_key || !(draws(&one.args) || draws(&other.args));
     (one.step, &one.verb, &one.args) == (other.step, &other.verb, &other.args) && is_one_draw
 }
 
@@ -157,6 +165,18 @@ mod tests {
             let other = past(0, &[(1, 5, "inform", args.clone())]);
             assert_eq!(parting(&one, &other).1.is_some(), parts, "{args}");
         }
+    }
+
+    #[test]
+    fn an_annotation_is_no_parting_and_changes_no_draw() {
+        let count = json!({"select": {"count": 3}, "direction": 0.0});
+        let note = json!({"text": "lights off"});
+        let one = past(
+            0,
+            &[(1, 0, "annotate", note), (2, 5, "inform", count.clone())],
+        );
+        let other = past(0, &[(1, 5, "inform", count)]);
+        assert_eq!(parting(&one, &other), (0, None));
     }
 
     #[test]

@@ -113,6 +113,11 @@ fn steering() -> Vec<Row> {
         )
         .says("ada has left school"),
         row(
+            "annotate <name>demo <text>ready",
+            &[r#"demo/cmd/annotate {"text": "ready"}"#],
+        )
+        .says("crowd has the note (seq 4)"),
+        row(
             "batch <name>demo <file>{}/batch.json",
             &[r#"demo/cmd/batch {"commands": [
                 {"verb": "set", "args": {"pi3": 2}}, {"verb": "remove", "args": {"select": {"count": 1}}}]}"#],
