@@ -14,6 +14,7 @@ use tracing::warn;
 
 use crate::api::idempotency::IdempotencyCache;
 use crate::api::incoming::{Incoming, Target};
+use crate::api::queries::verify::Verify;
 use crate::api::responder::{Replies, Responder};
 use crate::api::verifications::Verifications;
 use crate::auth::live::LiveRights;
@@ -131,7 +132,7 @@ pub struct Context {
     /// Whether the swarms of the previous run are being recovered.
     pub is_recovering: AtomicBool,
     /// The verifications that run or are queued.
-    pub verifications: Arc<Verifications>,
+    pub verifications: Arc<Verifications<Verify>>,
 }
 
 impl Context {

@@ -16,20 +16,21 @@ const MAX_RUNNING: usize = 4;
 /// Verifications that are queued behind those; further ones are rejected.
 const MAX_QUEUED: usize = 64;
 
-/// Replays a history and replies.
-type Work = Box<dyn FnOnce(Verification) + Send>;
+/// A verification to execute: replays a history and replies.
+pub trait Work: Send + Sized + 'static {
+    /// Executes it. `own` ends when it is dropped.
+    fn run(self, own: Verification<Self>);
+}
 
 /// The verifications under way.
-#[derive(Default)]
-pub struct Verifications(Mutex<State>);
+pub struct Verifications<W>(Mutex<State<W>>);
 
-#[derive(Default)]
-struct State {
+struct State<W> {
     /// Those that run and those that are queued, by their numbers: the swarm, and the share of its
     /// history that is replayed.
     entries: BTreeMap<u64, (Arc<str>, f64)>,
     /// Those that no thread has begun, the oldest first.
-    queue: VecDeque<(Verification, Work)>,
+    queue: VecDeque<(Verification<W>, W)>,
     /// Threads that take from the queue.
     threads: usize,
     /// The number of the next one.
@@ -37,18 +38,29 @@ struct State {
 }
 
 /// A verification under way; it ends when this is dropped.
-pub struct Verification {
-    all: Arc<Verifications>,
+pub struct Verification<W> {
+    all: Arc<Verifications<W>>,
     number: u64,
 }
 
-impl Verifications {
+impl<W> Default for Verifications<W> {
+    fn default() -> Self {
+        Verifications(Mutex::new(State {
+            entries: BTreeMap::new(),
+            queue: VecDeque::new(),
+            threads: 0,
+            number: 0,
+        }))
+    }
+}
+
+impl<W: Work> Verifications<W> {
     /// Begins a verification on a thread of its own, or queues it if four are running.
     ///
     /// # Errors
     ///
     /// [`CommandError::Busy`] when the queue is full or no thread can be started.
-    pub fn begin(self: &Arc<Self>, swarm: &Arc<str>, work: Work) -> Result<(), CommandError> {
+    pub fn begin(self: &Arc<Self>, swarm: &Arc<str>, work: W) -> Result<(), CommandError> {
         let mut state = self.0.lock();
         if state.entries.len() >= MAX_RUNNING + MAX_QUEUED {
             return Err(CommandError::Busy);
@@ -100,14 +112,14 @@ impl Verifications {
                 return;
             };
             drop(state);
-            if catch_unwind(AssertUnwindSafe(|| work(verification))).is_err() {
+            if catch_unwind(AssertUnwindSafe(|| work.run(verification))).is_err() {
                 error!("a defect: a verification panicked");
             }
         }
     }
 }
 
-impl Verification {
+impl<W> Verification<W> {
     /// Records how far it has come.
     pub fn advance(&self, share: f64) {
         if let Some(entry) = self.all.0.lock().entries.get_mut(&self.number) {
@@ -116,7 +128,7 @@ impl Verification {
     }
 }
 
-impl Drop for Verification {
+impl<W> Drop for Verification<W> {
     fn drop(&mut self) {
         self.all.0.lock().entries.remove(&self.number);
     }
@@ -133,19 +145,29 @@ mod tests {
 
     const PATIENCE: Duration = Duration::from_secs(20);
 
-    /// Begins a verification that advances to each share that is sent, and ends when the sender is
-    /// dropped; the receiver gets its number when it runs.
-    fn begin(all: &Arc<Verifications>, swarm: &Arc<str>) -> Option<(Sender<f64>, Receiver<u64>)> {
-        let (shares, to_take) = channel();
-        let (running, runs) = channel();
-        let work = Box::new(move |own: Verification| {
+    /// Advances to each share that is sent, and ends when the sender is dropped; sends its number when
+    /// it runs. Without channels it panics.
+    struct Probe(Option<(Sender<u64>, Receiver<f64>)>);
+
+    impl Work for Probe {
+        fn run(self, own: Verification<Self>) {
+            let (running, shares) = self.0.expect("a defect");
             // Some tests do not ask when it runs.
             let _ = running.send(own.number);
-            while let Ok(share) = to_take.recv() {
+            while let Ok(share) = shares.recv() {
                 own.advance(share);
             }
-        });
-        all.begin(swarm, work).is_ok().then_some((shares, runs))
+        }
+    }
+
+    fn begin(
+        all: &Arc<Verifications<Probe>>,
+        swarm: &Arc<str>,
+    ) -> Option<(Sender<f64>, Receiver<u64>)> {
+        let (shares, to_take) = channel();
+        let (running, runs) = channel();
+        let begun = all.begin(swarm, Probe(Some((running, to_take))));
+        begun.is_ok().then_some((shares, runs))
     }
 
     fn until(what: &str, holds: impl Fn() -> bool) {
@@ -209,7 +231,7 @@ mod tests {
         let all = Arc::new(Verifications::default());
         let a: Arc<str> = "a".into();
         for _ in 0..=MAX_RUNNING {
-            let begun = all.begin(&a, Box::new(|_| panic!("a defect")));
+            let begun = all.begin(&a, Probe(None));
             assert!(begun.is_ok());
         }
         let (_shares, runs) = begin(&all, &a).unwrap();

@@ -204,13 +204,13 @@ impl HostPort {
     }
 
     /// The host and port by which clients connect.
-    fn reached_by(&self, told: &str, host: Option<&String>) -> Result<String, AuthError> {
+    fn reached_by(&self, given: &str, host: Option<&String>) -> Result<String, AuthError> {
         if self.port == 0 {
-            return Err(AuthError::AnyPort(told.to_owned()));
+            return Err(AuthError::AnyPort(given.to_owned()));
         }
         let host = match host {
             Some(host) => host,
-            None if self.is_everywhere() => return Err(AuthError::NoHost(told.to_owned())),
+            None if self.is_everywhere() => return Err(AuthError::NoHost(given.to_owned())),
             None => &self.host,
         };
         Ok(match host.contains(':') {
@@ -252,18 +252,18 @@ fn hosts(known: Option<&PeopleFile>, reach: &Reach) -> Result<Vec<String>, AuthE
 /// The endpoint to which clients connect: the first one over TLS, by the first name of the daemon.
 fn endpoint(listen: &[String], hosts: &[String], is_moved: bool) -> Result<String, AuthError> {
     let over_tls = listen.iter().find(|it| it.starts_with("tls/"));
-    let Some(told) = over_tls.or(listen.first()) else {
+    let Some(given) = over_tls.or(listen.first()) else {
         return Ok(DEFAULT_LISTEN.to_owned());
     };
-    let bare = told.split('#').next().unwrap_or(told);
+    let bare = given.split('#').next().unwrap_or(given);
     let (protocol, address) = bare.split_once('/').unwrap_or_default();
     if protocol == "unixsock-stream" {
         return Ok(bare.to_owned());
     }
-    let place = HostPort::read(address).ok_or_else(|| AuthError::NoPort(told.clone()))?;
+    let place = HostPort::read(address).ok_or_else(|| AuthError::NoPort(given.clone()))?;
     let by_name = protocol == "tls" && (is_moved || !place.is_local());
     let host = hosts.first().filter(|_| by_name);
-    Ok(format!("{protocol}/{}", place.reached_by(told, host)?))
+    Ok(format!("{protocol}/{}", place.reached_by(given, host)?))
 }
 
 /// The URL of the page: over TLS by the first name of the daemon.

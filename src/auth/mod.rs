@@ -261,14 +261,14 @@ mod tests {
         let (_base, folder) = made(&[("vera".into(), Role::Viewer)]);
         let rights = Rights::read(folder.clone()).unwrap();
         assert_eq!(rights.expiry_warnings(60).unwrap(), [""; 0]);
-        let told = rights.expiry_warnings(DAYS).unwrap().join("\n");
+        let text = rights.expiry_warnings(DAYS).unwrap().join("\n");
         let day = in_days(DAYS);
         for expected in [
             &format!("the daemon's certificate expires on {day}"),
             &format!("of vera expires on {day}"),
             "`jostled auth add vera=viewer`",
         ] {
-            assert!(told.contains(expected), "{told}");
+            assert!(text.contains(expected), "{text}");
         }
         // Earlier versions recorded no day.
         let mut known = folder.people().unwrap();
@@ -315,14 +315,14 @@ mod tests {
                 Role::Controller => [true, false],
                 Role::Operator => [true, true],
             };
-            let told = format!("you are {name}, a {role}");
+            let text = format!("you are {name}, a {role}");
             let cases = [("join", join), ("pause", pause), ("*", pause), ("", pause)];
             for (verb, is_permitted) in cases {
                 match rights.permit(token.as_bytes(), verb) {
                     Ok(permitted) => assert!(is_permitted && permitted == Some(&person)),
                     Err(refused) => {
                         assert!(
-                            !is_permitted && refused.to_string().contains(&told),
+                            !is_permitted && refused.to_string().contains(&text),
                             "{verb}"
                         );
                     }

@@ -71,11 +71,7 @@ pub fn checkpoint(
     snapshot: &proto::Snapshot,
     read: &dyn Fn(&Sender) -> Result<Command, String>,
 ) -> Result<Checkpoint, SnapshotError> {
-    let mut simulation = jostle_convert::snapshot::from_proto(snapshot)?;
-    let annotations = snapshot.annotations;
-    simulation.seq = simulation.seq.checked_sub(annotations).ok_or_else(|| {
-        SnapshotError::Unreadable(format!("more annotations than commands: {annotations}"))
-    })?;
+    let simulation = jostle_convert::snapshot::from_proto(snapshot)?;
     let scheduled = snapshot.scheduled.iter().map(|waiting| {
         let sender = sender(&waiting.sent)?;
         let scheduled = Scheduled {
@@ -104,7 +100,7 @@ pub fn checkpoint(
             .iter()
             .map(membership)
             .collect::<Result<_, _>>()?,
-        annotations,
+        annotations: snapshot.annotations,
         events: snapshot.events,
         lines: snapshot.lines,
         is_last: snapshot.is_last,

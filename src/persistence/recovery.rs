@@ -118,6 +118,7 @@ fn load(
         entries,
         reply_for: Box::new(move |sender| rebuild_reply(&replies, &swarm, sender)),
         to: ReplayTarget::LastInput,
+        on_progress: None,
     };
     Ok((spec, source))
 }

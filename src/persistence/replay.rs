@@ -8,7 +8,7 @@ use crate::store::{CheckpointInfo, Store};
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::command::Command;
 use crate::swarm::handle::ReplyTo;
-use crate::swarm::journal::Replayed;
+use crate::swarm::journal::{OnProgress, Replayed};
 use crate::swarm::phase::Phase;
 use crate::swarm::worker::replay::{ReplaySource, ReplayTarget};
 
@@ -36,12 +36,9 @@ pub fn replay_all(
     };
     let lines = JournalReader::new(store, swarm, after, present.lines);
     let all = present.lines.saturating_sub(after) as f64;
-    let lines = lines.inspect(move |line| {
-        if let Ok((line, _)) = line {
-            on_progress((line.number - after - 1) as f64 / all);
-        }
-    });
-    let (end, replayed) = replay(checkpoint, lines, to)?;
+    let on_progress: OnProgress =
+        Box::new(move |line| on_progress((line - after - 1) as f64 / all));
+    let (end, replayed) = replay(checkpoint, lines, to, Some(on_progress))?;
     let is_there = present.phase.is_moving() || position(&end) == (epoch, step);
     if replayed.differs_at.is_none() && !is_there {
         return Err(not_on_disk(step, &end));
@@ -69,7 +66,7 @@ pub fn replay_to(store: &Store, swarm: &str, step: u64) -> Result<Checkpoint, Co
         }
     }
     let (lines, to) = (lines(), ReplayTarget::Step(step, last_reset));
-    let (end, replayed) = replay(checkpoint, lines, to)?;
+    let (end, replayed) = replay(checkpoint, lines, to, None)?;
     match &end.phase {
         Phase::Faulted(reason) if replayed.differs_at.is_some() => {
             Err(CommandError::History(reason.clone()))
@@ -106,8 +103,9 @@ fn first_readable(
 
 fn replay(
     checkpoint: Checkpoint,
-    lines: impl Iterator<Item = <JournalReader as Iterator>::Item> + Send + 'static,
+    lines: JournalReader,
     to: ReplayTarget,
+    on_progress: Option<OnProgress>,
 ) -> Result<(Checkpoint, Replayed), CommandError> {
     let source = ReplaySource {
         checkpoint,
@@ -115,6 +113,7 @@ fn replay(
         entries: Vec::new(),
         reply_for: Box::new(|_| ReplyTo::ignored()),
         to,
+        on_progress,
     };
     let (end, mut replayed) = source.replay();
     match replayed.problem.take() {

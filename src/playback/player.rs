@@ -19,7 +19,7 @@ use crate::swarm::metrics::SwarmMetrics;
 use crate::swarm::output::Output;
 use crate::swarm::phase::{PauseReason, Phase};
 use crate::swarm::registry::memory_of;
-use crate::swarm::runner::{Built, End, Playback};
+use crate::swarm::runner::{Built, End, Playback, Runner};
 use crate::swarm::sender::Sender;
 use crate::swarm::waiters::Waiters;
 
@@ -45,9 +45,7 @@ impl Playback for McapSource {
         min_interval: Duration,
     ) -> Result<Built, SwarmError> {
         let player = Player::new(*self, handle, min_interval)?;
-        let state = (player.stamp(), player.frame());
-        let run = |messages: &Receiver<Message>| player.run(messages);
-        Ok((state, Box::new(run)))
+        Ok(((player.stamp(), player.frame()), Box::new(player)))
     }
 }
 
@@ -75,6 +73,29 @@ pub struct Player {
     seq: u64,
     events: u64,
     pub(super) waiters: Waiters,
+}
+
+impl Runner for Player {
+    fn run(mut self: Box<Self>, messages: &Receiver<Message>) -> End {
+        let metrics = self.metrics.clone();
+        loop {
+            metrics.activity.begin();
+            let next = self.play(Instant::now());
+            metrics.activity.end();
+            let end = match receive(messages, next) {
+                Ok(message) => {
+                    metrics.activity.begin();
+                    self.handle(message)
+                }
+                Err(RecvTimeoutError::Timeout) => None,
+                Err(RecvTimeoutError::Disconnected) => Some(End::Stopped),
+            };
+            if let Some(end) = end {
+                metrics.activity.end();
+                return end;
+            }
+        }
+    }
 }
 
 impl Player {
@@ -112,27 +133,6 @@ impl Player {
         player.publish_event(EventKind::Created);
         player.renew_summary();
         Ok(player)
-    }
-
-    fn run(mut self, messages: &Receiver<Message>) -> End {
-        let metrics = self.metrics.clone();
-        loop {
-            metrics.activity.begin();
-            let next = self.play(Instant::now());
-            metrics.activity.end();
-            let end = match receive(messages, next) {
-                Ok(message) => {
-                    metrics.activity.begin();
-                    self.handle(message)
-                }
-                Err(RecvTimeoutError::Timeout) => None,
-                Err(RecvTimeoutError::Disconnected) => Some(End::Stopped),
-            };
-            if let Some(end) = end {
-                metrics.activity.end();
-                return end;
-            }
-        }
     }
 
     /// Advances to the frame that is due. Returns when the next one is, if it plays.

@@ -107,7 +107,7 @@ pub enum StoreError {
 }
 
 impl StoreError {
-    /// Tells errors of the file from errors that a retry may not have.
+    /// Distinguishes errors of the file from errors that a retry may not have.
     pub(super) fn of_reading(file: &Path, error: &SqlError) -> StoreError {
         let (file, detail) = (file.to_path_buf(), error.to_string());
         match error.sqlite_error_code() {
@@ -162,7 +162,7 @@ pub enum StoreFault {
 }
 
 impl StoreFault {
-    /// Tells a full disk and a failed write from fatal errors: a damaged file, and a failed sync, after
+    /// Distinguishes a full disk and a failed write from fatal errors: a damaged file, and a failed sync, after
     /// which the kernel may have dropped the pages that it could not write, so that the next sync
     /// succeeds without them.
     pub(super) fn of_writing(folder: &Path, error: &SqlError) -> StoreFault {

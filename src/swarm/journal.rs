@@ -110,13 +110,17 @@ pub struct Journal {
     replay: Option<Replayed>,
 }
 
+/// Called with the line that a replay has reached.
+pub type OnProgress = Box<dyn Fn(u64) + Send>;
+
 /// What a replay has read of a journal, and what it found.
 #[derive(Default)]
 pub struct Replayed {
     /// The last outcome of each command by its line: its `seq`, and the wall-clock time.
     outcomes: BTreeMap<u64, (Option<u64>, Option<f64>)>,
-    /// The hashes by epoch and step.
-    hashes: BTreeMap<(u64, u64), [u8; 32]>,
+    /// The hashes by epoch and step, and their lines.
+    hashes: BTreeMap<(u64, u64), (u64, [u8; 32])>,
+    on_progress: Option<OnProgress>,
     /// Outcomes that a crash prevented from being written, and where.
     unsettled: Vec<((u64, u64), Record)>,
     /// How many hashes are the same.
@@ -188,8 +192,17 @@ impl Journal {
     }
 
     /// Begins a replay.
-    pub fn begin_replay(&mut self) {
-        self.replay = Some(Replayed::default());
+    pub fn begin_replay(&mut self, on_progress: Option<OnProgress>) {
+        self.replay = Some(Replayed {
+            on_progress,
+            ..Replayed::default()
+        });
+    }
+
+    /// During a replay: reports that a line has been reached.
+    pub fn report(&self, line: u64) {
+        let on_progress = self.replay.as_ref().and_then(|it| it.on_progress.as_ref());
+        on_progress.inspect(|it| it(line));
     }
 
     /// Takes note of a replayed line that records an outcome or a hash. Returns whether it does.
@@ -206,7 +219,8 @@ impl Journal {
                 replay.outcomes.insert(input, (seq, unix_secs));
             }
             Record::Hash(hash) => {
-                replay.hashes.insert((line.epoch, line.step), hash);
+                let place = (line.epoch, line.step);
+                replay.hashes.insert(place, (line.number, hash));
             }
             _ => return false,
         }
@@ -222,11 +236,13 @@ impl Journal {
     /// During a replay: whether a step has the journaled hash; `None` if there is none.
     pub fn check_hash(&mut self, at: (u64, u64), hash: [u8; 32]) -> Option<bool> {
         let replay = self.replay.as_mut()?;
-        let is_same = *replay.hashes.get(&at)? == hash;
+        let (line, stored) = *replay.hashes.get(&at)?;
+        let is_same = stored == hash;
         replay.same += u64::from(is_same);
         if !is_same {
             replay.differs_at.get_or_insert(at);
         }
+        self.report(line);
         Some(is_same)
     }
 
@@ -239,6 +255,7 @@ impl Journal {
     pub fn resume(&mut self, lines: u64, step: u64) -> Replayed {
         let mut replay = self.replay.take().unwrap_or_default();
         let unsettled = std::mem::take(&mut replay.unsettled).into_iter();
+        replay.on_progress = None;
         self.lines = lines;
         self.progress.lock().step = step;
         self.queued_step = step;

@@ -366,10 +366,10 @@ impl SwarmRegistry {
         // Without the right to it, the thread keeps its priority.
         let _ = scheduler::lower_priority();
         let end = match self.build(handle, from) {
-            Ok(Ok(((stamp, frame), run))) => {
+            Ok(Ok(((stamp, frame), runner))) => {
                 let reply = DeferredReply::new(answer, Ok((stamp, Outcome::State(frame))));
                 self.observer.started(name, reply);
-                run(&taken)
+                runner.run(&taken)
             }
             Ok(Err(end)) => end,
             Err(error) => {
@@ -410,7 +410,7 @@ impl SwarmRegistry {
                 if let Err(fault) = worker.resume(reserve) {
                     warn!(swarm = name, %fault, "failed to journal the restart");
                 }
-                return Ok(Ok(worker.built()));
+                return Ok(Ok((worker.look(), Box::new(worker))));
             }
             StartFrom::Recording(playback) => {
                 return playback.start(handle, min_interval).map(Ok);
@@ -423,7 +423,7 @@ impl SwarmRegistry {
         let (stamp, frame) = worker.look();
         let persisted = persist.persist(&worker.checkpoint(), &stamp, &frame);
         persisted.map_err(SwarmError::Unsafe)?;
-        Ok(Ok(worker.built()))
+        Ok(Ok((worker.look(), Box::new(worker))))
     }
 
     /// Locks the state to add a swarm.

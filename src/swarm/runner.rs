@@ -37,11 +37,14 @@ pub enum End {
     Stopped,
 }
 
-/// The first state of a swarm or a playback, and what its thread runs until it ends.
-pub type Built = (
-    (Stamp, Arc<Frame>),
-    Box<dyn FnOnce(&Receiver<Message>) -> End>,
-);
+/// A swarm or a playback, as its thread runs it.
+pub trait Runner {
+    /// Steps and handles messages until it ends.
+    fn run(self: Box<Self>, messages: &Receiver<Message>) -> End;
+}
+
+/// The first state of a swarm or a playback, and what its thread runs.
+pub type Built = ((Stamp, Arc<Frame>), Box<dyn Runner>);
 
 /// A recording that can be played as if it were a swarm.
 pub trait Playback: Send {

@@ -143,12 +143,17 @@ pub fn from_proto(snapshot: &proto::Snapshot) -> Result<Checkpoint, SnapshotErro
     if hexadecimal(&state.hash()) != snapshot.state_hash {
         return Err(SnapshotError::Hash);
     }
+    let annotations = snapshot.annotations;
+    // Annotations have a number, but do not count for random draws.
+    let seq = snapshot.seq.checked_sub(annotations).ok_or_else(|| {
+        SnapshotError::Unreadable(format!("more annotations than commands: {annotations}"))
+    })?;
     Ok(Checkpoint {
         spec,
         state,
         publish_every: snapshot.parameters.publish_every,
         epoch: snapshot.epoch,
-        seq: snapshot.seq,
+        seq,
         means: RunningMeans {
             count: snapshot.sums.count,
             order: snapshot.sums.order,

@@ -5,7 +5,7 @@ mod node;
 mod recording;
 mod snapshot;
 mod swarm;
-mod verify;
+pub mod verify;
 mod wait;
 
 pub use node::schemas;

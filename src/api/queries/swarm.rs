@@ -6,6 +6,7 @@ use jostle_proto::{HistoryFrom, Status, keys};
 
 use crate::api::context::Context;
 use crate::api::incoming::{Incoming, page};
+use crate::api::queries::verify;
 use crate::api::responder::Responder;
 use crate::convert::commands::{CommandError, DEFAULT_TIMEOUT};
 use crate::convert::{self, Payload};
@@ -59,7 +60,10 @@ impl Context {
                 "verify" | "snapshot" => incoming.no_parameters().and_then(|()| {
                     let handle = self.find(swarm)?;
                     match noun {
-                        "verify" => self.verify(swarm, handle, &responder),
+                        "verify" => {
+                            let (all, store) = (&self.verifications, &self.store);
+                            verify::begin(all, store, swarm, handle, &responder);
+                        }
                         _ => self.snapshot(swarm, &handle, &responder),
                     }
                     Ok(())

@@ -6,9 +6,8 @@ use std::time::Duration;
 
 use jostle_proto::Verified;
 
-use crate::api::context::Context;
 use crate::api::responder::Responder;
-use crate::api::verifications::Verification;
+use crate::api::verifications::{Verification, Verifications, Work};
 use crate::convert::commands::CommandError;
 use crate::convert::{self, Payload};
 use crate::persistence::replay;
@@ -21,47 +20,66 @@ use crate::swarm::journal::Replayed;
 /// The longest verification that the client waits for.
 const TIMEOUT: Duration = Duration::from_secs(3600);
 
-impl Context {
-    pub(super) fn verify(&self, swarm: &Arc<str>, handle: Handle, responder: &Responder) {
-        if handle.summary().is_some_and(|it| it.is_replay) {
-            return responder.reject(&SwarmError::Recorded.into(), handle.step());
-        }
-        responder.set_deadline(TIMEOUT, CommandError::deadline, None);
-        let step = handle.step();
-        let (store, name, own) = (self.store.clone(), swarm.clone(), responder.clone());
-        let work = move |verification| {
-            // The deadline may have passed while it was queued.
-            if !own.is_done()
-                && let Err(error) = run(&store, &name, &handle, &own, verification)
-            {
-                own.reject(&error, handle.step());
-            }
-        };
-        if let Err(error) = self.verifications.begin(swarm, Box::new(work)) {
-            responder.reject(&error, step);
+/// A verification of a swarm.
+pub struct Verify {
+    store: Store,
+    swarm: Arc<str>,
+    handle: Handle,
+    responder: Responder,
+}
+
+/// Begins the verification of a swarm, or queues it.
+pub(super) fn begin(
+    verifications: &Arc<Verifications<Verify>>,
+    store: &Store,
+    swarm: &Arc<str>,
+    handle: Handle,
+    responder: &Responder,
+) {
+    if handle.summary().is_some_and(|it| it.is_replay) {
+        return responder.reject(&SwarmError::Recorded.into(), handle.step());
+    }
+    responder.set_deadline(TIMEOUT, CommandError::deadline, None);
+    let step = handle.step();
+    let verify = Verify {
+        store: store.clone(),
+        swarm: swarm.clone(),
+        handle,
+        responder: responder.clone(),
+    };
+    if let Err(error) = verifications.begin(swarm, verify) {
+        responder.reject(&error, step);
+    }
+}
+
+impl Work for Verify {
+    fn run(self, own: Verification<Self>) {
+        // The deadline may have passed while it was queued.
+        if !self.responder.is_done()
+            && let Err(error) = self.reply(own)
+        {
+            self.responder.reject(&error, self.handle.step());
         }
     }
 }
 
-/// Replays the history of a swarm, and replies unless that fails.
-fn run(
-    store: &Store,
-    swarm: &Arc<str>,
-    handle: &Handle,
-    responder: &Responder,
-    verification: Verification,
-) -> Result<(), CommandError> {
-    let present = present(handle)?;
-    let on_progress = move |share| verification.advance(share);
-    let (from, end, replayed) = replay::replay_all(store, swarm, &present, on_progress)?;
-    let verified = verified(from, &end, &replayed, &present);
-    let (swarm, responder) = (swarm.clone(), responder.clone());
-    handle.send(Message::Query(ReplyTo::new(move |answered| {
-        responder.respond(answered, move |stamp, _| {
-            Payload::json(&convert::reply(&swarm, &stamp, verified))
-        });
-    })));
-    Ok(())
+impl Verify {
+    /// Replays the history, and replies unless that fails.
+    fn reply(&self, own: Verification<Self>) -> Result<(), CommandError> {
+        let present = present(&self.handle)?;
+        let on_progress = move |share| own.advance(share);
+        let (from, end, replayed) =
+            replay::replay_all(&self.store, &self.swarm, &present, on_progress)?;
+        let verified = verified(from, &end, &replayed, &present);
+        let (swarm, responder) = (self.swarm.clone(), self.responder.clone());
+        self.handle
+            .send(Message::Query(ReplyTo::new(move |answered| {
+                responder.respond(answered, move |stamp, _| {
+                    Payload::json(&convert::reply(&swarm, &stamp, verified))
+                });
+            })));
+        Ok(())
+    }
 }
 
 /// The present state of a swarm.

@@ -89,7 +89,7 @@ pub enum CommandError {
     SnapshotTooLong { bytes: usize, max_bytes: usize },
     #[error("step {step} is not reached, the swarm is at step {now}: name an earlier one")]
     NotReached { step: u64, now: u64 },
-    #[error("the swarm's past cannot be told: {0}")]
+    #[error("the history of the swarm cannot be replayed: {0}")]
     History(String),
     #[error(transparent)]
     NotPermitted(#[from] NotPermitted),
@@ -124,7 +124,7 @@ pub enum CommandError {
     #[error("too much at once for this daemon: try again in a moment")]
     Busy,
     #[error(
-        "not done within {after_secs} s: the work goes on; get/wait tells when it is done, \
+        "not done within {after_secs} s: the work goes on; get/wait replies when it is done, \
          timeout_secs waits longer"
     )]
     Deadline { after_secs: f64 },

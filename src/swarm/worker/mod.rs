@@ -30,7 +30,7 @@ use crate::swarm::journal::{Journal, JournalWriter, Record};
 use crate::swarm::metrics::SwarmMetrics;
 use crate::swarm::output::Output;
 use crate::swarm::phase::Phase;
-use crate::swarm::runner::{Built, End};
+use crate::swarm::runner::{End, Runner};
 use crate::swarm::schedule::Schedule;
 use crate::swarm::scheduler::{Pace, Share};
 use crate::swarm::sender::Sender;
@@ -108,6 +108,15 @@ impl SinceCheckpoint {
         self.steps >= CHECKPOINT_STEPS
             || self.inputs >= CHECKPOINT_INPUTS
             || (is_long && self.steps > 0)
+    }
+}
+
+impl Runner for Worker {
+    fn run(self: Box<Self>, messages: &Receiver<Message>) -> End {
+        let metrics = self.metrics.clone();
+        let end = self.run_loop(messages);
+        metrics.activity.end();
+        end
     }
 }
 
@@ -216,19 +225,8 @@ impl Worker {
         }
     }
 
-    /// The present state, and what steps and handles messages until the swarm ends.
-    pub fn built(self) -> Built {
-        let state = self.look();
-        let run = |messages: &Receiver<Message>| {
-            let metrics = self.metrics.clone();
-            let end = self.run(messages);
-            metrics.activity.end();
-            end
-        };
-        (state, Box::new(run))
-    }
-
-    fn run(mut self, messages: &Receiver<Message>) -> End {
+    /// Steps and handles messages until the swarm ends.
+    fn run_loop(mut self, messages: &Receiver<Message>) -> End {
         let queued = || messages.try_iter();
         loop {
             if self.controllers.due().is_some()

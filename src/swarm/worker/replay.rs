@@ -25,7 +25,7 @@ use crate::swarm::failpoint;
 use crate::swarm::frame::EventKind;
 use crate::swarm::handle::{CommandMessage, Handle, ReplyTo};
 use crate::swarm::history::Entry;
-use crate::swarm::journal::{JournalWriter, Line, NoWriter, Record, Replayed};
+use crate::swarm::journal::{JournalWriter, Line, NoWriter, OnProgress, Record, Replayed};
 use crate::swarm::phase::Phase;
 use crate::swarm::sender::Sender;
 use crate::swarm::worker::{End, Worker};
@@ -56,6 +56,8 @@ pub struct ReplaySource {
     /// Receives the replies, some of which the client did not get before the crash.
     pub reply_for: ReplyFor,
     pub to: ReplayTarget,
+    /// Called with each line that is reached.
+    pub on_progress: Option<OnProgress>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -97,7 +99,7 @@ impl ReplaySource {
         let mut worker = Worker::restore(checkpoint, handle, min_frame_interval, writer, reply_for);
         // The time of its creation is not stored.
         worker.applied_at(None, Worker::publish_created);
-        worker.journal.begin_replay();
+        worker.journal.begin_replay(self.on_progress);
         let mut fold = Fold {
             worker,
             reply_for: self.reply_for,
@@ -190,6 +192,7 @@ impl Fold {
             return Break(None);
         }
         let worker = &mut self.worker;
+        worker.journal.report(line.number);
         if let Some(end) = worker.advance(line.epoch, line.step) {
             return Break(Some(end));
         }
