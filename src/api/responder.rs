@@ -313,7 +313,8 @@ impl Outgoing {
             encode,
         } = self;
         let reply = catch_unwind(AssertUnwindSafe(encode))
-            .unwrap_or_else(|_| Err(Payload::json(&CommandError::Internal.to_wire(None))));
+            // The command may have been executed.
+            .unwrap_or_else(|_| Err(Payload::json(&CommandError::Dropped.to_wire(None))));
         if let Some(slot) = slot {
             slot.write(&reply);
         }

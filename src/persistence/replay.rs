@@ -47,7 +47,7 @@ pub fn replay_all(
 }
 
 /// Replays the journal of a swarm from the last checkpoint before `step`. Returns the state on arrival
-/// at `step` in the last run.
+/// at `step` in the last run, before the commands that were executed there.
 ///
 /// # Errors
 ///
@@ -55,7 +55,13 @@ pub fn replay_all(
 pub fn replay_to(store: &Store, swarm: &str, step: u64) -> Result<Checkpoint, CommandError> {
     let mut checkpoints = stored_checkpoints(store, swarm)?;
     checkpoints.retain(|it| it.step <= step);
-    let checkpoint = first_readable(store, swarm, checkpoints)?;
+    // One at `step` itself may contain commands that were executed there, but the oldest does not: it
+    // is the start, or all that is left.
+    let (mut there, mut before): (Vec<_>, Vec<_>) =
+        checkpoints.into_iter().partition(|it| it.step == step);
+    there.reverse();
+    before.append(&mut there);
+    let checkpoint = first_readable(store, swarm, before)?;
     let lines = || JournalReader::new(store, swarm, checkpoint.lines, u64::MAX);
     // The checkpoint may be of an earlier run, if that of the reset is damaged.
     let mut last_reset = 0;

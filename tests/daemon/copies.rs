@@ -82,6 +82,9 @@ async fn what_if_they_had_not_been_informed() {
     let arrived = client.hash("a").await;
     let informed = json!({"select": {"count": 3}, "direction": 0.5});
     let ids = client.ok("a", "inform", informed.clone()).await;
+    // This start stores a checkpoint of step 1500 that contains the command.
+    let daemon = daemon.restart().await;
+    let client = &daemon.client;
     client.ok("a", "step", json!({"steps": 700})).await;
 
     // As it arrived, before it was informed; also in a daemon that was started since.

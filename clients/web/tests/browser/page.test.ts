@@ -122,7 +122,16 @@ test("without a token nothing can be commanded, and the daemon refuses it, too",
   await daemon.command("school", "run");
   const page = await open("/swarm/school", false);
   await until("a state", () => step(page));
-  for (const name of ["Pause", "Step", "Inject", "Fork", "Delete", "Inform", "Uninform", "Add note"]) {
+  for (const name of [
+    "Pause",
+    "Step",
+    "Inject",
+    "Fork",
+    "Delete",
+    "Inform",
+    "Uninform",
+    "Add note",
+  ]) {
     const button = page.locator(".panels button", { hasText: name }).first();
     assert.equal(await button.isDisabled(), true, name);
   }
