@@ -138,7 +138,7 @@ pub struct Context {
 impl Context {
     /// Handles a request. A panic ends the request with `internal` and not the daemon.
     pub fn handle(&self, incoming: &Incoming) {
-        self.replies.guard(incoming, || {
+        self.replies.catch_panic(incoming, || {
             fail_point!("query");
             self.dispatch(incoming);
         });
@@ -158,7 +158,7 @@ impl Context {
         if !is_command && !matches!(target, Target::Deletion) && !incoming.payload.is_empty() {
             let error = CommandError::Field {
                 field: "payload",
-                problem: "means nothing to a get: what it takes goes behind the key's `?`",
+                problem: "is not accepted by a get: send parameters after the key's `?`",
             };
             return self.reject(incoming, &error);
         }
@@ -268,7 +268,7 @@ pub(crate) fn reject_preconditions(request: &Request) -> Result<(), CommandError
         ("expect_epoch", request.expect_epoch),
     ] {
         if given.is_some() {
-            let problem = "is about a swarm that is there: leave it out";
+            let problem = "applies only to an existing swarm: leave it out";
             return Err(CommandError::Field { field, problem });
         }
     }

@@ -19,9 +19,9 @@ const JSON_ENCODINGS: [&str; 5] = [
     "zenoh/bytes",
 ];
 
-/// Requests to one queryable that may be unanswered; further ones are rejected with `busy`. So many
-/// are answered within a few milliseconds, and they delay the requests to other swarms no longer:
-/// with 256 twice as long, with 64 or 16 no shorter. A hundred at once are served.
+/// Maximum unanswered requests to one queryable; further ones are rejected with `busy`. This many get
+/// a reply within a few milliseconds. The delay of requests to other swarms is twice as long with 256,
+/// and no shorter with 64 or 16. A hundred concurrent requests are served.
 const MAX_UNANSWERED: usize = 128;
 
 /// Bytes of all unanswered requests; further ones are rejected with `busy`.
@@ -35,7 +35,7 @@ const MAX_PAGE_RECORDS: usize = 1000;
 #[derive(Default)]
 pub struct Admission(Arc<AtomicUsize>);
 
-/// The place of a request among those that are unanswered, until this is dropped.
+/// Counts a request as unanswered until it is dropped.
 pub struct Permit {
     bytes: usize,
     all_bytes: Arc<AtomicUsize>,
@@ -231,7 +231,7 @@ pub(super) fn page_of_run<'a>(
     let (run, after, limit) = page_of(parameters, &["run", "after", "limit"], max, max)?;
     let run = run.ok_or(CommandError::Field {
         field: "run",
-        problem: "is missing: name one as the results have it",
+        problem: "is missing: give a run as the results name it",
     })?;
     Ok((run, after, limit))
 }
@@ -245,7 +245,7 @@ fn page_of<'a>(
     let (mut run, mut after) = (None, 0);
     let wrong = |field| CommandError::Field {
         field,
-        problem: "is not a whole number in its range; `;` is what parts two parameters",
+        problem: "is not a whole number in its range; separate parameters with `;`",
     };
     for (name, value) in selector(parameters, known)? {
         match name {

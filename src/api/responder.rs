@@ -95,8 +95,8 @@ impl Replies {
     }
 
     /// Calls the handler of a request. If it panics, the request gets `internal`, once: a responder
-    /// that was made replies by itself.
-    pub fn guard(&self, incoming: &Incoming, handler: impl FnOnce()) {
+    /// that was created before replies when it is dropped.
+    pub fn catch_panic(&self, incoming: &Incoming, handler: impl FnOnce()) {
         if catch_unwind(AssertUnwindSafe(handler)).is_ok() {
             return;
         }
@@ -167,7 +167,7 @@ impl Responder {
     }
 
     /// Sends a message to a swarm, whose reply `payload` encodes, and sets the deadline.
-    pub fn ask(
+    pub fn send_to_swarm(
         &self,
         swarm: &Handle,
         (timeout, error): (Duration, TimeoutError),
@@ -233,7 +233,7 @@ impl Responder {
         if timeout < TIMER_RESOLUTION {
             return expire();
         }
-        // While this is locked no reply is sent, which would leave the task until the deadline.
+        // Locked until the task is registered: a reply sent before that would not abort it.
         let incoming = self.0.incoming.lock();
         if incoming.is_none() {
             return;
@@ -248,7 +248,7 @@ impl Responder {
         drop(incoming);
     }
 
-    /// Returns a function that does not keep the request pending: whether it needs a reply no more.
+    /// Returns a weak check of whether the request has a reply or was dropped.
     pub fn is_abandoned(&self) -> impl Fn() -> bool + Send + use<> {
         let pending = Arc::downgrade(&self.0);
         move || {
@@ -338,7 +338,7 @@ mod tests {
     /// The replies to a request whose handler panics after `handler`.
     fn panic_after(sender: &Replies, handler: impl FnOnce(&Incoming)) -> Sent {
         let (incoming, replies) = request(false);
-        sender.guard(&incoming, || {
+        sender.catch_panic(&incoming, || {
             handler(&incoming);
             panic!("a defect");
         });

@@ -1,5 +1,5 @@
-//! The verifications under way: at most so many at once, the next ones queued, and how far each
-//! has come.
+//! The verifications and their progress: at most `MAX_RUNNING` run at once, the next ones are
+//! queued.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -29,7 +29,7 @@ struct State<W> {
     /// Those that run and those that are queued, by their numbers: the swarm, and the share of its
     /// history that is replayed.
     entries: BTreeMap<u64, (Arc<str>, f64)>,
-    /// Those that no thread has begun, the oldest first.
+    /// Those that no thread has taken, the oldest first.
     queue: VecDeque<(Verification<W>, W)>,
     /// Threads that take from the queue.
     threads: usize,
@@ -120,7 +120,7 @@ impl<W: Work> Verifications<W> {
 }
 
 impl<W> Verification<W> {
-    /// Records how far it has come.
+    /// Records the share that is replayed.
     pub fn advance(&self, share: f64) {
         if let Some(entry) = self.all.0.lock().entries.get_mut(&self.number) {
             entry.1 = share;

@@ -94,7 +94,7 @@ fn authority() -> Result<CertificateParams, rcgen::Error> {
 }
 
 /// The date in so many days, as `2029-02-24`, which sorts by time. The last day of a certificate that is
-/// issued today is that in [`DAYS`] days.
+/// issued today is `in_days(DAYS)`.
 pub fn in_days(days: i64) -> String {
     let day = OffsetDateTime::now_utc() + Duration::days(days);
     day.date().to_string()

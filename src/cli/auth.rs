@@ -96,7 +96,7 @@ pub fn run(resolved: &Resolved, command: &Auth) -> ExitCode {
     }
 }
 
-/// Returns the output, or an exit code and the error message. `is_change` if a flag of this command
+/// Returns the output, or an exit code and the error message. `is_change`: whether a flag of this command
 /// is in `reach`.
 fn execute(
     folder: &str,

@@ -87,7 +87,7 @@ async fn play(swarm: &Handle, lasting: Option<Duration>) -> Result<(), DemoError
     let until_informed = end.map_or(INFORMED_AT, |end| end.min(INFORMED_AT));
     let dt = swarm.spec.parameters.dt;
     if until_informed == INFORMED_AT {
-        // The same ones at the same step in every run.
+        // Every run informs the same individuals at the same step.
         let args = json!({"select": {"count": INFORMED}, "direction": 0.0});
         command(swarm, "inform", &args, Some(steps_in(INFORMED_AT, dt))).await?;
     }
@@ -247,7 +247,7 @@ async fn command(
     reply.await
 }
 
-/// Where a swarm sends a reply, and the reply.
+/// A receiver for a reply, and the future of that reply.
 fn reply() -> (ReplyTo, impl Future<Output = Result<Outcome, DemoError>>) {
     let (sender, receiver) = oneshot::channel::<SwarmReply>();
     let reply = async {

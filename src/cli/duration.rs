@@ -24,7 +24,7 @@ pub fn parse(text: &str) -> Result<Duration, String> {
     Duration::try_from_secs_f64(number * secs)
         .ok()
         .filter(|duration| !duration.is_zero() && *duration <= MAX_DURATION)
-        .ok_or_else(|| format!("duration {text:?} is not positive, or is too long"))
+        .ok_or_else(|| format!("invalid duration {text:?}: use one above 0 and below 30 years"))
 }
 
 /// A duration in its largest unit.

@@ -151,7 +151,7 @@ fn membership(member: &Member) -> Result<(String, ControllerState), SnapshotErro
 
 fn pause_reason(text: &str) -> Result<PauseReason, SnapshotError> {
     let reason: Result<_, ValueError> = PauseReason::deserialize(text.into_deserializer());
-    reason.map_err(|_| SnapshotError::Unreadable(format!("nothing is paused because {text:?}")))
+    reason.map_err(|_| SnapshotError::Unreadable(format!("unknown pause reason {text:?}")))
 }
 
 pub(crate) fn sent(sender: &Sender) -> Sent {

@@ -37,8 +37,8 @@ const SETTLED_CHECKPOINTS: usize = 8;
 
 /// Recovers every swarm, and waits until all are replayed. Returns their number.
 ///
-/// A swarm that cannot be recovered stays in the store, and an error is logged. The error is about the
-/// list of swarms or the replies.
+/// A swarm that cannot be recovered is logged and stays in the store. Returns an error only if the
+/// list of swarms or the replies cannot be read.
 pub fn recover(
     registry: &Arc<SwarmRegistry>,
     store: &Store,

@@ -12,9 +12,9 @@ use crate::swarm::journal::{OnProgress, Replayed};
 use crate::swarm::phase::Phase;
 use crate::swarm::worker::replay::{ReplaySource, ReplayTarget};
 
-/// Replays the journal of a swarm from its oldest checkpoint, up to where it was in `present`. Passes
-/// the replayed fraction, from 0 to 1, to `on_progress`. Returns the first step, the final state and
-/// what the replay found.
+/// Replays the journal of a swarm from its oldest readable checkpoint up to its step in `present`, or up
+/// to the last hash if it moves. Passes the replayed fraction (0 to 1) to `on_progress`. Returns the first
+/// step, the final state and what the replay found.
 ///
 /// # Errors
 ///

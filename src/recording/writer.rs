@@ -23,8 +23,8 @@ pub struct RecordingWriter {
 
 impl RecordingWriter {
     /// Writes until the subscription has ended and its queue is empty, or a limit is reached. After
-    /// each item calls `progress`, with whether a part has ended; it returns why the recording has to
-    /// end. Finishes the last part after an error as well. Returns the reason of the end, without one
+    /// each item it calls `progress` with whether a part has ended; a reason that `progress` returns ends
+    /// the recording. The last part is finished after an error as well. Returns the reason, or `None`
     /// if the recording resumes.
     pub fn write(
         mut self,

@@ -107,7 +107,7 @@ pub enum StoreError {
 }
 
 impl StoreError {
-    /// Distinguishes errors of the file from errors that a retry may not have.
+    /// Distinguishes errors of the file from transient errors.
     pub(super) fn of_reading(file: &Path, error: &SqlError) -> StoreError {
         let (file, detail) = (file.to_path_buf(), error.to_string());
         match error.sqlite_error_code() {
@@ -119,7 +119,7 @@ impl StoreError {
     }
 }
 
-/// Whether a retry may not have this error.
+/// Whether the error may be transient.
 fn may_pass(code: ErrorCode) -> bool {
     matches!(
         code,

@@ -64,7 +64,7 @@ impl Writer {
     pub(super) fn maintain(&mut self, is_idle: bool) -> Result<bool, StoreFault> {
         self.swept_at = Instant::now();
         if self.shared.meter.is_full.load(Ordering::Relaxed) && is_idle {
-            // Finds out whether the disk has space again when no submit tries.
+            // Without submits only this write detects that the disk has space again.
             unless_fatal(self.transact(|transaction| transaction.probe()), ())?;
         }
         let mut has_more = unless_fatal(self.sweep(), false)?;

@@ -98,8 +98,8 @@ impl Queue {
     }
 
     /// Takes the next group as soon as a sync submit is queued, a group is full, or the oldest submit
-    /// has been held back long enough; an empty group after `timeout`. Returns whether the queue has ended
-    /// and is empty, too.
+    /// has been held back long enough; an empty group after `timeout`. The flag: whether the queue has ended
+    /// and is empty.
     pub(super) fn take(&self, timeout: Duration) -> (Vec<Submit>, bool) {
         let until = Instant::now() + timeout;
         let mut state = self.state.lock();

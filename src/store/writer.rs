@@ -283,7 +283,7 @@ impl Writer {
             .store(backlog.is_overrun(), Ordering::Relaxed);
     }
 
-    /// Reports the outcome of a submit. A panic of what receives it does not end the writer.
+    /// Reports the outcome of a submit. A panic of the callback does not end the writer.
     pub(super) fn complete(&self, durability: Durability, outcome: Result<(), StoreFault>) {
         let receiver = match (durability, &outcome) {
             (Durability::Sync(done), _) | (Durability::Deferred(Some(done)), Ok(())) => done,

@@ -76,7 +76,7 @@ impl Command {
         )
     }
 
-    /// Whether it is executed before it is durable, since it is sent thousands of times a second.
+    /// Whether it is executed before it is durable (group commit), as frequent and internal commands are.
     pub fn is_group_committed(&self) -> bool {
         matches!(
             self,

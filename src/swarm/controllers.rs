@@ -375,7 +375,7 @@ impl Controllers {
         Ok(())
     }
 
-    /// Counts a deadline that a controller has missed, and does what it joined for.
+    /// Counts a deadline that a controller has missed, and executes its [`OnTimeout`].
     fn miss(&mut self, controller: &str, swarm: &mut Swarm) -> Result<(), SwarmError> {
         let step = swarm.step();
         let nearest = self.targets().filter(|&target| target > step).min();

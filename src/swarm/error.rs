@@ -63,7 +63,7 @@ pub enum SwarmError {
          first"
     )]
     Lockstep,
-    #[error("controller {0} joined a swarm that runs freely: join in mode lockstep to advance it")]
+    #[error("controller {0} joined in mode free_running: join again in mode lockstep to advance")]
     RunsFreely(String),
     #[error("controller {controller} is advancing to step {target} already: wait for that reply")]
     Advancing { controller: String, target: u64 },

@@ -121,7 +121,7 @@ pub struct Replayed {
     /// The hashes by epoch and step, and their lines.
     hashes: BTreeMap<(u64, u64), (u64, [u8; 32])>,
     on_progress: Option<OnProgress>,
-    /// Outcomes that a crash prevented from being written, and where.
+    /// Outcomes that the replay produced before it read them, each with its epoch and step.
     unsettled: Vec<((u64, u64), Record)>,
     /// How many hashes are the same.
     pub same: u64,
@@ -205,8 +205,8 @@ impl Journal {
         on_progress.inspect(|it| it(line));
     }
 
-    /// Takes note of a replayed line that records an outcome or a hash. Returns whether it does.
-    pub fn note(&mut self, line: &Line) -> bool {
+    /// Stores the outcome or the hash that a replayed line records. Returns whether it records one.
+    pub fn read_ahead(&mut self, line: &Line) -> bool {
         let Some(replay) = &mut self.replay else {
             return false;
         };

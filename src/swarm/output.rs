@@ -28,8 +28,8 @@ const MAX_PUBLISHED_INDIVIDUALS: usize = 16 * 1024;
 /// Capacity of each queue in events. Subscribers see from the event numbers that some are missing.
 const MAX_EVENTS: usize = 4096;
 
-/// A state that the swarm produces without a check of a blocking queue, as after a reset, is enqueued
-/// up to this multiple of the capacity.
+/// Multiple of its capacity up to which a blocking queue accepts the states that the swarm produces
+/// without checking it, as after a reset.
 const MAX_OVERFULL: usize = 2;
 
 /// What a subscription receives, and the bounds of its queue.
@@ -71,7 +71,7 @@ pub enum End {
     Closed(Option<String>),
 }
 
-/// The publisher of a swarm, as its thread calls it.
+/// The publisher of a swarm, as the thread of the swarm calls it.
 pub trait Publish: Send + Sync {
     /// The queue of the publisher was empty and no longer is.
     fn notify(&self);
@@ -251,7 +251,7 @@ impl Subscription {
         }
     }
 
-    /// Waits for the next item, at most until then. [`End`] once the queue is empty and the
+    /// Waits for the next item, at most until `until`. Returns [`End`] once the queue is empty and the
     /// subscription has ended.
     pub fn next(&self, until: Option<Instant>) -> Result<Option<Item>, End> {
         let mut contents = self.contents.lock();
@@ -267,7 +267,7 @@ impl Subscription {
             if let Some(end) = &contents.end {
                 return Err(end.clone());
             }
-            // Without an end, a wait of the longest duration is one without an end, too.
+            // `wait_for` with the longest duration has no timeout.
             let left = until.map_or(Duration::MAX, |until| {
                 until.saturating_duration_since(Instant::now())
             });

@@ -55,7 +55,7 @@ pub struct Limits {
 pub enum RegistryError {
     #[error("another swarm of this name exists: choose another name, or delete it")]
     OtherSpec,
-    #[error("an equal swarm of this name exists: take it with exist_ok")]
+    #[error("an equal swarm of this name exists: set exist_ok to use it")]
     SameSpec,
     #[error(
         "the daemon hosts {} already, its limit: delete one, or raise max_swarms",

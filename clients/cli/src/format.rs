@@ -127,7 +127,7 @@ pub fn bytes(bytes: u64) -> String {
     }
 }
 
-/// A command as a line: its verb and its arguments, the long ones cut. A note is whole.
+/// A command in one line: its verb and its arguments. Long arguments are truncated, a note is not.
 pub fn command(verb: &str, args: &Value) -> String {
     const LONGEST: usize = 100;
     if let ("annotate", Some(text @ Value::String(_))) = (verb, args.get("text")) {

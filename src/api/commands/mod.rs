@@ -149,7 +149,7 @@ fn send(
     returns_state: bool,
 ) {
     let output = swarm.output.clone();
-    responder.ask(
+    responder.send_to_swarm(
         swarm,
         (timeout, CommandError::deadline),
         |reply_to| {

@@ -24,7 +24,7 @@ impl Context {
         let sender = Arc::new(commands::sender("seek", &request)?);
         let timeout = commands::timeout(&request)?;
         let name = swarm.clone();
-        responder.ask(
+        responder.send_to_swarm(
             &self.find(swarm)?,
             (timeout, CommandError::deadline),
             |answer| Message::Seek(to, sender, answer),

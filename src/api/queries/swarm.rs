@@ -139,7 +139,7 @@ fn look(
     payload: impl FnOnce(&Stamp, &Frame) -> Payload + Send + 'static,
 ) {
     let output = handle.output.clone();
-    responder.ask(
+    responder.send_to_swarm(
         handle,
         (DEFAULT_TIMEOUT, CommandError::deadline),
         Message::Query,

@@ -21,7 +21,7 @@ impl Context {
         let (name, store) = (swarm.clone(), self.store.clone());
         let verifications = self.verifications.clone();
         let is_abandoned = Box::new(responder.is_abandoned());
-        responder.ask(
+        responder.send_to_swarm(
             &self.find(swarm)?,
             (timeout, CommandError::not_yet),
             |answer| {

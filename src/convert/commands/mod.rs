@@ -69,8 +69,8 @@ pub fn read(verb: &str, request: &Request) -> Result<(CommandMessage, bool), Com
         "join" => swarm::join(request.args()?)?,
         "advance" => {
             if request.at_step.is_some() {
-                let problem = "is for commands that can wait: a controller advances from where the \
-                               swarm is";
+                let problem = "cannot schedule an advance: a controller advances from the step of the \
+                               swarm: leave it out";
                 return Err(CommandError::field("at_step", problem));
             }
             let args: AdvanceArgs = request.args()?;
@@ -201,7 +201,7 @@ pub(crate) fn is_plain(c: char) -> bool {
 pub fn sender(verb: &'static str, request: &Request) -> Result<Sender, CommandError> {
     let label = |field, label: &Option<String>| match label {
         Some(text) if text.len() > MAX_LABEL_LENGTH || !text.chars().all(is_plain) => {
-            let problem = "is too long or has characters that are not seen";
+            let problem = "is too long or has invisible characters";
             Err(CommandError::field(field, problem))
         }
         other => Ok(other.clone()),

@@ -111,7 +111,7 @@ pub fn check_note(args: &AnnotateArgs) -> Result<(), CommandError> {
         ));
     }
     if !args.text.chars().all(is_plain) {
-        let problem = "has characters that are not seen: write one line without control characters";
+        let problem = "has invisible characters: write one line without control characters";
         return Err(CommandError::field("text", problem));
     }
     Ok(())

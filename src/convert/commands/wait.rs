@@ -39,7 +39,7 @@ pub fn read<'a>(
     match (step, phase) {
         (Some(awaited), None) | (None, Some(awaited)) => Ok((awaited, timeout)),
         _ => {
-            let problem = "or phase is to be given, and only one of them: wait?step=100";
+            let problem = "or phase is required, and only one of them: wait?step=100";
             Err(CommandError::field("step", problem))
         }
     }
@@ -49,6 +49,6 @@ fn check_timeout(secs: f64) -> Result<Duration, CommandError> {
     if secs > 0.0 && secs <= MAX_WAIT.as_secs_f64() {
         return Ok(super::duration(secs));
     }
-    let problem = "of a wait is above 0 and at most 30: ask again for longer";
+    let problem = "of a wait must be above 0 and at most 30: repeat it to wait longer";
     Err(CommandError::field("timeout_secs", problem))
 }

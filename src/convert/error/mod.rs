@@ -32,7 +32,7 @@ pub enum CommandError {
         field: &'static str,
         problem: &'static str,
     },
-    #[error("{field} {name:?} is no name")]
+    #[error("invalid {field} {name:?}")]
     Name {
         field: &'static str,
         /// At most the first 64 characters of the name.
@@ -40,7 +40,7 @@ pub enum CommandError {
     },
     #[error("n = {n} is outside its range: give a whole number from 1 to {limit}")]
     Individuals { n: u64, limit: usize },
-    #[error("there is no parameter {name:?} here")]
+    #[error("unknown parameter {name:?}")]
     Parameter {
         /// As received.
         name: String,
@@ -48,7 +48,7 @@ pub enum CommandError {
     },
     #[error("{0} is given twice: give it once")]
     Twice(&'static str),
-    #[error("the request has {bytes} bytes, the most is {max_bytes}: send less at once")]
+    #[error("the request has {bytes} bytes, the maximum is {max_bytes}: send less at once")]
     TooLong { bytes: usize, max_bytes: usize },
     #[error("the payload is {0:?}: requests are application/json")]
     Encoding(String),
@@ -83,7 +83,7 @@ pub enum CommandError {
     #[error("not a snapshot that this daemon can restore: {0}")]
     Snapshot(String),
     #[error(
-        "the snapshot has {bytes} bytes, the most that one message carries is {max_bytes}: fork \
+        "the snapshot has {bytes} bytes, the maximum of one message is {max_bytes}: fork \
          the swarm on this daemon, or stop the daemon and copy its data folder"
     )]
     SnapshotTooLong { bytes: usize, max_bytes: usize },
@@ -109,7 +109,7 @@ pub enum CommandError {
     Internal,
     /// The request was dropped without a reply.
     #[error(
-        "a defect of the daemon: it dropped the request, and whether it was executed is unknown: look, \
+        "a defect of the daemon dropped the request; whether it was executed is unknown: look at get/journal, \
          and send it with another request_id if it was not"
     )]
     Dropped,
@@ -128,7 +128,7 @@ pub enum CommandError {
          timeout_secs waits longer"
     )]
     Deadline { after_secs: f64 },
-    #[error("not yet so after {after_secs} s: ask again")]
+    #[error("condition not met within {after_secs} s: retry")]
     NotYet { after_secs: f64 },
     #[error(transparent)]
     Registry(#[from] RegistryError),

@@ -19,7 +19,7 @@ pub enum Input<'a> {
     /// A controller puts set-points for the next step, `None` if they could not be parsed, and for an
     /// epoch if it is known.
     Put(&'a str, Option<u64>, Option<Put>),
-    /// The step was reached at which the swarm pauses.
+    /// The swarm has reached the step at which it pauses.
     Reached,
     /// Another command ends the pending advances; this phase follows.
     Interrupted(Phase),

@@ -31,7 +31,7 @@ impl Member {
         self.state.settings.mode == Mode::Lockstep
     }
 
-    /// Whether its deadline or lease runs at `step`; the swarm waits if a controller has advanced beyond.
+    /// Whether its deadline or lease runs at `step`. `is_waiting`: a controller has advanced beyond `step`.
     pub fn is_awaited(&self, step: u64, is_waiting: bool) -> bool {
         match self.state.settings.mode {
             Mode::Lockstep => is_waiting && self.state.target <= step,

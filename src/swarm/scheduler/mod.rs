@@ -2,7 +2,7 @@
 //!
 //! 1. The step is due: [`Pace`] keeps the rate by the monotonic clock. A swarm without a rate, or that
 //!    is behind its rate, is always due.
-//! 2. It has a [`Share`] of the cores. Of the swarms that are behind their rate a few compute at once;
+//! 2. Its [`Share`] has a turn. Of the swarms that are behind their rate, a few compute at once;
 //!    the threads of the others sleep in a queue. So shares do not depend on how the kernel orders
 //!    many runnable threads, and a command to a waiting swarm wakes a sleeping thread. The queue is
 //!    ordered by virtual time, the processor time that a swarm took while others waited (start-time

@@ -187,7 +187,7 @@ impl Worker {
             }
         };
         match outcome {
-            // Journaled, and its reply is sent when its steps are taken.
+            // Journaled already; `step` and `advance` get their reply when their steps are taken.
             Ok(_) if is_group_committed => {}
             Ok(outcome) => {
                 let is_reset = matches!(outcome, Outcome::Reset(_));

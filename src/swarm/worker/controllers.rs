@@ -1,7 +1,7 @@
 //! The controllers of a swarm: what happens is passed to them, and their effects are carried out.
 //!
 //! A deadline that fires, a token that is lost and set-points that are applied are internal commands,
-//! which are journaled like any other: a replay executes them at the same steps.
+//! which are journaled when they are executed: a replay executes them at the same steps.
 
 use std::sync::Arc;
 use std::time::Instant;

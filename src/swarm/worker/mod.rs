@@ -44,7 +44,7 @@ const CHECKPOINT_STEPS: u64 = 10_000;
 const CHECKPOINT_INPUTS: u64 = 4096;
 const CHECKPOINT_INTERVAL: Duration = Duration::from_secs(30);
 
-/// A checkpoint is also due after this much computing, at most once per pause. It bounds the
+/// A checkpoint is also due after this much computing, if this interval has passed. It bounds the
 /// computing that all swarms together repeat after a crash.
 const CHECKPOINT_WORK: Duration = Duration::from_millis(30);
 const MIN_CHECKPOINT_INTERVAL: Duration = Duration::from_secs(1);
@@ -121,8 +121,8 @@ impl Runner for Worker {
 }
 
 impl Worker {
-    /// A worker that starts from a checkpoint, without events. `reply_for` receives the replies that the
-    /// commands in it have not got.
+    /// A worker that starts from a checkpoint and has published nothing. `reply_for` makes the receivers of
+    /// the replies to its pending `step` and `advance` commands.
     pub fn restore(
         checkpoint: Checkpoint,
         handle: &Handle,

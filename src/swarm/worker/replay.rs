@@ -37,8 +37,8 @@ const EVENT_NUMBER_BLOCK: u64 = 1 << 20;
 /// Niceness of a thread that only replays: lower priority than the hosted swarms.
 const REPLAY_NICENESS: i32 = 15;
 
-/// Lines that wait for an outcome. It follows within a batch of commands, which is shorter; one that a
-/// full disk or a crash prevented from being written never does.
+/// Maximum number of lines that wait for an outcome. A batch of commands is shorter, so an outcome that
+/// does not follow by then was not written, because of a full disk or a crash.
 const MAX_WAITING: usize = 1024;
 
 /// Makes the callback that receives the reply to a replayed command.
@@ -53,7 +53,7 @@ pub struct ReplaySource {
     pub lines: Box<dyn Iterator<Item = Result<ReplayEntry, String>> + Send>,
     /// Commands that were applied before the checkpoint, for the history.
     pub entries: Vec<Entry>,
-    /// Receives the replies, some of which the client did not get before the crash.
+    /// Makes the receivers of the replies, some of which were not sent before the crash.
     pub reply_for: ReplyFor,
     pub to: ReplayTarget,
     /// Called with each line that is reached.
@@ -158,7 +158,7 @@ impl Fold {
     /// Reads the next line, and applies those whose outcomes have been read. Breaks at the target, or
     /// with the end of the swarm.
     fn read(&mut self, entry: ReplayEntry) -> ControlFlow<Option<End>> {
-        if !self.worker.journal.note(&entry.0) {
+        if !self.worker.journal.read_ahead(&entry.0) {
             self.waiting.push_back(entry);
         }
         self.apply_waiting(MAX_WAITING)

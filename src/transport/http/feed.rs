@@ -43,8 +43,8 @@ pub struct Feed {
 }
 
 impl Feed {
-    /// Subscribes to a swarm. zenoh blocks the thread that declares while it removes what a session
-    /// has declared.
+    /// Subscribes to a swarm. This may block: while zenoh undeclares the keys of a session, it blocks
+    /// every thread that declares one.
     fn subscribe(bus: &Bus, swarm: &str) -> zenoh::Result<Self> {
         let session = bus.pool.lease()?;
         let (states, orders) = (watch::Sender::default(), watch::Sender::default());

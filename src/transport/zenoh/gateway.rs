@@ -87,7 +87,7 @@ impl Gateway {
     }
 }
 
-/// A query, as the connection to the client that sent it.
+/// A query: the connection to the client that sent it.
 struct Connection {
     query: Query,
     /// Keeps the session that received the query open until the reply is sent.

@@ -213,7 +213,7 @@ impl Publish for Publication {
     fn is_watched(&self, is_moving: bool) -> bool {
         let publishers = [&self.state, &self.order];
         let is_matched = |is_moving| publishers.iter().any(|it| it.is_matched(is_moving));
-        // What is known of both is checked first.
+        // The last known status of both is checked before either is queried.
         is_matched(true) || (!is_moving && is_matched(false))
     }
 }

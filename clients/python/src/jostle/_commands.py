@@ -532,7 +532,7 @@ class Commands(Questions):
             swarm.annotate("camera 2 replaced")
             notes = [entry.args["text"] for entry in swarm.journal() if entry.verb == "annotate"]
 
-        Neither its state changes nor what later commands draw.
+        The state and the random draws of later commands do not change.
 
         Args:
             text: The note: 1 to 1000 characters in one line, without control characters.

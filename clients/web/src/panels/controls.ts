@@ -10,7 +10,7 @@ import { command } from "../wire/http.ts";
 import type { Phase, SwarmRow } from "../wire/messages.ts";
 
 /** The longest text of `annotate`. */
-const MOST_CHARACTERS = 1000;
+const MAX_NOTE_CHARACTERS = 1000;
 
 export class Controls {
   readonly element: HTMLElement;
@@ -32,7 +32,7 @@ export class Controls {
     placeholder: "max",
   });
   private readonly fields: HTMLFieldSetElement;
-  private readonly text = textField("note in the journal", MOST_CHARACTERS);
+  private readonly text = textField("note in the journal", MAX_NOTE_CHARACTERS);
   private readonly notes: HTMLFieldSetElement;
   private readonly note: HTMLElement;
   private readonly stepButton = el("button", {}, "Step");

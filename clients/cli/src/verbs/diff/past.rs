@@ -52,7 +52,7 @@ impl Past {
         }
     }
 
-    /// The commands after a `seq` that say where its way leads, each with the number that keys its
+    /// The commands after a `seq` that change the state, each with the number that keys its random
     /// draws: its `seq` without the annotations after that `seq`.
     fn after(&self, seq: u64) -> impl Iterator<Item = (u64, &Told)> {
         let mut annotations = 0;
