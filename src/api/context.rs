@@ -104,7 +104,7 @@ pub struct Context {
     /// The connections.
     pub peers: Arc<dyn Peers>,
     /// The swarms.
-    pub host: Arc<SwarmRegistry>,
+    pub registry: Arc<SwarmRegistry>,
     /// Sends replies.
     pub replies: Replies,
     /// The users and their roles.
@@ -118,7 +118,7 @@ pub struct Context {
     /// The schemas of all messages.
     pub schemas: Schemas,
     /// The experiments.
-    pub lab: ExperimentManager,
+    pub experiments: ExperimentManager,
     /// Executes work on the files of the experiments.
     pub experiment_files: Executor<ExperimentManager>,
     /// Recordings that clients upload.
@@ -247,14 +247,14 @@ impl Context {
 
     /// The swarm of this name.
     pub(crate) fn find(&self, swarm: &str) -> Result<Handle, CommandError> {
-        let handle = self.host.find(swarm);
+        let handle = self.registry.find(swarm);
         handle.ok_or_else(|| CommandError::UnknownSwarm(swarm.to_owned()))
     }
 
     /// The longest request that is read. A longer one gets an error, unless it is longer than what
     /// the transport passes on.
     pub(crate) fn max_request_bytes(&self) -> usize {
-        let all = BYTES_PER_INDIVIDUAL.saturating_mul(self.host.limits().max_individuals);
+        let all = BYTES_PER_INDIVIDUAL.saturating_mul(self.registry.limits().max_individuals);
         all.saturating_add(REQUEST_BYTES)
             .min(self.max_message_bytes)
     }

@@ -143,7 +143,7 @@ mod tests {
 
     use super::*;
 
-    const PATIENCE: Duration = Duration::from_secs(20);
+    const TEST_TIMEOUT: Duration = Duration::from_secs(20);
 
     /// Advances to each share that is sent, and ends when the sender is dropped; sends its number when
     /// it runs. Without channels it panics.
@@ -171,7 +171,7 @@ mod tests {
     }
 
     fn until(what: &str, holds: impl Fn() -> bool) {
-        let deadline = Instant::now() + PATIENCE;
+        let deadline = Instant::now() + TEST_TIMEOUT;
         while !holds() {
             assert!(Instant::now() < deadline, "{what}");
             thread::sleep(Duration::from_millis(1));
@@ -211,13 +211,13 @@ mod tests {
         assert_eq!(begun.len(), MAX_RUNNING + MAX_QUEUED);
         let mut running: Vec<_> = begun.drain(..MAX_RUNNING).collect();
         for (_, runs) in &running {
-            assert!(runs.recv_timeout(PATIENCE).unwrap() < MAX_RUNNING as u64);
+            assert!(runs.recv_timeout(TEST_TIMEOUT).unwrap() < MAX_RUNNING as u64);
         }
         let mut expected = MAX_RUNNING as u64;
         while let Some(next) = begun.pop_front() {
             assert!(next.1.try_recv().is_err(), "more than {MAX_RUNNING} run");
             drop(running.pop());
-            assert_eq!(next.1.recv_timeout(PATIENCE), Ok(expected));
+            assert_eq!(next.1.recv_timeout(TEST_TIMEOUT), Ok(expected));
             expected += 1;
             running.push(next);
         }
@@ -235,7 +235,7 @@ mod tests {
             assert!(begun.is_ok());
         }
         let (_shares, runs) = begin(&all, &a).unwrap();
-        assert!(runs.recv_timeout(PATIENCE).is_ok());
+        assert!(runs.recv_timeout(TEST_TIMEOUT).is_ok());
     }
 
     #[test]
@@ -245,7 +245,7 @@ mod tests {
         let running: Vec<_> = (0..MAX_RUNNING).map(|_| begin(&all, &a).unwrap()).collect();
         let (_shares, queued) = begin(&all, &a).unwrap();
         for (_, runs) in &running {
-            runs.recv_timeout(PATIENCE).unwrap();
+            runs.recv_timeout(TEST_TIMEOUT).unwrap();
         }
         all.stop();
         drop(running);

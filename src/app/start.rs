@@ -327,14 +327,14 @@ fn context(
             session: core.session.clone(),
             claims: core.claims.clone(),
         }),
-        host: core.registry.clone(),
+        registry: core.registry.clone(),
         replies: core.replies.clone(),
         rights: core.rights.clone(),
         started: Instant::now(),
         store: core.store.clone(),
         idempotency: core.idempotency.clone(),
         schemas: queries::schemas(),
-        lab: files.experiments.clone(),
+        experiments: files.experiments.clone(),
         experiment_files: files.experiment_files.clone(),
         uploads: files.uploads.clone(),
         recordings: files.recordings.clone(),
@@ -391,7 +391,7 @@ fn start_watch(
     let (session, claims) = (core.session.clone(), core.claims.clone());
     let replies = core.replies.clone();
     let watched = Watched {
-        host: core.registry.clone(),
+        registry: core.registry.clone(),
         store: core.store.clone(),
         rights: core.rights.clone(),
         recordings: files.recordings.clone(),

@@ -67,7 +67,7 @@ pub struct SwarmFigures {
 impl Watch {
     /// The current metrics. Reads counters; sends no message to a swarm.
     pub fn figures(&self) -> Figures {
-        let (handles, mut totals) = self.watched.host.handles();
+        let (handles, mut totals) = self.watched.registry.handles();
         let mut swarms = Vec::with_capacity(handles.len());
         for (name, handle) in handles {
             let own = handle.totals();
@@ -97,7 +97,7 @@ impl Watch {
             cpu_secs: cpu.tv_sec as f64 + cpu.tv_nsec as f64 * 1e-9,
             cores: thread::available_parallelism().map_or(1, usize::from),
             resident_bytes,
-            reserved_bytes: self.watched.host.memory_bytes(),
+            reserved_bytes: self.watched.registry.memory_bytes(),
             threads,
             sessions,
             probe_secs,

@@ -45,7 +45,7 @@ const MIN_FAILURES: u32 = 2;
 /// What is checked.
 pub struct Watched {
     /// The swarms.
-    pub host: Arc<SwarmRegistry>,
+    pub registry: Arc<SwarmRegistry>,
     /// The store.
     pub store: Store,
     /// The users.
@@ -195,7 +195,7 @@ impl Watch {
 
     /// The number of the task that each busy thread executes.
     fn tasks(&self) -> Vec<(Worker, u64)> {
-        let (swarms, _) = self.watched.host.handles();
+        let (swarms, _) = self.watched.registry.handles();
         let swarms = swarms.into_iter().filter_map(|(name, handle)| {
             let task = handle.metrics.activity.task()?;
             Some((Worker::Swarm(name), task))

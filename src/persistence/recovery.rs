@@ -85,7 +85,7 @@ fn load(
     // were stored before the newest one: if the store has ever evicted a reply, a missing one was
     // evicted, not lost.
     let settled = checkpoints.get(SETTLED_CHECKPOINTS);
-    let settled = settled.filter(|_| store.has_forgotten());
+    let settled = settled.filter(|_| store.has_evicted());
     let replied = settled.map_or(0, |it| it.number);
     for stored in checkpoints {
         let checkpoint = match read_stored(store, swarm, stored.number) {
@@ -161,7 +161,7 @@ fn truncate(store: &Store, swarm: &str, checkpoint: &Checkpoint, tail: &mut Tail
         step,
         record: Record::Fault(damage.clone()),
     };
-    let truncation = Write::Cut {
+    let truncation = Write::Truncate {
         swarm: swarm.to_owned(),
         after: number,
     };
@@ -198,7 +198,7 @@ fn has_replies(
                     missing.push(line.number);
                 }
             }
-            Record::Became {
+            Record::Outcome {
                 input, seq: None, ..
             } => missing.retain(|it| *it != input),
             _ => {}
@@ -233,7 +233,7 @@ fn history_before(
                 inputs.insert(line.number, sender.clone());
                 seq.zip(Some((sender, unix_secs)))
             }
-            Record::Became {
+            Record::Outcome {
                 input,
                 seq,
                 unix_secs,

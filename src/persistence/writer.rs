@@ -179,7 +179,7 @@ enum Stored {
         unix_secs: Option<f64>,
     },
     #[serde(rename = "became")]
-    Became {
+    Outcome {
         input: u64,
         seq: Option<u64>,
         #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -216,7 +216,7 @@ struct StoredRecord(#[serde(with = "Stored")] Record);
 pub fn record(record: &Record) -> (u8, Vec<u8>) {
     let kind = match record {
         Record::Input { .. } => 1,
-        Record::Became { .. } => 2,
+        Record::Outcome { .. } => 2,
         Record::Fault(_) => 3,
         Record::Hash(_) => 4,
         Record::Resumed(_) => 5,
@@ -264,7 +264,7 @@ mod tests {
                 seq: None,
                 unix_secs,
             };
-            let became = Record::Became {
+            let became = Record::Outcome {
                 input: 3,
                 seq: Some(5),
                 unix_secs,

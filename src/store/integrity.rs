@@ -19,7 +19,7 @@
 //!
 //! | found | reaction |
 //! |---|---|
-//! | row with a wrong checksum, or a gap | reading ends before it; [`super::Write::Cut`] truncates the journal there |
+//! | row with a wrong checksum, or a gap | reading ends before it; [`super::Write::Truncate`] truncates the journal there |
 //! | checkpoint or answer with a wrong checksum, or fewer than the extent holds | left out and counted |
 //! | swarm or extent with a wrong checksum, or one without the other | reading the list of swarms fails and names it; the swarm can only be deleted |
 //! | keys out of order in a tree, which hides records from a search | [`super::repair`] writes the tree again, without its damaged records |

@@ -234,7 +234,7 @@ impl Store {
     }
 
     /// Whether an answer was ever deleted; false if that cannot be read.
-    pub fn has_forgotten(&self) -> bool {
+    pub fn has_evicted(&self) -> bool {
         let extent = self.read(|it| Ok(integrity::read_extent(it, integrity::ANSWERS)?));
         matches!(extent, Ok(Some(it)) if it.first > 0 || it.checkpoints > 0)
     }

@@ -100,7 +100,7 @@ pub enum Write {
     },
     /// Deletes the rows and checkpoints of a swarm after a row, so that others can follow it although
     /// the next row is damaged. The file is copied first.
-    Cut {
+    Truncate {
         /// The swarm.
         swarm: String,
         /// The last row that stays.
@@ -129,7 +129,7 @@ impl Write {
             Write::Create { swarm, .. }
             | Write::Append { swarm, .. }
             | Write::Keep { swarm, .. }
-            | Write::Cut { swarm, .. }
+            | Write::Truncate { swarm, .. }
             | Write::Delete { swarm } => Some(swarm),
             Write::Answer(_) | Write::Forget { .. } => None,
         }
@@ -146,7 +146,7 @@ impl Write {
                 } => swarm.len() + about.len() + first.body.len(),
                 Write::Append { swarm, row } => swarm.len() + row.body.len(),
                 Write::Keep { swarm, checkpoint } => swarm.len() + checkpoint.body.len(),
-                Write::Cut { swarm, .. } | Write::Delete { swarm } => swarm.len(),
+                Write::Truncate { swarm, .. } | Write::Delete { swarm } => swarm.len(),
                 Write::Answer(answer) => answer.body.len() + answer.request_id.len(),
                 Write::Forget { request_id, .. } => request_id.len(),
             }

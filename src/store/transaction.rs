@@ -98,7 +98,7 @@ impl<'a> Transaction<'a> {
             } => self.create(swarm, about, first),
             Write::Append { swarm, row } => self.append(swarm, row),
             Write::Keep { swarm, checkpoint } => self.keep(swarm, checkpoint),
-            Write::Cut { swarm, after } => self.cut(swarm, *after),
+            Write::Truncate { swarm, after } => self.truncate(swarm, *after),
             Write::Delete { swarm } => self.delete(swarm),
             Write::Answer(answer) => self.answer(answer),
             Write::Forget { client, request_id } => self.forget(client.as_deref(), request_id),
@@ -170,7 +170,7 @@ impl<'a> Transaction<'a> {
         Ok(self.set_extent(swarm, id, &extent)?)
     }
 
-    fn cut(&mut self, swarm: &str, after: u64) -> Result<(), WriteError> {
+    fn truncate(&mut self, swarm: &str, after: u64) -> Result<(), WriteError> {
         let (id, mut extent) = self.existing(swarm)?;
         let (first, last) = (extent.first, extent.last);
         if after < first || after > last {

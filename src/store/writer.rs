@@ -210,7 +210,7 @@ impl Writer {
         }
         let began = Instant::now();
         let writes = || group.iter().flat_map(|submit| &submit.writes);
-        if !self.has_damaged_copy && writes().any(|write| matches!(write, Write::Cut { .. })) {
+        if !self.has_damaged_copy && writes().any(|write| matches!(write, Write::Truncate { .. })) {
             damaged_copy::create(&self.folder)
                 .map_err(|error| StoreFault::Io(error.to_string()))?;
             self.has_damaged_copy = true;

@@ -74,7 +74,7 @@ pub enum SwarmError {
     RejectedBefore,
     /// The command could not be made durable, so it was not executed.
     #[error("{0}: nothing was changed; make room on the disk of data_dir and send it again")]
-    Unsafe(WriteFault),
+    NotDurable(WriteFault),
     /// A playback does not accept this command.
     #[error(
         "this is a replay of a recording: it takes run, pause, step, seek, reset and delete; create \
@@ -130,7 +130,7 @@ impl SwarmError {
         match self {
             SwarmError::Change(ChangeError::Reserve(_))
             | SwarmError::Panicked
-            | SwarmError::Unsafe(_) => true,
+            | SwarmError::NotDurable(_) => true,
             SwarmError::InBatch { error, .. } => error.may_succeed_later(),
             _ => false,
         }

@@ -46,7 +46,7 @@ pub enum Record {
         unix_secs: Option<f64>,
     },
     /// The outcome of a command.
-    Became {
+    Outcome {
         /// The number of the command's line.
         input: u64,
         /// Its number among the applied commands; `None` if it was rejected.
@@ -134,7 +134,7 @@ pub struct Replayed {
 impl Replayed {
     /// Whether the journal has the outcome of the command whose outcome `record` is.
     fn has_outcome(&self, record: &Record) -> bool {
-        matches!(record, Record::Became { input, .. } if self.outcomes.contains_key(input))
+        matches!(record, Record::Outcome { input, .. } if self.outcomes.contains_key(input))
     }
 }
 
@@ -211,7 +211,7 @@ impl Journal {
             return false;
         };
         match line.record {
-            Record::Became {
+            Record::Outcome {
                 input,
                 seq,
                 unix_secs,
@@ -316,7 +316,7 @@ impl Journal {
         reached: Option<u64>,
     ) -> u64 {
         if let Some(replay) = &mut self.replay {
-            if matches!(record, Record::Became { .. }) && !replay.has_outcome(&record) {
+            if matches!(record, Record::Outcome { .. }) && !replay.has_outcome(&record) {
                 replay.unsettled.push(((epoch, step), record));
             }
             return self.lines;

@@ -422,7 +422,7 @@ impl SwarmRegistry {
         worker.publish_created();
         let (stamp, frame) = worker.look();
         let persisted = persist.persist(&worker.checkpoint(), &stamp, &frame);
-        persisted.map_err(SwarmError::Unsafe)?;
+        persisted.map_err(SwarmError::NotDurable)?;
         Ok(Ok((worker.look(), Box::new(worker))))
     }
 

@@ -15,7 +15,7 @@ impl Context {
         command: &Parsed<'_>,
         args: CreateArgs,
     ) -> Result<(), CommandError> {
-        let spec = create::spec(&args, self.host.limits())?;
+        let spec = create::spec(&args, self.registry.limits())?;
         let CreateArgs { name, exist_ok, .. } = args;
         let answer = |is_new: bool| {
             let (name, spec) = (name.clone(), spec.clone());
@@ -34,7 +34,7 @@ impl Context {
             identity: command.identity(),
         });
         let created = self
-            .host
+            .registry
             .create(&name, spec.clone(), exist_ok, persist, || answer(true))?;
         if let Created::Existing(handle) = created {
             handle.send(Message::Query(answer(false)));

@@ -24,13 +24,21 @@ impl Context {
             checked.map_err(|error| error.within(action.to_owned()))?;
         }
         let (node, responder) = (self.node.clone(), command.responder.clone());
-        self.experiment_files.submit(move |lab| {
+        self.experiment_files.submit(move |experiments| {
             let done = match &args {
-                ExperimentArgs::Submit(args) => lab.submit(args.name.as_deref(), &args.toml),
-                ExperimentArgs::Pause(args) => lab.pause(&args.name).map(|it| (false, it)),
-                ExperimentArgs::Resume(args) => lab.resume(&args.name).map(|it| (false, it)),
-                ExperimentArgs::Cancel(args) => lab.cancel(&args.name).map(|it| (false, it)),
-                ExperimentArgs::Delete(args) => lab.delete(&args.name).map(|it| (false, it)),
+                ExperimentArgs::Submit(args) => {
+                    experiments.submit(args.name.as_deref(), &args.toml)
+                }
+                ExperimentArgs::Pause(args) => experiments.pause(&args.name).map(|it| (false, it)),
+                ExperimentArgs::Resume(args) => {
+                    experiments.resume(&args.name).map(|it| (false, it))
+                }
+                ExperimentArgs::Cancel(args) => {
+                    experiments.cancel(&args.name).map(|it| (false, it))
+                }
+                ExperimentArgs::Delete(args) => {
+                    experiments.delete(&args.name).map(|it| (false, it))
+                }
             };
             responder.finish(done, move |(created, report)| {
                 let progress = convert::progress(report);

@@ -68,7 +68,7 @@ impl Context {
     /// A copy of a swarm that `command` makes.
     pub(super) fn copy(&self, name: String, reason: PauseReason, command: &Parsed<'_>) -> Copy {
         Copy {
-            host: self.host.clone(),
+            registry: self.registry.clone(),
             store: self.store.clone(),
             identity: command.identity(),
             responder: command.responder.clone(),
@@ -80,7 +80,7 @@ impl Context {
 
 /// A swarm that is to be made from a checkpoint.
 pub(super) struct Copy {
-    host: Arc<SwarmRegistry>,
+    registry: Arc<SwarmRegistry>,
     store: Store,
     identity: Option<RequestIdentity>,
     responder: Responder,
@@ -108,7 +108,7 @@ impl Copy {
                 });
             })
         };
-        if let Err(error) = self.host.copy(&name, checkpoint, persist, answer) {
+        if let Err(error) = self.registry.copy(&name, checkpoint, persist, answer) {
             responder.reject(&error.into(), None);
         }
     }

@@ -39,7 +39,7 @@ impl Context {
             verb => self.swarm_command(swarm, verb.unwrap_or_default(), incoming, &responder),
         };
         if let Err(error) = done {
-            let step = self.host.find(swarm).and_then(|handle| handle.step());
+            let step = self.registry.find(swarm).and_then(|handle| handle.step());
             responder.reject(&error, step);
         }
     }
@@ -66,7 +66,7 @@ impl Context {
             sender.digest = identity.as_ref().map(|it| it.digest);
         }
         if !self.is_new(identity, responder)? {
-            let step = self.host.find(swarm).map(|handle| handle.last_step());
+            let step = self.registry.find(swarm).map(|handle| handle.last_step());
             responder.set_deadline(timeout, CommandError::deadline, step);
             return Ok(());
         }

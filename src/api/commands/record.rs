@@ -135,13 +135,17 @@ pub fn count(recordings: &Recordings) -> RecordingCounts {
 }
 
 /// Resumes the recordings that were being written when the daemon ended.
-pub fn resume(recordings: &Recordings, files: &Executor<Recordings>, host: &Arc<SwarmRegistry>) {
+pub fn resume(
+    recordings: &Recordings,
+    files: &Executor<Recordings>,
+    registry: &Arc<SwarmRegistry>,
+) {
     for (name, standing) in recordings.interrupted() {
         let resume = {
             let (files, name) = (files.clone(), name.clone());
             move |source| files.submit(move |recordings| recordings.resume(&name, source))
         };
-        let Some(handle) = host.find(&standing.swarm) else {
+        let Some(handle) = registry.find(&standing.swarm) else {
             resume(None);
             continue;
         };

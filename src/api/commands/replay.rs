@@ -75,7 +75,7 @@ impl Context {
             check_name("recording", recording).map_err(within)?;
         }
         let (node, responder) = (self.node.clone(), command.responder.clone());
-        let host = self.host.clone();
+        let registry = self.registry.clone();
         let (uploads, recordings) = (self.uploads.clone(), self.recordings.clone());
         let opened = thread::Builder::new().name("replay".into()).spawn(move || {
             let source = match &args.recording {
@@ -90,7 +90,7 @@ impl Context {
                 None => uploads.open_upload(&args.name, &read_command),
             };
             match source {
-                Ok(source) => play(&host, node, &args.name, source, &responder),
+                Ok(source) => play(&registry, node, &args.name, source, &responder),
                 Err(error) => responder.reject(&error.into(), None),
             }
         });
@@ -100,7 +100,7 @@ impl Context {
 
 /// Plays a recording, and replies once its first state is published.
 fn play(
-    host: &Arc<SwarmRegistry>,
+    registry: &Arc<SwarmRegistry>,
     node: String,
     name: &str,
     source: McapSource,
@@ -123,7 +123,7 @@ fn play(
         })
     };
     tracing::debug!(name, frames, "opened a recording");
-    if let Err(error) = host.play(name, Box::new(source), answer) {
+    if let Err(error) = registry.play(name, Box::new(source), answer) {
         responder.reject(&error.into(), None);
     }
 }

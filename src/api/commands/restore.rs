@@ -31,7 +31,7 @@ impl Context {
         // Its size now, and its size after a reset.
         let simulation = &checkpoint.simulation;
         let n = simulation.state.configuration.n().max(simulation.spec.n);
-        let limit = self.host.limits().max_individuals;
+        let limit = self.registry.limits().max_individuals;
         if n > limit {
             return Err(SwarmError::from(ReserveError::TooMany { n, limit }).into());
         }

@@ -18,7 +18,7 @@ const MAX_ENTRIES: usize = 40_000;
 impl Context {
     /// All experiments and their progress.
     pub(super) fn experiments(&self) -> Experiments {
-        let reports = self.lab.reports().into_iter();
+        let reports = self.experiments.reports().into_iter();
         Experiments {
             experiments: reports.map(convert::progress).collect(),
         }
@@ -27,7 +27,7 @@ impl Context {
     /// Replies to a query of one experiment; a wildcard matches `progress` alone.
     pub(crate) fn experiment_get(&self, incoming: &Incoming) {
         if incoming.is_wild {
-            for report in self.lab.reports() {
+            for report in self.experiments.reports() {
                 let key = keys::experiment(&self.prefix, &self.node, &report.name, "progress");
                 if incoming.peer.matches(&key) {
                     let responder = self.replies.responder(incoming, key);
@@ -45,7 +45,7 @@ impl Context {
             .and_then(|below| below.trim_start_matches('/').split_once('/'))
             .unwrap_or_default();
         let done = match noun {
-            "progress" => match self.lab.report(name) {
+            "progress" => match self.experiments.report(name) {
                 Ok(report) => progress(incoming, &responder, report),
                 Err(error) => Err(error.into()),
             },
@@ -69,10 +69,10 @@ impl Context {
     ) -> Result<(), CommandError> {
         let (after, limit) = page(incoming.parameters())?;
         let (name, responder) = (name.to_owned(), responder.clone());
-        self.experiment_files.submit(move |lab| {
-            let read = lab
+        self.experiment_files.submit(move |experiments| {
+            let read = experiments
                 .report(&name)
-                .and_then(|report| Ok((report, lab.rows(&name)?)));
+                .and_then(|report| Ok((report, experiments.rows(&name)?)));
             responder.finish(read, move |(report, rows)| {
                 let finished = report.progress.finished as u64;
                 let begin = rows.partition_point(|(number, _)| *number <= after);
@@ -92,8 +92,8 @@ impl Context {
     ) -> Result<(), CommandError> {
         let (run, after, limit) = page_of_run(incoming.parameters(), MAX_ENTRIES)?;
         let (name, run, responder) = (name.to_owned(), run.to_owned(), responder.clone());
-        self.experiment_files.submit(move |lab| {
-            responder.finish(lab.order(&name, &run), move |series| {
+        self.experiment_files.submit(move |experiments| {
+            responder.finish(experiments.order(&name, &run), move |series| {
                 Payload::cbor(&convert::order_page(name, &series, after, limit))
             });
         });

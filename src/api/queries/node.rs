@@ -95,7 +95,7 @@ impl Context {
             version: env!("CARGO_PKG_VERSION").to_owned(),
             wire_version: jostle_proto::WIRE_VERSION,
             unix_secs: unix_secs(),
-            limits: convert::limits(self.host.limits(), limit, max_bytes),
+            limits: convert::limits(self.registry.limits(), limit, max_bytes),
             http: self.http.clone(),
         })
     }
@@ -107,7 +107,7 @@ impl Context {
             let contest = contests.find(|(swarm, _)| swarm.as_deref() == Some(name));
             contest.map(|(_, [_, other])| other.node.clone())
         };
-        let swarms = self.host.list().into_iter();
+        let swarms = self.registry.list().into_iter();
         let swarms = swarms.map(|(name, summary)| SwarmSummary {
             contested_by: contested_by(&name),
             ..convert::summary(&name, &summary)
@@ -119,7 +119,7 @@ impl Context {
 
     fn node_status(&self) -> NodeStatus {
         let swarms: Vec<_> = self
-            .host
+            .registry
             .list()
             .iter()
             .map(|(name, summary)| convert::summary(name, summary))
@@ -131,7 +131,7 @@ impl Context {
             running: count(Phase::Running),
             faulted: count(Phase::Faulted),
             individuals: swarms.iter().map(|swarm| swarm.n).sum(),
-            memory_bytes: self.host.memory_bytes(),
+            memory_bytes: self.registry.memory_bytes(),
             clients: self.peers.clients() as u64,
         }
     }

@@ -103,7 +103,7 @@ impl Context {
             _ => incoming.no_parameters().map(|()| (0, 0))?,
         };
         let (name, handle) = (swarm.clone(), self.find(swarm)?);
-        let (limits, store) = (self.host.limits(), self.store.clone());
+        let (limits, store) = (self.registry.limits(), self.store.clone());
         let verifying = self.verifications.share(swarm);
         look(&handle.clone(), responder, move |stamp, seen| match noun {
             "spec" => {

@@ -59,7 +59,7 @@ impl WireCode for SwarmError {
             SwarmError::TooManyControllers(_) | SwarmError::TooManyScheduled(_) => {
                 ErrorCode::ResourceExhausted
             }
-            SwarmError::Unsafe(_) => ErrorCode::StorageFull,
+            SwarmError::NotDurable(_) => ErrorCode::StorageFull,
             SwarmError::Displaced { .. } => ErrorCode::DeadlineExceeded,
             SwarmError::Busy => ErrorCode::Busy,
             SwarmError::Faulted(_) => ErrorCode::Faulted,

@@ -245,7 +245,7 @@ fn rows_can_follow_a_cut_before_a_damaged_row() {
     let damaged = fs::read(folder.path().join(FILE)).unwrap();
 
     let store = open(folder.path());
-    let cut = |after| Write::Cut {
+    let cut = |after| Write::Truncate {
         swarm: "a".to_string(),
         after,
     };
@@ -286,7 +286,7 @@ fn rows_after_a_cut_are_found_whichever_byte_was_damaged() {
         };
         cut += 1;
         let place = format!("byte {place}, row {lost}");
-        let after = Write::Cut {
+        let after = Write::Truncate {
             swarm: "a".to_string(),
             after: lost - 1,
         };

@@ -130,13 +130,13 @@ fn deleted_answers_do_not_count_as_damaged() {
     writes.push(Write::Answer(answer(7)));
     writes.push(Write::Answer(namesake.clone()));
     let (folder, store) = stored(writes);
-    assert!(!store.has_forgotten());
+    assert!(!store.has_evicted());
     // 9999 does not exist.
     durable(&store, vec![forget(9999)]).unwrap();
-    assert!(!store.has_forgotten());
+    assert!(!store.has_evicted());
     let forgotten = (1..=2500).filter(|it| it % 3 == 1);
     durable(&store, forgotten.map(forget).collect()).unwrap();
-    assert!(store.has_forgotten());
+    assert!(store.has_evicted());
     let mut left: Vec<Answer> = (1..=2500).filter(|it| it % 3 != 1).map(answer).collect();
     left.push(namesake);
     assert_eq!(store.answers().unwrap(), left);

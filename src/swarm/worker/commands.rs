@@ -64,7 +64,7 @@ impl Worker {
                 }
                 Err(fault) => {
                     for message in accepted {
-                        let error = SwarmError::Unsafe(fault.clone());
+                        let error = SwarmError::NotDurable(fault.clone());
                         self.reject(message.reply_to, error);
                     }
                     return None;
@@ -123,7 +123,7 @@ impl Worker {
     /// Journals the outcome of the command on line `input`. A rejection that a replay might not
     /// reproduce is durable before the reply is sent.
     pub(super) fn record_outcome(&mut self, input: u64, outcome: Result<u64, &SwarmError>) {
-        let record = Record::Became {
+        let record = Record::Outcome {
             input,
             seq: outcome.ok(),
             unix_secs: self.unix_secs(),
@@ -351,7 +351,7 @@ impl Worker {
                 seq,
                 unix_secs,
             },
-            input => Record::Became {
+            input => Record::Outcome {
                 input,
                 seq,
                 unix_secs,
@@ -364,7 +364,7 @@ impl Worker {
         let mut stamp = self.stamp();
         stamp.phase = Phase::Paused(PauseReason::Requested);
         let ended = self.journal.end(stamp, sender.clone());
-        ended.map_err(SwarmError::Unsafe)?;
+        ended.map_err(SwarmError::NotDurable)?;
         failpoint::kill("swarm-ended");
         self.phase = Phase::Paused(PauseReason::Requested);
         let phase = self.phase.clone();

@@ -62,7 +62,7 @@ impl Dispatcher {
                 Ok(DispatchMessage::Begun(swarm, reply)) => self.begun(&swarm, reply),
                 Ok(DispatchMessage::Ended(swarm, reply)) => self.ended(&swarm, reply),
                 Ok(DispatchMessage::Closed(swarm, reply)) => {
-                    self.gateway.context.host.release(&swarm);
+                    self.gateway.context.registry.release(&swarm);
                     reply.send();
                 }
                 Err(RecvTimeoutError::Timeout) => {}
@@ -141,7 +141,7 @@ impl Dispatcher {
         let is_create = incoming.key.ends_with("/create");
         if let Some(created) = created
             && is_create
-            && context.host.find(&created).is_none()
+            && context.registry.find(&created).is_none()
         {
             claims.release(&created);
         }
@@ -205,7 +205,7 @@ impl Dispatcher {
     }
 
     fn open(&mut self, swarm: &str) {
-        let Some(handle) = self.gateway.context.host.find(swarm) else {
+        let Some(handle) = self.gateway.context.registry.find(swarm) else {
             return;
         };
         let opened = match self.publisher.mute(swarm, false) {

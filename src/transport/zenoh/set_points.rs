@@ -29,7 +29,7 @@ const TOKEN_QUERY_TIMEOUT: Duration = Duration::from_secs(1);
 pub fn listen(
     session: &Session,
     prefix: &str,
-    host: Arc<SwarmRegistry>,
+    registry: Arc<SwarmRegistry>,
     rights: Arc<LiveRights>,
     claims: Arc<Claims>,
 ) -> zenoh::Result<[Subscriber<()>; 2]> {
@@ -37,7 +37,7 @@ pub fn listen(
     let reader = Reader {
         session: session.clone(),
         prefix: format!("{prefix}/"),
-        host,
+        registry,
         rights,
         claims,
     };
@@ -70,7 +70,7 @@ pub fn listen(
 struct Reader {
     session: Session,
     prefix: String,
-    host: Arc<SwarmRegistry>,
+    registry: Arc<SwarmRegistry>,
     rights: Arc<LiveRights>,
     claims: Arc<Claims>,
 }
@@ -91,7 +91,7 @@ impl Reader {
         let Some((swarm, controller)) = parts(&self.prefix, sample) else {
             return;
         };
-        let Some(handle) = self.host.find(swarm) else {
+        let Some(handle) = self.registry.find(swarm) else {
             return;
         };
         let token = sample.attachment().map(ZBytes::to_bytes);
@@ -126,7 +126,7 @@ impl Reader {
             .timeout(TOKEN_QUERY_TIMEOUT)
             .wait()
             .is_ok_and(|tokens| tokens.into_iter().any(|token| token.result().is_ok()));
-        if !is_held && let Some(handle) = self.host.find(swarm) {
+        if !is_held && let Some(handle) = self.registry.find(swarm) {
             handle.send(Message::Lost(controller.to_owned()));
         }
     }

@@ -124,7 +124,7 @@ impl Twin {
                     self.step_to(row.step);
                     self.execute(at_step, &sender, answers);
                 }
-                Record::Became { input, seq, .. } => {
+                Record::Outcome { input, seq, .. } => {
                     // A step's line says itself; so early a line was told before the last kill.
                     if let Some(record_outcome) = self.record_outcome.get(&input) {
                         assert_eq!(*record_outcome, seq, "{}: line {input}", self.name);
