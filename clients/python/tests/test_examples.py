@@ -99,7 +99,7 @@ def test_the_readme_runs(
     exec(compile(first, "README.md", "exec"), {})
     swarm = client.swarm("school")
     # The others are about a swarm that there is.
-    assert len(more) == 11
+    assert len(more) == 12
     monkeypatch.chdir(tmp_path)
     for name in ("school.parquet", "school.mcap"):
         line = [str(JOSTLED.with_name("jostle")), "record", "school", "-o", name, "--for", "0.2"]
