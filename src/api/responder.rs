@@ -94,8 +94,8 @@ impl Replies {
         })
     }
 
-    /// Calls the handler of a request. If it panics, the request gets `internal`, once: a responder
-    /// that was created before replies when it is dropped.
+    /// Calls the handler of a request. If it panics, the request gets one reply, `internal`: from its
+    /// responder when that is dropped, or from here if the handler made none.
     pub fn catch_panic(&self, incoming: &Incoming, handler: impl FnOnce()) {
         if catch_unwind(AssertUnwindSafe(handler)).is_ok() {
             return;
