@@ -1,9 +1,10 @@
-//! What a bench measures: processes of their own, and clients of them.
+//! The processes that a bench measures, and their clients.
 
 use std::io::{BufRead, BufReader, Lines};
 use std::process::{Child, ChildStdout, Command, Stdio};
 use std::time::Duration;
 
+use jostle_client::{Client, ConnectOptions};
 use jostle_proto::keys;
 use serde_json::{Value, json};
 use zenoh::Session;
@@ -11,21 +12,21 @@ use zenoh::Session;
 /// A process that ends when this does.
 pub struct Process {
     pub child: Child,
-    said: Lines<BufReader<ChildStdout>>,
+    stdout: Lines<BufReader<ChildStdout>>,
 }
 
 impl Process {
-    /// Starts it; it reads and prints here.
+    /// Starts it with pipes for its standard input and output.
     pub fn start(mut command: Command) -> Self {
         command.stdin(Stdio::piped()).stdout(Stdio::piped());
         let mut child = command.stderr(Stdio::null()).spawn().unwrap();
-        let said = BufReader::new(child.stdout.take().unwrap()).lines();
-        Process { child, said }
+        let stdout = BufReader::new(child.stdout.take().unwrap()).lines();
+        Process { child, stdout }
     }
 
-    /// Waits for the next line that begins with `word`; what follows it there.
+    /// Waits for the next line that begins with `word`. Returns the rest of it.
     pub fn find(&mut self, word: &str) -> String {
-        let lines = &mut self.said;
+        let lines = &mut self.stdout;
         let mut found =
             lines.filter_map(|line| line.unwrap().strip_prefix(word).map(str::to_owned));
         found.next().unwrap()
@@ -39,21 +40,13 @@ impl Drop for Process {
     }
 }
 
-/// A client's session with whatever listens there.
+/// The session of a client of the daemon, or of the process that answers without one.
 pub async fn open(endpoint: &str) -> Session {
-    let mut config = zenoh::Config::default();
-    for (setting, value) in [
-        ("mode", json!("client")),
-        ("connect/endpoints", json!([endpoint])),
-        ("scouting/multicast/enabled", json!(false)),
-        ("scouting/gossip/enabled", json!(false)),
-    ] {
-        config.insert_json5(setting, &value.to_string()).unwrap();
-    }
-    zenoh::open(config).await.unwrap()
+    let client = Client::connect(ConnectOptions::to(endpoint)).await;
+    client.unwrap().session().clone()
 }
 
-/// The answer to a request.
+/// The reply to a request.
 pub async fn ask(session: &Session, key: String, request: &Value) -> Value {
     let query = session.get(key).payload(request.to_string());
     let answers = query
@@ -66,10 +59,15 @@ pub async fn ask(session: &Session, key: String, request: &Value) -> Value {
     }
 }
 
-/// Has a daemon called `node` make a swarm of `spec` and take so many steps.
-pub async fn settle(session: &Session, (node, swarm): (&str, &str), spec: Value, steps: u32) {
+/// Creates a swarm of `spec` on the daemon `node`, and takes so many steps.
+pub async fn create_and_step(
+    session: &Session,
+    (node, swarm): (&str, &str),
+    spec: Value,
+    steps: u32,
+) {
     let create = json!({"name": swarm, "spec": spec});
     ask(session, keys::node_cmd("jostle", node, "create"), &create).await;
-    let settle = json!({"timeout_secs": 60, "args": {"steps": steps}});
-    ask(session, keys::cmd("jostle", swarm, "step"), &settle).await;
+    let step = json!({"timeout_secs": 60, "args": {"steps": steps}});
+    ask(session, keys::cmd("jostle", swarm, "step"), &step).await;
 }

@@ -1,4 +1,4 @@
-//! What an exchange in lock-step takes, beside what a bare zenoh query takes: in one run, with
+//! The time of an exchange in lock-step, compared with a bare zenoh query: in one run, with
 //! the daemon, the bare queryable and the controllers each in a process of their own.
 //!
 //! ```sh
@@ -22,24 +22,24 @@ use tokio::sync::Barrier;
 use tokio::task::JoinHandle;
 use zenoh::{Session, Wait};
 
-use apart::{Process, ask, open, settle};
+use apart::{Process, ask, create_and_step, open};
 
 const SWARM: &str = "bench";
 const NODE: &str = "bench";
 const N: u64 = 50;
 
 /// Exchanges of each controller in one round, and rounds in turn with bare queries: the machine is
-/// shared, and what is compared is to meet the same noise. Ratios are medians of the rounds'.
+/// shared, and both are to have the same noise. Ratios are medians over the rounds.
 const EXCHANGES: usize = 500;
 const ROUNDS: usize = 15;
 
 /// Steps of the swarm that are timed in one round.
 const STEPS: u32 = 1000;
 
-/// Tells a copy of this program that it is to be the bare queryable.
+/// The environment variable that makes a copy of this program the bare queryable.
 const BARE: &str = "JOSTLE_BENCH_BARE";
 
-/// As long as an answer to `advance`.
+/// The length of a reply to `advance`.
 const ANSWER: &str = r#"{"swarm":"bench","epoch":1,"step":12345,"time":246.9,"phase":"paused","seq":12347,"result":{"steps":1,"durable_step":12344,"state_hash":"e41b9893ccd59f32b247f125d644f4113973c141bc3abe333824e46b5c4387dc","news":{"missed":[],"left":[],"removed":[]}}}"#;
 
 #[tokio::main(flavor = "multi_thread", worker_threads = 2)]
@@ -68,7 +68,7 @@ async fn main() {
         controllers.push(open(&daemon_at).await);
     }
     let spec = json!({"n": N, "seed": 1});
-    settle(&controllers[0], (NODE, SWARM), spec, 5000).await;
+    create_and_step(&controllers[0], (NODE, SWARM), spec, 5000).await;
     let mut rounds: [Vec<f64>; 8] = Default::default();
     for _ in 0..ROUNDS {
         let step = micros(steps(&controllers[0]).await);
@@ -116,7 +116,7 @@ async fn main() {
     std::fs::remove_dir_all(folder).unwrap();
 }
 
-/// A queryable that answers at once, on a session like the daemon's.
+/// A queryable that replies at once, on a session like the daemon's.
 async fn bare() {
     let listen = ["tcp/127.0.0.1:0".to_owned()];
     let opened = jostled::transport::zenoh::session::open(&listen, "jostle", &Rights::Open, 100)
@@ -138,7 +138,7 @@ async fn command(session: &Session, verb: &str, request: Value) -> Value {
     ask(session, keys::cmd("jostle", SWARM, verb), &request).await
 }
 
-/// What a step takes of many at once.
+/// The time of a step, of many in one command.
 async fn steps(session: &Session) -> Duration {
     let began = Instant::now();
     let request = json!({"timeout_secs": 60, "args": {"steps": STEPS}});
@@ -146,7 +146,7 @@ async fn steps(session: &Session) -> Duration {
     began.elapsed() / STEPS
 }
 
-/// What bare queries take; of several at once, until the last of them is answered.
+/// The time of bare queries; of several at once, until the last reply.
 async fn bare_round(sessions: &[Session]) -> Vec<Duration> {
     let together = Arc::new(Barrier::new(sessions.len()));
     let tasks = sessions.iter().cloned().map(|session| {
@@ -166,7 +166,7 @@ async fn bare_round(sessions: &[Session]) -> Vec<Duration> {
     join_all(tasks.collect()).await
 }
 
-/// What exchanges take while every one of these controls the swarm.
+/// The time of exchanges with these controllers.
 async fn round(sessions: &[Session]) -> Vec<Duration> {
     let mut step = 0;
     for (k, session) in sessions.iter().enumerate() {

@@ -1,5 +1,5 @@
-//! A queryable and nothing else, on a session like the daemon's: what the bus, the disk and the machine
-//! take is not the daemon's.
+//! A queryable alone, on a session like the daemon's: the time of the bus, the disk and the machine
+//! without the daemon.
 
 use std::io::Write;
 use std::sync::Arc;
@@ -14,7 +14,7 @@ use zenoh::query::Query;
 /// Commands that wait at once, as in the daemon; it rejects the others.
 const MAX_WAITING: usize = 128;
 
-/// What it writes for a command, and what it replies: about what the daemon does.
+/// The lengths of a journal line and of a reply, about those of the daemon.
 const LINE_BYTES: usize = 300;
 const ACCEPTED: &str =
     r#"{"swarm":"flooded","epoch":1,"step":100,"time":2.0,"seq":1000,"result":{}}"#;

@@ -1,4 +1,4 @@
-//! Clients that send commands to one swarm as fast as they are answered, in a process of their own.
+//! Clients that send commands to one swarm as fast as they get replies, in a process of their own.
 
 use std::sync::mpsc::channel;
 use std::sync::{Arc, Mutex};
@@ -9,14 +9,14 @@ use serde::{Deserialize, Serialize};
 use tokio::sync::Semaphore;
 use zenoh::Session;
 
-/// How many clients flood, and for how long.
+/// The number of flooding clients, and the duration.
 const CLIENTS: usize = 32;
 const FLOODING: Duration = Duration::from_secs(3);
 
 /// The deadline of a reply.
 const TIMEOUT: Duration = Duration::from_secs(40);
 
-/// What became of the commands.
+/// The counts of commands.
 #[derive(Debug, Deserialize, Serialize)]
 pub struct Flooded {
     pub sent: usize,
@@ -28,8 +28,8 @@ pub struct Flooded {
     pub secs: f64,
 }
 
-/// Opens the clients by `open`, prints `flooding`, has each of them send `set` to the swarm `flooded`
-/// with at most `unanswered` replies outstanding, and prints `flooded` and a [`Flooded`].
+/// Opens the clients by `open` and prints `flooding`. Each of them sends `set` to the swarm `flooded`
+/// with at most `unanswered` replies outstanding. Then prints `flooded` and a [`Flooded`].
 pub async fn flood(open: impl AsyncFn() -> Session, unanswered: u32) {
     let mut sessions = Vec::new();
     for _ in 0..CLIENTS {
@@ -55,7 +55,7 @@ pub async fn flood(open: impl AsyncFn() -> Session, unanswered: u32) {
                 query.callback(answered).await.unwrap();
                 sent += 1;
             }
-            // Until all are answered.
+            // Until all have a reply.
             drop(room.acquire_many(unanswered).await.unwrap());
             sent
         })

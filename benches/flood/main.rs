@@ -1,4 +1,4 @@
-//! How soon commands are answered while 32 clients flood one swarm, of the daemon and of a zenoh
+//! Latency of commands while 32 clients flood one swarm, of the daemon and of a zenoh
 //! queryable that only writes and syncs what it accepts.
 //!
 //! ```sh
@@ -25,26 +25,26 @@ use jostle_proto::keys;
 use serde_json::{Value, json};
 use zenoh::Session;
 
-use apart::{Process, ask, open, settle};
+use apart::{Process, ask, create_and_step, open};
 use clients::Flooded;
 
 const NODE: &str = "bench";
 
-/// Tells a copy of this program to be the clients: the endpoint, and how many replies each may have
-/// outstanding.
+/// The variable that makes a copy of this program the clients: the endpoint, and how many replies each
+/// may have outstanding.
 const FLOOD: &str = "JOSTLE_BENCH_FLOOD";
 
-/// Tells one to be the queryable.
+/// The variable that makes a copy of this program the queryable.
 const BARE: &str = "JOSTLE_BENCH_BARE";
 
-/// How long the other clients are measured meanwhile.
+/// How long the other clients are measured during the flood.
 const MEASURED: Duration = Duration::from_secs(2);
 
 /// Milliseconds at the median, of a command to the flooded swarm and to another one.
 const MEDIAN_MS: f64 = 10.0;
 /// Milliseconds until `busy`, at the 99th percentile.
 const BUSY_MS: f64 = 10.0;
-/// Commands a second that are synced and answered.
+/// Commands a second that are synced and get a reply.
 const DURABLE: f64 = 8000.0;
 /// The daemon's median and 99th percentile, of the queryable's.
 const TIMES: [f64; 2] = [3.0, 4.0];
@@ -165,7 +165,7 @@ async fn flood_daemon(unanswered: usize) -> (Round, f64) {
     let session = open(&endpoint).await;
     let others: Vec<String> = (0..8).map(|k| format!("other{k}")).collect();
     for name in others.iter().map(String::as_str).chain(["flooded"]) {
-        settle(&session, (NODE, name), json!({"n": 20, "rate": 1}), 1).await;
+        create_and_step(&session, (NODE, name), json!({"n": 20, "rate": 1}), 1).await;
         ask(&session, keys::cmd("jostle", name, "run"), &json!({})).await;
     }
     let times = async || {
@@ -202,7 +202,7 @@ async fn time(session: &Session, swarm: &str) -> f64 {
     }
 }
 
-/// Floods what listens at `endpoint`, and measures the replies that two other clients get.
+/// Floods `endpoint`, and measures the replies that two other clients get.
 async fn flood(endpoint: &str, unanswered: usize) -> Round {
     let mut command = Command::new("nice");
     command

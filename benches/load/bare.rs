@@ -1,5 +1,5 @@
-//! A process without a daemon that puts the state of a swarm as often as the daemon does, to
-//! whoever follows it.
+//! A process without a daemon that puts the state of a swarm as often as the daemon does, for
+//! subscribers.
 
 use std::io::Write;
 use std::thread;
@@ -13,8 +13,8 @@ use zenoh::qos::CongestionControl;
 
 use crate::apart::open;
 
-/// Listens as a daemon does, and says where; puts the state that one has now so often, each time so
-/// many steps on; and for each line of its input prints the processor time that this took so far.
+/// Listens as a daemon does, and prints its endpoint. Puts the present state of a daemon so often, each
+/// time so many steps later, and for each line of its input prints the processor time used so far.
 pub async fn publish(daemon: &str, swarm: &str, clients: usize, (hz, every): (f64, u64)) {
     let key = keys::state("jostle", swarm);
     let asking = open(daemon).await;

@@ -1,10 +1,10 @@
-//! What a daemon counted of itself.
+//! The daemon's metrics.
 
 use std::io::{Read, Write};
 use std::net::TcpStream;
 use std::time::Instant;
 
-/// What a daemon counted of itself, as it tells at `/metrics`.
+/// Values of a daemon's `/metrics`.
 #[derive(Debug)]
 pub struct Counted {
     at: Instant,
@@ -15,7 +15,7 @@ pub struct Counted {
 }
 
 impl Counted {
-    /// Asks who serves HTTP at this address.
+    /// Reads `/metrics` at this address.
     pub fn by(http: &str) -> Self {
         let mut stream = TcpStream::connect(http).unwrap();
         write!(
@@ -50,8 +50,8 @@ impl Counted {
         (self.cpu_secs - before.cpu_secs) / (self.at - before.at).as_secs_f64()
     }
 
-    /// By how many milliseconds at most 99.9 % of the steps since were late, as the bounds of the
-    /// daemon's histogram allow to say: less or equal the second, more than the first.
+    /// The lateness of 99.9 % of the steps since, in milliseconds, between two bounds of the
+    /// daemon's histogram: more than the first, at most the second.
     pub fn lateness_since(&self, before: &Counted) -> [f64; 2] {
         let since = self.late.iter().zip(&before.late);
         let since: Vec<(f64, f64)> = since.map(|(now, then)| (now.0, now.1 - then.1)).collect();

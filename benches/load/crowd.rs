@@ -1,4 +1,4 @@
-//! Many sessions in one process that follow one swarm, and what came to each and when.
+//! Many sessions in one process that follow one swarm, and the times of the states that each receives.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -15,20 +15,21 @@ use zenoh::pubsub::Subscriber;
 /// Sessions that are being opened at once.
 const AT_ONCE: usize = 32;
 
-/// States at either end of what is counted that came to some before and to others after it.
+/// States at either end of the count, which some sessions received before and others after it.
 const UNDER_WAY: usize = 3;
 
-/// What came to all of a crowd.
+/// What all sessions received.
 #[derive(Debug, Deserialize, Serialize)]
 pub struct Report {
-    /// How many there are.
+    /// The number of sessions.
     pub sessions: usize,
-    /// Milliseconds from when the first session had a state to when another had it: the median, the
+    /// Milliseconds from the first session's receipt of a state to another's: the median, the
     /// 99th and the 99.9th percentile.
     pub delivery_ms: [f64; 3],
-    /// States that each should have had, of the swarm's steps: whoever left them out, they are lost.
+    /// States that each should have received, by the swarm's steps. The others are lost, wherever they
+    /// were dropped.
     pub states: u64,
-    /// The largest share of them that one session did not have.
+    /// The largest share of them that one session did not receive.
     pub most_lost: f64,
     /// The share of all sessions together.
     pub lost: f64,
@@ -37,7 +38,7 @@ pub struct Report {
 struct Follower {
     _session: Session,
     _subscriber: Subscriber<()>,
-    /// The step of each state, and when it came.
+    /// The step of each state, and the time of its receipt.
     came: Arc<Mutex<Vec<(u64, Instant)>>>,
 }
 
@@ -117,7 +118,7 @@ fn report(came: &[Vec<(u64, Instant)>]) -> Report {
         seen.len() > 4 * UNDER_WAY,
         "the swarm stands still: {seen:?}"
     );
-    // What came to nobody is a gap between steps that are as far apart as any two.
+    // A state that no session received is a gap between steps, which have equal distances otherwise.
     let every = seen.windows(2).map(|pair| pair[1] - pair[0]).min().unwrap();
     let counted = seen[UNDER_WAY]..=seen[seen.len() - 1 - UNDER_WAY];
     let states = (counted.end() - counted.start()) / every + 1;

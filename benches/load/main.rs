@@ -1,4 +1,4 @@
-//! What a thousand clients cost that follow one swarm: the daemon, and the steps of the swarm.
+//! The cost of a thousand clients that follow one swarm, for the daemon and the steps of the swarm.
 //!
 //! ```sh
 //! cargo bench --bench load                                  # a table and the limits
@@ -7,7 +7,7 @@
 //! ```
 //!
 //! The daemon is a process of its own and all the clients another, each with a session of its own.
-//! A swarm of 50 steps 100 times a second and is published 20 times, first with nobody there, then
+//! A swarm of 50 steps 100 times a second and is published 20 times, first without subscribers, then
 //! with all of them. Then as many follow a bare process, which only puts such states as often. A
 //! thread of the bench's own wakes as often as the swarm and does nothing. The exit code is 1 if a limit
 //! is missed; all cores must be idle otherwise.
@@ -28,7 +28,7 @@ use std::time::{Duration, Instant};
 use jostle_proto::keys;
 use serde_json::json;
 
-use apart::{Process, ask, open, settle};
+use apart::{Process, ask, create_and_step, open};
 use counted::Counted;
 use crowd::Report;
 use sleeper::Sleeper;
@@ -41,10 +41,10 @@ const RATE: f64 = 2.0;
 const EVERY: u64 = 5;
 const HZ: f64 = RATE / 0.02 / EVERY as f64;
 
-/// Tells a copy of this program that it is to be the clients: where, and how many.
+/// The variable that makes a copy of this program the clients: the endpoint, and their number.
 const FOLLOW: &str = "JOSTLE_BENCH_FOLLOW";
 
-/// Tells one that it is to be the bare process: where the daemon is, and for how many clients.
+/// The variable that makes a copy the bare process: the daemon's endpoint, and the number of clients.
 const BARE: &str = "JOSTLE_BENCH_BARE";
 
 #[tokio::main(flavor = "multi_thread", worker_threads = 2)]
@@ -79,7 +79,7 @@ async fn main() -> ExitCode {
     let http = daemon.find("http on http://");
     let session = open(&endpoint).await;
     let spec = json!({"n": 50, "seed": 1, "publish_every": EVERY});
-    settle(&session, (NODE, SWARM), spec, 5000).await;
+    create_and_step(&session, (NODE, SWARM), spec, 5000).await;
     let run = keys::cmd("jostle", SWARM, "run");
     ask(&session, run, &json!({"rate": RATE})).await;
 
@@ -94,7 +94,7 @@ async fn main() -> ExitCode {
     tokio::time::sleep(Duration::from_secs(1)).await;
     let before = Counted::by(&http);
     sleeper.late_ms();
-    tell(&mut clients, &seconds.to_string());
+    send_line(&mut clients, &seconds.to_string());
     let report: Report = serde_json::from_str(&clients.find("report ")).unwrap();
     let after = Counted::by(&http);
     let sleeper = [sleeper_alone, sleeper.late_ms()];
@@ -112,13 +112,13 @@ async fn main() -> ExitCode {
     ];
     let cores = [alone.cores_since(&began), after.cores_since(&before)];
     if as_json {
-        let told = json!({"seconds": seconds, "connected_secs": connected,
+        let output = json!({"seconds": seconds, "connected_secs": connected,
             "cores_alone": cores[0], "cores": cores[1], "resident_mb_alone": alone.resident_mb,
             "resident_mb": after.resident_mb, "late_ms_alone": late[0],
             "late_ms_connecting": late[1], "late_ms": late[2],
             "sleeper_late_ms_alone": sleeper[0], "sleeper_late_ms": sleeper[1],
             "clients": report, "bare_cores": bare.0, "bare_clients": bare.1});
-        println!("{told}");
+        println!("{output}");
     } else {
         print(&report, connected, cores, [&alone, &after], (late, sleeper));
         print_bare(&bare, cores[1]);
@@ -150,7 +150,7 @@ fn missed(report: &Report, daemon: &Counted, cores: f64, late: [[f64; 2]; 2]) ->
     missed.map(|(_, limit)| limit).collect()
 }
 
-/// Has so many clients follow whatever listens there, and says in how many seconds they connected.
+/// Starts so many clients that follow an endpoint. Returns the seconds until they are connected.
 fn follow(endpoint: &str, sessions: usize) -> (Process, f64) {
     let mut clients = Command::new(std::env::current_exe().unwrap());
     clients.env(FOLLOW, format!("{endpoint} {sessions}"));
@@ -159,23 +159,23 @@ fn follow(endpoint: &str, sessions: usize) -> (Process, f64) {
     (clients, connected)
 }
 
-/// How much of a core the bare process takes that so many follow, and what came to them.
+/// The share of a core of the bare process with so many clients, and what they received.
 async fn follow_bare(mut bare: Process, sessions: usize, seconds: usize) -> (f64, Report) {
     let (mut clients, _) = follow(&bare.find("listening on "), sessions);
     tokio::time::sleep(Duration::from_secs(1)).await;
     let mut cpu_secs = || {
-        tell(&mut bare, "");
+        send_line(&mut bare, "");
         bare.find("cpu ").parse::<f64>().unwrap()
     };
     let (before, began) = (cpu_secs(), Instant::now());
-    tell(&mut clients, &seconds.to_string());
+    send_line(&mut clients, &seconds.to_string());
     let report = serde_json::from_str(&clients.find("report ")).unwrap();
     let spent = cpu_secs() - before;
     (spent / began.elapsed().as_secs_f64(), report)
 }
 
 /// Writes a line to the standard input of a process.
-fn tell(process: &mut Process, line: &str) {
+fn send_line(process: &mut Process, line: &str) {
     writeln!(process.child.stdin.as_ref().unwrap(), "{line}").unwrap();
 }
 

@@ -15,7 +15,7 @@ pub struct Sleeper {
 }
 
 impl Sleeper {
-    /// Wakes so often from here on.
+    /// Wakes so often from now on.
     pub fn start(period: Duration) -> Self {
         let (stop, stopped) = channel::<()>();
         let late_ms = Arc::<Mutex<Vec<f64>>>::default();

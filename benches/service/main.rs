@@ -1,18 +1,18 @@
-//! What the daemon's streams and commands come to, beside what bare zenoh does: a publisher of the
-//! same payload at the same pace, a queryable that answers at once, and one that puts a state to
-//! all who follow before it answers, as a command does. In one run, for 1, 8 and 64 subscribers, the
+//! The daemon's streams and commands, compared with bare zenoh: a publisher of the
+//! same payload at the same rate, a queryable that replies at once, and one that puts a state for
+//! all subscribers before it replies, as a command does. In one run, for 1, 8 and 64 subscribers, the
 //! daemon and the bare process each followed by as many sessions.
 //!
 //! ```sh
 //! cargo bench --bench service               # a table
-//! cargo bench --bench service -- --hz 2000  # another pace
+//! cargo bench --bench service -- --hz 2000  # another rate
 //! cargo bench --bench service -- --followers 64
 //! cargo bench --bench service -- --json     # an object a line
 //! ```
 //!
-//! The daemon keeps its data in memory (`/dev/shm`), so that no command waits for a disk. What `set`
-//! waits for even so, until a line of its journal is written and synced, is measured beside, by a
-//! store of the bench's own there, and taken apart.
+//! The daemon keeps its data in memory (`/dev/shm`), so that no command waits for a disk. The time until
+//! a line of the journal of `set` is written and synced there is measured separately, by a
+//! store of the bench's own, and subtracted.
 
 #![expect(clippy::unwrap_used, reason = "what fails is to end the measurement")]
 
@@ -32,7 +32,7 @@ use zenoh::pubsub::Subscriber;
 use zenoh::qos::CongestionControl;
 use zenoh::{Session, Wait};
 
-use apart::{Process, ask, open, settle};
+use apart::{Process, ask, create_and_step, open};
 
 const SWARM: &str = "bench";
 const NODE: &str = "bench";
@@ -41,28 +41,28 @@ const N: u64 = 50;
 /// The default time step.
 const DT: f64 = 0.02;
 
-/// How many follow.
+/// The numbers of subscribers.
 const FOLLOWERS: [usize; 3] = [1, 8, 64];
 
-/// States a second, of both, unless told otherwise: as many as a daemon may be told to publish.
+/// The default of the states a second, of both: the maximum of the daemon's `max_hz`.
 const HZ: u32 = 10_000;
 
-/// How long is counted, and how often in turn: the machine is shared, and what is compared is to
-/// meet the same noise.
+/// The seconds of a count, and the rounds in turn: the machine is shared, and both are to have the
+/// same noise.
 const COUNTED: Duration = Duration::from_secs(1);
 const ROUNDS: usize = 9;
 
 /// Queries of a round.
 const QUERIES: usize = 500;
 
-/// As long as the line of a `set`.
+/// The length of the line of a `set`.
 const LINE_BYTES: usize = 100;
 
-/// Tells a copy of this program that it is to be the bare process: how long states are, how many a
-/// second.
+/// The variable that makes a copy of this program the bare process: the length of states, and how many
+/// a second.
 const BARE: &str = "JOSTLE_BENCH_BARE";
 
-/// As long as the answer to `set`.
+/// The length of a reply to `set`.
 const ANSWER: &str = r#"{"swarm":"bench","epoch":1,"step":0,"time":0.0,"phase":"paused","seq":1,"result":{"before":{"pi1":4.0,"pi2":0.5,"pi3":1.0,"pi4":10.0,"contacts":"endpoints","stepping":"position","relinearise":0,"attraction":{"kind":"all"},"noise":0.0,"publish_every":1},"now":{"pi1":4.0,"pi2":0.5,"pi3":1.0,"pi4":10.0,"contacts":"endpoints","stepping":"position","relinearise":0,"attraction":{"kind":"all"},"noise":0.0,"publish_every":1},"scaled_by":1.0}}"#;
 
 #[tokio::main(flavor = "multi_thread", worker_threads = 2)]
@@ -91,7 +91,7 @@ async fn main() {
     let daemon_at = daemon.find("listening on ");
     let client = open(&daemon_at).await;
     let spec = json!({"n": N, "seed": 1, "publish_every": 1});
-    settle(&client, (NODE, SWARM), spec, 5000).await;
+    create_and_step(&client, (NODE, SWARM), spec, 5000).await;
     let state = length_of_a_state(&client).await;
     let mut bare = Command::new(std::env::current_exe().unwrap());
     bare.env(BARE, format!("{state} {hz}"));
@@ -151,13 +151,13 @@ async fn main() {
             rest_of_shown,
         ] = ratios.map(median);
         if as_json {
-            let told = json!({"followers": followers, "n": N, "state_bytes": state, "hz": hz,
+            let output = json!({"followers": followers, "n": N, "state_bytes": state, "hz": hz,
                 "bare_states_per_s": bare_rate, "states_per_s": rate, "of_bare_rate": of_rate,
                 "bare_query_us": query, "shown_query_us": shown,
                 "step_us": step, "step_of_bare": step_of_bare, "step_of_shown": step_of_shown,
                 "set_us": set, "sync_us": sync, "set_but_sync_of_bare": rest_of_bare,
                 "set_but_sync_of_shown": rest_of_shown});
-            println!("{told}");
+            println!("{output}");
         } else {
             println!(
                 "{followers:9} {bare_rate:16.0} {rate:8.0} {of_rate:6.2} {query:13.0} {shown:7.0} \
@@ -258,7 +258,7 @@ impl Followers {
         }
     }
 
-    /// States a second that come to each.
+    /// States a second that each receives.
     async fn rate(&self) -> f64 {
         tokio::time::sleep(COUNTED / 5).await;
         let (before, began) = (self.seen.load(Ordering::Relaxed), Instant::now());
@@ -268,11 +268,11 @@ impl Followers {
     }
 }
 
-/// A session like the daemon's that publishes so many bytes at the pace while it is told to, and
-/// answers at once, a `step` after it has put a state.
+/// A session like the daemon's that publishes so many bytes at the rate between `run` and `pause`, and
+/// replies at once, to a `step` after it has put a state.
 async fn bare() {
-    let told = std::env::var(BARE).unwrap();
-    let (bytes, hz) = told.split_once(' ').unwrap();
+    let variable = std::env::var(BARE).unwrap();
+    let (bytes, hz) = variable.split_once(' ').unwrap();
     let (bytes, hz): (usize, u32) = (bytes.parse().unwrap(), hz.parse().unwrap());
     let listen = ["tcp/127.0.0.1:0".to_owned()];
     let opened = jostled::transport::zenoh::session::open(&listen, "jostle", &Rights::Open, 100)
@@ -285,14 +285,16 @@ async fn bare() {
         .encoding("application/cbor");
     let publisher = Arc::new(publisher.await.unwrap());
     let runs = Arc::new(std::sync::atomic::AtomicBool::new(false));
-    let (told, shown) = (runs.clone(), publisher.clone());
+    let (is_running, state_publisher) = (runs.clone(), publisher.clone());
     let queryable = session
         .declare_queryable("jostle/*/cmd/**")
         .callback(move |query| {
             match query.key_expr().as_str() {
-                key if key.ends_with("/run") => told.store(true, Ordering::Relaxed),
-                key if key.ends_with("/pause") => told.store(false, Ordering::Relaxed),
-                key if key.ends_with("/step") => shown.put(vec![0; bytes]).wait().unwrap(),
+                key if key.ends_with("/run") => is_running.store(true, Ordering::Relaxed),
+                key if key.ends_with("/pause") => is_running.store(false, Ordering::Relaxed),
+                key if key.ends_with("/step") => {
+                    state_publisher.put(vec![0; bytes]).wait().unwrap();
+                }
                 _ => {}
             }
             let reply = query.reply(query.key_expr().clone(), ANSWER);
@@ -313,7 +315,7 @@ async fn bare() {
         let now = Instant::now();
         match next.checked_duration_since(now) {
             Some(wait) => std::thread::sleep(wait),
-            // What is behind by more than the daemon makes good is given up here too.
+            // Skips states that are behind by more than the daemon catches up with.
             None => next = next.max(now.checked_sub(Duration::from_millis(50)).unwrap()),
         }
     }
@@ -330,12 +332,12 @@ async fn length_of_a_state(session: &Session) -> usize {
     state.payload().len()
 }
 
-/// A command that is safe on the disk before it is answered.
+/// A command that is durable before its reply.
 fn setting(k: usize) -> Value {
     json!({"pi2": 0.5 + (k % 2) as f64})
 }
 
-/// What commands take, one after the other: the median, in microseconds.
+/// The time of commands, one after the other: the median, in microseconds.
 async fn queries(session: &Session, verb: &str, request: impl Fn(usize) -> Value) -> f64 {
     let mut took = Vec::new();
     for k in 0..QUERIES {

@@ -7,7 +7,7 @@ use serde_json::json;
 use crate::{Daemon, Limit, Row};
 
 const MAX_SWARMS: usize = 1000;
-/// So many show what one takes of a core.
+/// So many are run to measure the share of a core of one.
 const FIRST: usize = 150;
 const SHARE: f64 = 0.8;
 
@@ -16,7 +16,7 @@ pub async fn measure() -> Vec<Row> {
     let daemon = Daemon::start().await;
     let host = async |numbers: std::ops::Range<usize>| {
         for k in numbers {
-            // A group that pushes takes most of the time.
+            // A group in contact takes more time a step.
             daemon
                 .host(k, json!({"n": 20, "seed": k, "rate": 1}), 500)
                 .await;

@@ -1,4 +1,4 @@
-//! What many swarms on one daemon get, beside the limits that are asked for.
+//! Many swarms on one daemon, compared with the required limits.
 //!
 //! ```sh
 //! cargo bench --bench swarms              # a table; the exit code is 1 if a limit is missed
@@ -9,7 +9,7 @@
 //! many as take 80 % of the cores, then swarms that are created, stepped and deleted one by one, then
 //! a daemon that is killed and starts again, then one swarm that steps while a client reads the
 //! metrics, then, in this process, what recording the metrics of a step costs. All cores must be idle
-//! otherwise: what else runs takes its share.
+//! otherwise: other processes take a share.
 
 #![expect(clippy::unwrap_used, reason = "what fails is to end the measurement")]
 
@@ -30,7 +30,7 @@ use jostle_proto::keys;
 use serde_json::{Map, Value, json};
 use zenoh::Session;
 
-use apart::{Process, ask, open, settle};
+use apart::{Process, ask, create_and_step, open};
 
 const NODE: &str = "bench";
 
@@ -100,9 +100,9 @@ impl Daemon {
         }
     }
 
-    /// Creates a swarm, has it take so many steps and lets it run.
+    /// Creates a swarm, steps it and runs it.
     async fn host(&self, k: usize, spec: Value, steps: u32) {
-        settle(&self.session, (NODE, &name(k)), spec, steps).await;
+        create_and_step(&self.session, (NODE, &name(k)), spec, steps).await;
         let run = keys::cmd("jostle", &name(k), "run");
         ask(&self.session, run, &json!({})).await;
     }
@@ -186,7 +186,7 @@ async fn created_and_deleted() -> Row {
     let began = Instant::now();
     for k in 0..SWARMS {
         let spec = json!({"n": 20, "seed": k});
-        settle(&daemon.session, (NODE, &name(k)), spec, 5).await;
+        create_and_step(&daemon.session, (NODE, &name(k)), spec, 5).await;
         let delete = keys::cmd("jostle", &name(k), "delete");
         ask(&daemon.session, delete, &json!({})).await;
     }

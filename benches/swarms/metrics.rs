@@ -3,14 +3,14 @@
 use jostle_proto::keys;
 use serde_json::{Value, json};
 
-use crate::{Daemon, Limit, NODE, Row, ask, name, settle};
+use crate::{Daemon, Limit, NODE, Row, ask, create_and_step, name};
 
 /// Runs with and without the client; of each kind the quickest counts.
 const ROUNDS: usize = 8;
 
 pub async fn measure() -> Row {
     let daemon = Daemon::start().await;
-    settle(
+    create_and_step(
         &daemon.session,
         (NODE, &name(0)),
         json!({"n": 20, "seed": 1}),

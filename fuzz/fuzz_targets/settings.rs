@@ -3,4 +3,4 @@
 #[path = "../../tests/daemon/targets/settings.rs"]
 mod target;
 
-libfuzzer_sys::fuzz_target!(|data: &[u8]| target::hold(data));
+libfuzzer_sys::fuzz_target!(|data: &[u8]| target::check(data));

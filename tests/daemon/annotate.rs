@@ -1,16 +1,16 @@
-//! Notes: they are in the journal and the events of a swarm, and nothing else changes.
+//! Notes are in the journal and the events of a swarm, and change nothing else.
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use jostle_proto::{ErrorCode, EventKind, Reply, Snapshot, keys};
 use serde_json::{Value, json};
 
-use crate::commands::fault;
-use crate::crash::life::{self, Life};
-use crate::streams::{next_event, subscribe};
-use crate::support::{Client, Daemon, NODE, PREFIX, beside_others, until};
+use crate::commands::{create_in_every_phase, fault};
+use crate::support::daemon_process::{self, DaemonProcess};
+use crate::support::streams::{next_event, subscribe};
+use crate::support::{Client, Daemon, NODE, PREFIX, until};
 
-fn note(text: &str) -> Value {
+fn annotate_request(text: &str) -> Value {
     json!({"text": text})
 }
 
@@ -27,8 +27,8 @@ async fn notes(client: &Client, swarm: &str) -> Vec<(u64, String)> {
         .collect()
 }
 
-/// What a note must not change.
-async fn standing(client: &Client, swarm: &str) -> Value {
+/// The parts of a status that a note must not change.
+async fn status_without_note(client: &Client, swarm: &str) -> Value {
     let status = client.get(swarm, "status").await;
     let result = &status["result"];
     let fields = ["state_hash", "reason", "parameters", "informed", "rate"];
@@ -40,20 +40,19 @@ async fn standing(client: &Client, swarm: &str) -> Value {
 async fn a_note_is_in_the_journal_and_the_events_in_every_phase() {
     let daemon = Daemon::start().await;
     let client = &daemon.client;
-    client.create("paused", json!({"n": 5})).await;
-    client.create("running", json!({"n": 5, "rate": 50})).await;
-    client.ok("running", "run", json!({})).await;
-    fault(client, "faulted").await;
+    create_in_every_phase(client).await;
     for name in ["paused", "running", "faulted"] {
-        let before = standing(client, name).await;
+        let before = status_without_note(client, name).await;
         let seq = client.get(name, "status").await["seq"].as_u64().unwrap();
         let events = subscribe(client, keys::event(PREFIX, name)).await;
-        let reply = client.ok(name, "annotate", note("camera 2: ü")).await;
+        let reply = client
+            .ok(name, "annotate", annotate_request("camera 2: ü"))
+            .await;
         assert_eq!(reply["result"], json!({}), "{name}");
         assert_eq!(reply["seq"], seq + 1, "{name}");
         assert_eq!(reply["phase"], before[2], "{name}");
         if name != "running" {
-            assert_eq!(standing(client, name).await, before, "{name}");
+            assert_eq!(status_without_note(client, name).await, before, "{name}");
         }
         let event = next_event(&events).await;
         let EventKind::Command {
@@ -66,18 +65,22 @@ async fn a_note_is_in_the_journal_and_the_events_in_every_phase() {
             panic!("{name}: {event:?}");
         };
         assert_eq!((*number, verb.as_str()), (seq + 1, "annotate"), "{name}");
-        assert_eq!(*args, note("camera 2: ü"), "{name}");
+        assert_eq!(*args, annotate_request("camera 2: ü"), "{name}");
         let kept = client.get(name, "events?limit=1000").await;
         let kept = kept["result"]["events"].as_array().unwrap().clone();
         let is_it = |it: &&Value| it["number"] == event.number;
         let kept = kept.iter().find(is_it).unwrap();
-        assert_eq!(kept["event"]["args"], note("camera 2: ü"), "{name}");
+        assert_eq!(
+            kept["event"]["args"],
+            annotate_request("camera 2: ü"),
+            "{name}"
+        );
         let step = reply["step"].as_u64().unwrap();
         let expected = [(step, "camera 2: ü".to_owned())];
         assert_eq!(notes(client, name).await, expected, "{name}");
     }
     // A faulted swarm reaches no later step.
-    let later = json!({"at_step": 1_000_000, "args": note("later")});
+    let later = json!({"at_step": 1_000_000, "args": annotate_request("later")});
     let (code, _) = client.err("faulted", "annotate", later).await;
     assert_eq!(code, ErrorCode::IncorrectState);
     daemon.stop().await;
@@ -96,7 +99,9 @@ async fn a_note_does_not_cut_a_step_short() {
         client.get("a", "status").await["phase"] == "running"
     })
     .await;
-    let reply = client.ok("a", "annotate", note("on the way")).await;
+    let reply = client
+        .ok("a", "annotate", annotate_request("on the way"))
+        .await;
     assert!(reply["step"].as_u64().unwrap() <= STEPS, "{reply}");
     let stepped = stepping.await.unwrap();
     assert_eq!(stepped["result"]["steps"], STEPS, "{stepped}");
@@ -111,7 +116,7 @@ async fn restore(client: &Client, swarm: &str, name: &str) {
     let snapshot = STANDARD.encode(jostle_proto::to_cbor(&reply.result));
     let args = json!({"name": name, "snapshot": snapshot}).to_string();
     let key = keys::node_cmd(PREFIX, NODE, "restore");
-    client.one(&key, Some(args.as_bytes())).await.unwrap();
+    client.query(&key, Some(args.as_bytes())).await.unwrap();
 }
 
 /// Sends a command that draws to every swarm, and checks that all draws are the same.
@@ -148,9 +153,9 @@ async fn a_swarm_with_notes_has_the_hashes_and_the_draws_of_one_without() {
         ("remove", json!({"select": {"count": 2}})),
     ] {
         for text in ["one", "two"] {
-            client.ok("noted", "annotate", note(text)).await;
+            client.ok("noted", "annotate", annotate_request(text)).await;
         }
-        let later = json!({"at_step": step + 20, "args": note("later")});
+        let later = json!({"at_step": step + 20, "args": annotate_request("later")});
         client.ok("noted", "annotate", later).await;
         count += 3;
         draw(client, &["plain", "noted"], verb, &args).await;
@@ -187,30 +192,29 @@ async fn a_swarm_with_notes_has_the_hashes_and_the_draws_of_one_without() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_note_outlives_a_kill_and_is_written_once() {
-    let _machine = beside_others().await;
+async fn a_note_survives_a_kill_and_is_written_once() {
     let folder = tempfile::tempdir().unwrap();
-    let mut life = Life::begin(&mut life::daemon(folder.path())).unwrap();
-    let client = Client::open(&life.endpoint).await;
+    let mut process = DaemonProcess::start(&mut daemon_process::daemon(folder.path())).unwrap();
+    let client = Client::open(&process.endpoint).await;
     client.create("a", json!({"n": 10, "seed": 3})).await;
-    let named = json!({"client": "me", "request_id": "1", "args": note("lights off")});
+    let named = json!({"client": "me", "request_id": "1", "args": annotate_request("lights off")});
     let first = client.ok("a", "annotate", named.clone()).await;
     let later = json!({
-        "client": "me", "request_id": "2", "at_step": 30, "args": note("at 30"),
+        "client": "me", "request_id": "2", "at_step": 30, "args": annotate_request("at 30"),
     });
     client.ok("a", "annotate", later.clone()).await;
     fault(&client, "b").await;
-    client.ok("b", "annotate", note("why")).await;
+    client.ok("b", "annotate", annotate_request("why")).await;
     let mut before = Vec::new();
     for name in ["a", "b"] {
         let status = client.get(name, "status").await;
         before.push((client.hash(name).await, status["seq"].clone()));
     }
     let of_b = notes(&client, "b").await;
-    life.kill();
+    process.kill();
 
-    let life = Life::begin(&mut life::daemon(folder.path())).unwrap();
-    let client = Client::open(&life.endpoint).await;
+    let process = DaemonProcess::start(&mut daemon_process::daemon(folder.path())).unwrap();
+    let client = Client::open(&process.endpoint).await;
     for (name, before) in ["a", "b"].into_iter().zip(before) {
         let status = client.get(name, "status").await;
         let now = (client.hash(name).await, status["seq"].clone());
@@ -232,11 +236,14 @@ async fn a_note_has_1_to_1000_characters_in_one_line() {
     let client = &daemon.client;
     client.create("a", json!({"n": 3})).await;
     for text in ["x".to_owned(), "ü".repeat(1000), "🐟".repeat(1000)] {
-        client.ok("a", "annotate", note(&text)).await;
+        client.ok("a", "annotate", annotate_request(&text)).await;
     }
     // Other invalid notes are in `abuse/to_a_swarm.txt`.
     for text in [String::new(), "ü".repeat(1001), "two\nlines".to_owned()] {
-        let error = client.cmd("a", "annotate", note(&text)).await.unwrap_err();
+        let error = client
+            .cmd("a", "annotate", annotate_request(&text))
+            .await
+            .unwrap_err();
         assert_eq!(error.code, ErrorCode::InvalidArgument, "{text:?}");
         assert_eq!(error.details["field"], "text", "{text:?}");
     }

@@ -28,7 +28,7 @@ const LAYERS: [&[&str]; 7] = [
 const UPWARD: [(&str, &str); 0] = [];
 
 /// Libraries, and the modules that may name them.
-const LIBRARIES: [(&str, &[&str]); 9] = [
+const LIBRARIES: [(&str, &[&str]); 10] = [
     ("zenoh", &["app", "transport"]),
     ("zenoh_ext", &["transport/zenoh"]),
     ("axum", &["transport/http"]),
@@ -46,6 +46,7 @@ const LIBRARIES: [(&str, &[&str]); 9] = [
             "transport",
         ],
     ),
+    ("jostle_client", &["cli/demo"]),
     ("libc", &["cli/process", "swarm/scheduler"]),
     (
         "jostle_proto",

@@ -1,4 +1,4 @@
-//! What a command changes of a swarm: who is informed, who is there, its parameters and rules.
+//! The effect of commands: informed individuals, the group, parameters and rules.
 
 use jostle_proto::ErrorCode;
 use serde_json::json;
@@ -6,7 +6,7 @@ use serde_json::json;
 use crate::support::{Daemon, until};
 
 #[tokio::test(flavor = "multi_thread")]
-async fn informed_individuals_are_those_told_and_a_draw_repeats() {
+async fn inform_changes_the_selected_individuals_and_a_draw_repeats() {
     let daemon = Daemon::start().await;
     let client = &daemon.client;
     let mut drawn = Vec::new();
@@ -18,7 +18,7 @@ async fn informed_individuals_are_those_told_and_a_draw_repeats() {
     }
     assert_eq!(drawn[0], drawn[1]);
     assert_eq!(drawn[0].as_array().unwrap().len(), 5);
-    let state = client.one("jostle/a/state", None).await.unwrap();
+    let state = client.query("jostle/a/state", None).await.unwrap();
     for (id, (weight, direction)) in (0..20u64).zip(
         state["weight"]
             .as_array()
@@ -50,7 +50,7 @@ async fn informed_individuals_are_those_told_and_a_draw_repeats() {
     let args = json!({"select": {"ids": [3]}, "direction": 0, "for_time": 0.1});
     client.ok("b", "inform", args).await;
     client.ok("b", "step", json!({"steps": 4})).await;
-    let weight = async || client.one("jostle/b/state", None).await.unwrap()["weight"][3].clone();
+    let weight = async || client.query("jostle/b/state", None).await.unwrap()["weight"][3].clone();
     assert_eq!(weight().await, 0.5);
     client.ok("b", "step", json!({})).await;
     assert_eq!(weight().await, 0.0, "informed for 0.1, which is five steps");
@@ -58,7 +58,7 @@ async fn informed_individuals_are_those_told_and_a_draw_repeats() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn individuals_join_where_they_overlap_nobody_and_leave_for_good() {
+async fn injected_individuals_overlap_no_other_and_removed_ones_do_not_return() {
     let daemon = Daemon::start().await;
     let client = &daemon.client;
     client.create("a", json!({"n": 10})).await;
@@ -161,16 +161,16 @@ async fn the_rules_and_the_noise_change_too_but_no_axes_stay_crossed() {
     let mut spec = rules.clone();
     spec["n"] = json!(20);
     client.create("made", spec).await;
-    client.create("told", json!({"n": 20})).await;
-    let reply = client.ok("told", "set", rules.clone()).await;
+    client.create("changed", json!({"n": 20})).await;
+    let reply = client.ok("changed", "set", rules.clone()).await;
     for (field, value) in rules.as_object().unwrap() {
         assert_eq!(&reply["result"]["now"][field], value, "{field}");
     }
     assert_eq!(reply["result"]["before"]["contacts"], "endpoints");
     assert_eq!(
         client.hash_at("made", 200).await,
-        client.hash_at("told", 200).await,
-        "told or made, the rules are the same"
+        client.hash_at("changed", 200).await,
+        "the rules are the same, changed or from the start"
     );
     for (wrong, says) in [
         (json!({"relinearise": 1}), "stepping"),
@@ -182,13 +182,13 @@ async fn the_rules_and_the_noise_change_too_but_no_axes_stay_crossed() {
             "radius",
         ),
     ] {
-        let (code, message) = client.err("told", "set", wrong).await;
+        let (code, message) = client.err("changed", "set", wrong).await;
         assert_eq!(code, ErrorCode::InvalidArgument, "{message}");
         assert!(message.contains(says), "{message}");
     }
     client
         .ok(
-            "told",
+            "changed",
             "set",
             json!({"stepping": "position", "relinearise": 1}),
         )

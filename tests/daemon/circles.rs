@@ -12,9 +12,10 @@ use syn::visit::{self, Visit};
 use syn::{Attribute, Item, ItemMod, ItemUse, Macro, UseTree, Visibility};
 
 /// The circles that there are, by crate root.
-const CIRCLES: [(&str, &[&[&str]]); 8] = [
+const CIRCLES: [(&str, &[&[&str]]); 9] = [
     ("src/lib.rs", &[]),
     ("clients/cli/src/main.rs", &[]),
+    ("clients/rust/src/lib.rs", &[]),
     ("crates/convert/src/lib.rs", &[]),
     ("crates/experiment/src/lib.rs", &[]),
     ("crates/figures/src/lib.rs", &[]),
@@ -61,8 +62,14 @@ impl Crate {
         read
     }
 
-    /// The module that defines what `path` names, as far as this crate's modules tell.
+    /// The module that defines the item of `path`, if it is in this crate.
     fn definition(&self, path: &[String]) -> &Module {
+        self.follow(path, &mut BTreeSet::new())
+    }
+
+    /// [`Crate::definition`] of a path that is not among `followed`: names may lead to each other.
+    fn follow(&self, path: &[String], followed: &mut BTreeSet<Names>) -> &Module {
+        let is_new = followed.insert(path.to_vec());
         let mut at: &[String] = &[];
         for (depth, name) in path.iter().enumerate() {
             if self.modules.contains_key(&path[..=depth]) {
@@ -70,17 +77,21 @@ impl Crate {
                 continue;
             }
             let module = &self.modules[at];
+            if !is_new {
+                break;
+            }
             let rest = &path[depth + 1..];
             if let Some(target) = module.uses.get(name)
                 && !path.starts_with(target)
             {
-                return self.definition(&[target, rest].concat());
+                return self.follow(&[target, rest].concat(), followed);
             }
-            let has = |glob: &&Names| self.modules.get(*glob).is_some_and(|it| it.offers(name));
+            let has = |glob: &&Names| self.modules.get(*glob).is_some_and(|it| it.defines(name));
             if !module.items.contains(name)
                 && let Some(glob) = module.globs.iter().find(has)
             {
-                return self.definition(&[glob, std::slice::from_ref(name), rest].concat());
+                let path = [glob, std::slice::from_ref(name), rest].concat();
+                return self.follow(&path, followed);
             }
             break;
         }
@@ -99,7 +110,7 @@ impl Crate {
 }
 
 impl Module {
-    fn offers(&self, name: &str) -> bool {
+    fn defines(&self, name: &str) -> bool {
         self.items.contains(name) || self.uses.contains_key(name)
     }
 }
@@ -123,7 +134,7 @@ impl Reader<'_> {
         items.iter().for_each(|item| self.visit_item(item));
     }
 
-    fn here(&mut self) -> &mut Module {
+    fn current(&mut self) -> &mut Module {
         self.read.modules.get_mut(&self.at).unwrap()
     }
 
@@ -146,7 +157,7 @@ impl Reader<'_> {
 
     fn name(&mut self, path: &[String]) {
         if let Some(path) = self.absolute(path) {
-            self.here().named.push(path);
+            self.current().named.push(path);
         }
     }
 
@@ -168,12 +179,13 @@ impl Reader<'_> {
         if !is_export {
             self.name(&path);
         }
-        // A path may also begin with the name of a module that is declared here.
-        let from_here = [&*self.at, &path].concat();
+        // A path may also begin with `self`, or with the name of a module that is declared here.
+        let is_self = path.first().is_some_and(|it| it == "self");
+        let from_here = [&*self.at, &path[usize::from(is_self)..]].concat();
         let target = self.absolute(&path).unwrap_or(from_here);
         match alias {
-            Some(alias) => drop(self.here().uses.insert(alias, target)),
-            None => self.here().globs.push(target),
+            Some(alias) => drop(self.current().uses.insert(alias, target)),
+            None => self.current().globs.push(target),
         }
     }
 
@@ -232,7 +244,7 @@ impl<'ast> Visit<'ast> for Reader<'_> {
         }
         if let Some(ident) = ident {
             let ident = ident.to_string();
-            self.here().items.insert(ident);
+            self.current().items.insert(ident);
         }
         visit::visit_item(self, item);
     }

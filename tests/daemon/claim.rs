@@ -1,4 +1,4 @@
-//! What the service is for: ten who know a direction lead fifty, through contact alone.
+//! The paper's result: ten informed individuals lead fifty through contact alone.
 
 use serde_json::{Value, json};
 
@@ -10,9 +10,9 @@ const FROM: u64 = 200 * 50;
 const TO: u64 = 400 * 50;
 
 /// The sum over all steps so far of the velocity towards +x.
-async fn travelled(client: &Client, name: &str, step: u64) -> f64 {
+async fn distance_travelled(client: &Client, name: &str, step: u64) -> f64 {
     client.ok(name, "run", json!({"until_step": step})).await;
-    let status = client.reach(name, step).await;
+    let status = client.wait_for_step(name, step).await;
     assert_eq!(status["step"], step);
     assert_eq!(status["result"]["certificate"]["degraded"], 0, "{status}");
     status["result"]["order"]["mean_velocity"][0]
@@ -26,7 +26,7 @@ async fn drift(client: &Client, seed: u64, informed: bool) -> f64 {
     let name = format!("seed-{seed}-{informed}");
     let spec = json!({"n": 50, "pi1": 4, "seed": seed, "rate": Value::Null});
     client.create(&name, spec).await;
-    travelled(client, &name, INFORMED_AT).await;
+    distance_travelled(client, &name, INFORMED_AT).await;
     if informed {
         client
             .ok(
@@ -36,14 +36,14 @@ async fn drift(client: &Client, seed: u64, informed: bool) -> f64 {
             )
             .await;
     }
-    let before = travelled(client, &name, FROM).await;
-    let after = travelled(client, &name, TO).await;
+    let before = distance_travelled(client, &name, FROM).await;
+    let after = distance_travelled(client, &name, TO).await;
     client.ok(&name, "delete", json!({})).await;
     (after - before) / (TO - FROM) as f64
 }
 
 /// The drifts of every seed, two swarms at a time.
-async fn drifts(informed: bool) -> Vec<f64> {
+async fn drift_of_each_seed(informed: bool) -> Vec<f64> {
     let daemon = Daemon::start().await;
     let mut halves = Vec::new();
     for half in 0..2 {
@@ -75,7 +75,7 @@ fn mean(drifts: &[f64]) -> f64 {
 /// Paper, section 3.2: a minority leads the group by contact alone.
 #[tokio::test(flavor = "multi_thread")]
 async fn ten_informed_lead_fifty_in_at_least_twenty_of_twenty_four_seeds() {
-    let drifts = drifts(true).await;
+    let drifts = drift_of_each_seed(true).await;
     let led = drifts.iter().filter(|drift| **drift > 0.3).count();
     println!("{led} of {SEEDS} above 0.3, mean {:.3}", mean(&drifts));
     assert!(led >= 20, "{led} of {SEEDS}: {drifts:?}");
@@ -83,7 +83,7 @@ async fn ten_informed_lead_fifty_in_at_least_twenty_of_twenty_four_seeds() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn without_informed_individuals_fifty_drift_nowhere() {
-    let drifts = drifts(false).await;
+    let drifts = drift_of_each_seed(false).await;
     println!("mean {:+.3}", mean(&drifts));
     assert!(mean(&drifts).abs() < 0.15, "{drifts:?}");
 }

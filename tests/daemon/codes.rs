@@ -5,19 +5,19 @@ use std::collections::BTreeMap;
 use jostle_proto::{ErrorCode, keys};
 use serde_json::{Value, json};
 
-use crate::apart::Process;
-use crate::support::{Answer, Client, PREFIX, beside_others, until};
+use crate::support::process::Process;
+use crate::support::{Client, PREFIX, QueryResult, until};
 
-/// What provokes a code: the first from a daemon that fails at its first change and its 501st
-/// step, and is slow before. Those without a provocation cannot occur yet.
-async fn provoke(client: &Client, code: ErrorCode) -> Option<Answer> {
+/// The provocations of codes: the first from a daemon that fails at its first change and its 501st
+/// step, and is slow before.
+async fn provoke(client: &Client, code: ErrorCode) -> Option<QueryResult> {
     let long = json!({"timeout_secs": 0.05, "args": {"steps": 400}});
     let (verb, request) = match code {
         ErrorCode::NotFound => ("fly", json!({})),
         ErrorCode::AlreadyExists => {
             let request = json!({"name": "a", "spec": {"n": 4}}).to_string();
             let key = keys::node_cmd(PREFIX, "test", "create");
-            return Some(client.one(&key, Some(request.as_bytes())).await);
+            return Some(client.query(&key, Some(request.as_bytes())).await);
         }
         ErrorCode::InvalidArgument => ("step", json!({"steps": 0})),
         ErrorCode::IncorrectState => {
@@ -30,7 +30,7 @@ async fn provoke(client: &Client, code: ErrorCode) -> Option<Answer> {
             let name =
                 json!({"name": "b", "spec": {"n": 2, "start": {"kind": "disc", "radius": 1e-3}}});
             let key = keys::node_cmd(PREFIX, "test", "create");
-            return Some(client.one(&key, Some(name.to_string().as_bytes())).await);
+            return Some(client.query(&key, Some(name.to_string().as_bytes())).await);
         }
         ErrorCode::Busy => return Some(too_much().await),
         ErrorCode::Conflict => ("pause", json!({"expect_epoch": 7})),
@@ -44,8 +44,8 @@ async fn provoke(client: &Client, code: ErrorCode) -> Option<Answer> {
     Some(client.cmd("a", verb, request).await)
 }
 
-/// More queries at once than one door takes, from a daemon that is slow to read them.
-async fn too_much() -> Answer {
+/// Sends more queries at once than the queue holds, to a daemon that is slow to read them.
+async fn too_much() -> QueryResult {
     let (_daemon, endpoint) = Process::serve_failing("query=sleep(5)");
     let client = Client::open(&endpoint).await;
     let key = keys::node_get(PREFIX, "test", "hello");
@@ -65,7 +65,6 @@ async fn too_much() -> Answer {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn every_code_that_can_occur_is_provoked() {
-    let _beside_others = beside_others().await;
     let (_daemon, endpoint) = Process::serve_failing("command=panic;step=500*sleep(1)->panic");
     let client = Client::open(&endpoint).await;
     client.create("a", json!({"n": 4, "rate": null})).await;

@@ -24,8 +24,16 @@ pub async fn fault(client: &Client, name: &str) {
     .await;
 }
 
+/// Creates a swarm in each phase, with the phase as its name.
+pub async fn create_in_every_phase(client: &Client) {
+    client.create("paused", json!({"n": 5})).await;
+    client.create("running", json!({"n": 5, "rate": 50})).await;
+    client.ok("running", "run", json!({})).await;
+    fault(client, "faulted").await;
+}
+
 #[tokio::test(flavor = "multi_thread")]
-async fn a_created_swarm_is_there_paused_with_every_default_filled_in() {
+async fn a_created_swarm_is_paused_and_has_every_default() {
     let daemon = Daemon::start().await;
     let client = &daemon.client;
     let reply = client.create("a", json!({"n": 10})).await;
@@ -59,12 +67,15 @@ async fn a_created_swarm_is_there_paused_with_every_default_filled_in() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn create_takes_an_equal_swarm_only_with_exist_ok() {
+async fn create_accepts_an_equal_swarm_only_with_exist_ok() {
     let daemon = Daemon::start().await;
     let client = &daemon.client;
     let key = format!("jostle/@node/{NODE}/cmd/create");
-    let create =
-        async |request: Value| client.one(&key, Some(request.to_string().as_bytes())).await;
+    let create = async |request: Value| {
+        client
+            .query(&key, Some(request.to_string().as_bytes()))
+            .await
+    };
     let spec = json!({"n": 3, "seed": 5});
     client.create("a", spec.clone()).await;
     let again = create(json!({"name": "a", "spec": spec, "exist_ok": true}))
@@ -83,13 +94,10 @@ async fn create_takes_an_equal_swarm_only_with_exist_ok() {
 
 /// The table of phases, cell by cell, through a real session.
 #[tokio::test(flavor = "multi_thread")]
-async fn every_verb_in_every_phase_does_what_the_table_says() {
+async fn every_verb_in_every_phase_has_the_effect_in_the_table() {
     let daemon = Daemon::start().await;
     let client = &daemon.client;
-    client.create("paused", json!({"n": 5})).await;
-    client.create("running", json!({"n": 5, "rate": 50})).await;
-    client.ok("running", "run", json!({})).await;
-    fault(client, "faulted").await;
+    create_in_every_phase(client).await;
 
     let one = json!({"select": {"count": 1}});
     let changes = [
@@ -171,28 +179,30 @@ async fn every_verb_in_every_phase_does_what_the_table_says() {
     fault(client, "faulted-again").await;
     for name in ["paused", "running", "faulted", "faulted-again"] {
         client.ok(name, "delete", json!({})).await;
-        let error = client.one(&format!("jostle/{name}/get/status"), None).await;
+        let error = client
+            .query(&format!("jostle/{name}/get/status"), None)
+            .await;
         assert_eq!(error.unwrap_err().code, ErrorCode::NotFound);
     }
-    // Whoever asks what there is does not hear of what is gone.
+    // A wildcard query gets no reply for a swarm that was deleted.
     for selector in ["jostle/*/get/status", "jostle/*/state", "jostle/**"] {
-        let answers = client.ask(selector, None).await;
+        let answers = client.query_all(selector, None).await;
         let of_swarms = answers.iter().filter(|it| match it {
-            Ok(told) => told.get("node").is_none(),
+            Ok(reply) => reply.get("node").is_none(),
             Err(error) => error.code == ErrorCode::NotFound,
         });
         assert_eq!(of_swarms.count(), 0, "{selector}: {answers:?}");
     }
     until("silence", async || {
         let key = "jostle/paused/get/status";
-        client.ask(key, None).await.is_empty()
+        client.query_all(key, None).await.is_empty()
     })
     .await;
     daemon.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn who_asks_all_swarms_is_told_of_none_that_goes_meanwhile() {
+async fn a_wildcard_query_gets_no_reply_for_a_swarm_deleted_meanwhile() {
     let daemon = Daemon::start().await;
     let client = &daemon.client;
     client.create("stays", json!({"n": 3})).await;
@@ -210,11 +220,11 @@ async fn who_asks_all_swarms_is_told_of_none_that_goes_meanwhile() {
     let ask = async |selector: &str| {
         let mut of_others = 0;
         while !is_done.load(Ordering::Relaxed) {
-            let answers = client.ask(selector, None).await;
-            let told: Vec<_> = answers.iter().map(|it| it.as_ref().unwrap()).collect();
-            let stays = told.iter().filter(|it| it["swarm"] == "stays");
+            let answers = client.query_all(selector, None).await;
+            let replies: Vec<_> = answers.iter().map(|it| it.as_ref().unwrap()).collect();
+            let stays = replies.iter().filter(|it| it["swarm"] == "stays");
             assert_eq!(stays.count(), 1, "{answers:?}");
-            of_others += told.len() - 1;
+            of_others += replies.len() - 1;
         }
         assert!(of_others > 0, "{selector}: nothing came and went meanwhile");
     };
@@ -223,7 +233,7 @@ async fn who_asks_all_swarms_is_told_of_none_that_goes_meanwhile() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_fault_keeps_the_last_good_state_and_says_why() {
+async fn a_fault_keeps_the_last_good_state_and_reports_the_reason() {
     let daemon = Daemon::start().await;
     let client = &daemon.client;
     fault(client, "a").await;
@@ -239,13 +249,13 @@ async fn a_fault_keeps_the_last_good_state_and_says_why() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn reaching_until_pauses_and_from_there_it_goes_on() {
+async fn a_run_pauses_at_its_end_and_resumes_from_there() {
     let daemon = Daemon::start().await;
     let client = &daemon.client;
     client.create("a", json!({"n": 5, "rate": null})).await;
     let reply = client.ok("a", "run", json!({"until_time": 1.0})).await;
     assert_eq!(reply["result"]["until_step"], 50);
-    let there = client.reach("a", 50).await;
+    let there = client.wait_for_step("a", 50).await;
     assert_eq!(
         (&there["step"], &there["phase"]),
         (&json!(50), &json!("paused"))
@@ -270,7 +280,7 @@ async fn reaching_until_pauses_and_from_there_it_goes_on() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn step_returns_the_state_when_asked() {
+async fn step_returns_the_state_if_requested() {
     let daemon = Daemon::start().await;
     let client = &daemon.client;
     client.create("a", json!({"n": 4})).await;
@@ -289,7 +299,7 @@ async fn step_returns_the_state_when_asked() {
     );
     assert!(state["certificate"]["residual"].as_f64().unwrap() <= 1e-9);
     for selector in ["jostle/a/state", "jostle/a/state?format=json"] {
-        let mut seen = client.one(selector, None).await.unwrap();
+        let mut seen = client.query(selector, None).await.unwrap();
         seen["frame"] = state["frame"].clone();
         assert_eq!(&seen, state, "{selector}");
     }
@@ -306,14 +316,14 @@ async fn a_given_start_is_read_back_to_the_bit() {
     );
     let start = json!({"kind": "given", "x": x, "y": [0.0, 1.0 / 3.0], "alpha": alpha});
     client.create("a", json!({"n": 2, "start": start})).await;
-    let state = client.one("jostle/a/state", None).await.unwrap();
+    let state = client.query("jostle/a/state", None).await.unwrap();
     assert_eq!((&state["x"], &state["alpha"]), (&json!(x), &json!(alpha)));
     assert_eq!(state["y"][1], 1.0 / 3.0);
     daemon.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_the_sender_expects_must_hold() {
+async fn a_command_whose_expectation_fails_is_rejected() {
     let daemon = Daemon::start().await;
     let client = &daemon.client;
     client.create("a", json!({"n": 3})).await;
@@ -330,7 +340,7 @@ async fn what_the_sender_expects_must_hold() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_reply_comes_in_time_and_the_work_goes_on() {
+async fn a_command_that_times_out_gets_a_reply_and_continues() {
     let daemon = Daemon::start().await;
     let client = &daemon.client;
     client.create("a", json!({"n": 30})).await;
@@ -343,7 +353,7 @@ async fn a_reply_comes_in_time_and_the_work_goes_on() {
     assert!(status["step"].as_u64().unwrap() >= step);
     client.ok("a", "pause", json!({})).await;
 
-    // A pause meanwhile answers the step with how far it came.
+    // A pause meanwhile ends the `step`, whose reply has the steps taken.
     let other = daemon.another_client().await;
     let request = json!({"timeout_secs": 60, "args": {"steps": 1_000_000_000}});
     let stepping = tokio::spawn(async move { other.ok("a", "step", request).await });
@@ -360,11 +370,15 @@ async fn a_reply_comes_in_time_and_the_work_goes_on() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn wait_answers_when_it_has_come_about_or_cannot() {
+async fn wait_replies_when_its_condition_is_met_or_cannot_be() {
     let daemon = Daemon::start().await;
     let client = &daemon.client;
     client.create("a", json!({"n": 3, "rate": 10})).await;
-    let wait = async |what: &str| client.one(&format!("jostle/a/get/wait?{what}"), None).await;
+    let wait = async |what: &str| {
+        client
+            .query(&format!("jostle/a/get/wait?{what}"), None)
+            .await
+    };
     assert_eq!(
         wait("step=5").await.unwrap()["step"],
         0,
@@ -390,10 +404,10 @@ async fn wait_answers_when_it_has_come_about_or_cannot() {
             "{bad}"
         );
     }
-    // Whoever waits for a swarm that is deleted is told.
+    // A deletion of the swarm ends the wait with an error.
     let other = daemon.another_client().await;
     let waiting =
-        tokio::spawn(async move { other.one("jostle/a/get/wait?phase=running", None).await });
+        tokio::spawn(async move { other.query("jostle/a/get/wait?phase=running", None).await });
     client.ok("a", "delete", json!({})).await;
     if let Err(error) = waiting.await.unwrap() {
         assert_eq!(error.code, ErrorCode::NotFound);
@@ -401,9 +415,9 @@ async fn wait_answers_when_it_has_come_about_or_cannot() {
     daemon.stop().await;
 }
 
-/// Long ones are read by a thread of its own, short ones where they come in.
+/// A thread of its own reads long requests; the receiving thread reads short ones.
 #[tokio::test(flavor = "multi_thread")]
-async fn commands_of_one_client_are_carried_out_in_the_order_they_were_sent_in() {
+async fn commands_of_one_client_are_executed_in_the_order_sent() {
     let daemon = Daemon::start().await;
     let client = &daemon.client;
     client.create("a", json!({"n": 10})).await;

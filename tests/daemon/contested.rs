@@ -10,9 +10,9 @@ use std::time::{Duration, Instant};
 use jostle_proto::{Claim, Claimant, ErrorCode, Standing, keys};
 use serde_json::{Value, json};
 
-use crate::support::{Client, PREFIX, beside_others, until};
+use crate::support::{Client, PREFIX, until};
 
-use fleet::{Cut, Place, ROUTER, Router, as_router, jostle, signal};
+use fleet::{CuttableProxy, ROUTER, RestartableDaemon, Router, as_router, jostle, signal};
 
 /// Not a test: the process of the router that the tests start. It retries its connections to these
 /// endpoints.
@@ -28,11 +28,13 @@ async fn a_router_process() {
     std::future::pending::<()>().await;
 }
 
-async fn create(client: &Client, node: &str, swarm: &str) -> crate::support::Answer {
+async fn create(client: &Client, node: &str, swarm: &str) -> crate::support::QueryResult {
     let spec = json!({"n": 4, "seed": 1, "rate": null});
     let request = json!({"name": swarm, "spec": spec});
     let key = keys::node_cmd(PREFIX, node, "create");
-    client.one(&key, Some(request.to_string().as_bytes())).await
+    client
+        .query(&key, Some(request.to_string().as_bytes()))
+        .await
 }
 
 /// The standing of each claim to a swarm's name, with the claiming node.
@@ -49,7 +51,7 @@ async fn standings(client: &Client, swarm: &str) -> Vec<(String, Standing)> {
     standings
 }
 
-async fn until_standing(client: &Client, swarm: &str, expected: &[(&str, Standing)]) {
+async fn until_standings(client: &Client, swarm: &str, expected: &[(&str, Standing)]) {
     let expected: Vec<_> = expected
         .iter()
         .map(|(node, it)| ((*node).to_owned(), *it))
@@ -61,40 +63,50 @@ async fn until_standing(client: &Client, swarm: &str, expected: &[(&str, Standin
 }
 
 /// Every reply to a `set` command that has its own client id.
-async fn set(client: &Client, swarm: &str, id: &str, value: f64) -> Vec<crate::support::Answer> {
+async fn set(
+    client: &Client,
+    swarm: &str,
+    id: &str,
+    value: f64,
+) -> Vec<crate::support::QueryResult> {
     let request = json!({"client": id, "args": {"pi3": value}});
     let key = keys::cmd(PREFIX, swarm, "set");
-    client.ask(&key, Some(request.to_string().as_bytes())).await
+    client
+        .query_all(&key, Some(request.to_string().as_bytes()))
+        .await
 }
 
 async fn node(client: &Client, node: &str, noun: &str) -> Value {
     let key = keys::node_get(PREFIX, node, noun);
-    client.one(&key, None).await.unwrap()["result"].take()
+    client.query(&key, None).await.unwrap()["result"].take()
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn no_command_is_executed_twice_while_a_second_daemon_comes_and_goes() {
-    let _machine = beside_others().await;
-    let (a, b) = (Place::new("a"), Place::new("b"));
+    let (a, b) = (RestartableDaemon::new("a"), RestartableDaemon::new("b"));
     b.prepare(&["school"]).await;
     let mut serving = a.start();
-    let router = Router::to(&[&a.endpoint, &b.endpoint]);
+    let router = Router::connected_to(&[&a.endpoint, &b.endpoint]);
     let client = Client::open(&router.1).await;
     until("the router is connected", async || {
         node_is_there(&client, "a").await
     })
     .await;
     create(&client, "a", "school").await.unwrap();
-    until_standing(&client, "school", &[("a", Standing::Changed)]).await;
+    until_standings(&client, "school", &[("a", Standing::Changed)]).await;
 
     let (changed, waiting) = (("a", Standing::Changed), ("b", Standing::Waiting));
     let coming_and_going = async {
         // Joins and leaves.
         let mut second = b.start();
-        until_standing(&client, "school", &[changed, waiting]).await;
+        until_standings(&client, "school", &[changed, waiting]).await;
         let (code, text) = jostle(&b.endpoint, &["status", "school"]);
         assert_eq!(code, Some(4), "{text}");
         assert!(text.contains("\"a\"") && text.contains("\"b\""), "{text}");
+        until("the second daemon is reachable", async || {
+            node_is_there(&client, "b").await
+        })
+        .await;
         let metrics = node(&client, "b", "metrics").await;
         assert_eq!(metrics["contested"], 1);
         let unwell = metrics["unwell"].to_string();
@@ -107,23 +119,26 @@ async fn no_command_is_executed_twice_while_a_second_daemon_comes_and_goes() {
         // Its swarm is not the one that is served.
         let key = keys::node_cmd(PREFIX, "b", "record");
         let begin = json!({"begin": {"swarm": "school"}}).to_string();
-        let refused = client.one(&key, Some(begin.as_bytes())).await.unwrap_err();
-        assert_eq!(refused.code, ErrorCode::Contested);
+        let error = client
+            .query(&key, Some(begin.as_bytes()))
+            .await
+            .unwrap_err();
+        assert_eq!(error.code, ErrorCode::Contested);
         second.stop();
         second.end();
-        until_standing(&client, "school", &[changed]).await;
+        until_standings(&client, "school", &[changed]).await;
         // Is killed.
         let mut second = b.start();
-        until_standing(&client, "school", &[changed, waiting]).await;
+        until_standings(&client, "school", &[changed, waiting]).await;
         second.kill();
-        until_standing(&client, "school", &[changed]).await;
+        until_standings(&client, "school", &[changed]).await;
         // Is suspended for longer than the lease of its connection, and resumes.
         let mut second = b.start();
-        until_standing(&client, "school", &[changed, waiting]).await;
+        until_standings(&client, "school", &[changed, waiting]).await;
         signal(&second, "-STOP");
-        until_standing(&client, "school", &[changed]).await;
+        until_standings(&client, "school", &[changed]).await;
         signal(&second, "-CONT");
-        until_standing(&client, "school", &[changed, waiting]).await;
+        until_standings(&client, "school", &[changed, waiting]).await;
         second.stop();
         second.end();
     };
@@ -160,9 +175,12 @@ async fn no_command_is_executed_twice_while_a_second_daemon_comes_and_goes() {
     assert_all(&b.executed("school", &ids), 0);
 }
 
+/// Whether a daemon replies to a command. A router forwards its token before it routes queries.
 async fn node_is_there(client: &Client, node: &str) -> bool {
-    let key = keys::node_get(PREFIX, node, "hello");
-    !client.ask(&key, None).await.is_empty()
+    let key = keys::node_cmd(PREFIX, node, "create");
+    let answers = client.query_all(&key, Some(b"{}")).await;
+    assert!(answers.iter().all(Result::is_err), "{answers:?}");
+    !answers.is_empty()
 }
 
 fn assert_all(executed: &BTreeMap<String, usize>, expected: usize) {
@@ -175,11 +193,10 @@ fn assert_all(executed: &BTreeMap<String, usize>, expected: usize) {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_second_daemon_serves_once_the_first_is_gone_and_yields_when_it_is_back() {
-    let _machine = beside_others().await;
-    let (a, b) = (Place::new("a"), Place::new("b"));
+    let (a, b) = (RestartableDaemon::new("a"), RestartableDaemon::new("b"));
     b.prepare(&["school", "own"]).await;
     let mut first = a.start();
-    let router = Router::to(&[&a.endpoint, &b.endpoint]);
+    let router = Router::connected_to(&[&a.endpoint, &b.endpoint]);
     let client = Client::open(&router.1).await;
     until("the router is connected", async || {
         node_is_there(&client, "a").await
@@ -188,7 +205,7 @@ async fn a_second_daemon_serves_once_the_first_is_gone_and_yields_when_it_is_bac
     create(&client, "a", "school").await.unwrap();
     create(&client, "a", "another").await.unwrap();
     let mut second = b.start();
-    until_standing(
+    until_standings(
         &client,
         "school",
         &[("a", Standing::Changed), ("b", Standing::Waiting)],
@@ -197,6 +214,11 @@ async fn a_second_daemon_serves_once_the_first_is_gone_and_yields_when_it_is_bac
     // It serves a name that no other daemon holds.
     until("its own swarm is served", async || {
         set(&client, "own", "x", 2.0).await.len() == 1
+    })
+    .await;
+    // The keys of a swarm and those of the daemon may arrive over different connections.
+    until("the second daemon is reachable", async || {
+        node_is_there(&client, "b").await
     })
     .await;
     // It cannot create a swarm whose name another daemon holds.
@@ -215,7 +237,7 @@ async fn a_second_daemon_serves_once_the_first_is_gone_and_yields_when_it_is_bac
     signal(&first, "-STOP");
     let buffered = Client::open(&router.1).await;
     let buffered = tokio::spawn(async move { set(&buffered, "school", "buffered", 3.5).await });
-    until_standing(&client, "school", &[("b", Standing::Serving)]).await;
+    until_standings(&client, "school", &[("b", Standing::Serving)]).await;
     let late = Client::open(&router.1).await;
     let answers = set(&late, "school", "while-stopped", 4.0).await;
     assert!(matches!(answers[..], [Ok(_)]), "{answers:?}");
@@ -223,13 +245,13 @@ async fn a_second_daemon_serves_once_the_first_is_gone_and_yields_when_it_is_bac
     let answers = buffered.await.unwrap();
     assert!(answers.iter().all(Result::is_err), "{answers:?}");
     // Both executed commands by now, so neither goes on.
-    until_standing(
+    until_standings(
         &client,
         "school",
         &[("a", Standing::Changed), ("b", Standing::Changed)],
     )
     .await;
-    until_refused(&client, "school", ["a", "b"]).await;
+    until_contested(&client, "school", ["a", "b"]).await;
     // An operator deletes one of the two swarms.
     let (code, text) = jostle(&router.1, &["delete", "school", "--node", "b"]);
     assert_eq!(code, Some(0), "{text}");
@@ -253,16 +275,17 @@ async fn a_second_daemon_serves_once_the_first_is_gone_and_yields_when_it_is_bac
 }
 
 /// Waits until every daemon rejects a command with `contested`.
-async fn until_refused(client: &Client, swarm: &str, nodes: [&str; 2]) {
-    until("both refuse", async || {
-        let answers = set(client, swarm, "refused", 6.0).await;
-        answers
-            .iter()
-            .all(|it| it.as_ref().is_err_and(|it| it.code == ErrorCode::Contested))
-            && !answers.is_empty()
+async fn until_contested(client: &Client, swarm: &str, nodes: [&str; 2]) {
+    let mut answers = Vec::new();
+    until("both reject", async || {
+        answers = set(client, swarm, "refused", 6.0).await;
+        let is_contested = |it: &crate::support::QueryResult| {
+            it.as_ref().is_err_and(|it| it.code == ErrorCode::Contested)
+        };
+        answers.iter().all(is_contested) && !answers.is_empty()
     })
     .await;
-    for answer in set(client, swarm, "refused", 6.0).await {
+    for answer in answers {
         let error = answer.unwrap_err();
         let mut named: Vec<&str> = error.details["nodes"]
             .as_array()
@@ -276,13 +299,12 @@ async fn until_refused(client: &Client, swarm: &str, nodes: [&str; 2]) {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn after_a_cut_both_reject_everything_until_one_is_gone() {
-    let _machine = beside_others().await;
-    let (a, b) = (Place::new("a"), Place::new("b"));
+async fn after_a_cut_both_reject_everything_until_one_ends() {
+    let (a, b) = (RestartableDaemon::new("a"), RestartableDaemon::new("b"));
     b.prepare(&["school"]).await;
     let mut first = a.start();
-    let cut = Cut::before(&a.endpoint);
-    let router = Router::to(&[&cut.endpoint, &b.endpoint]);
+    let proxy = CuttableProxy::to(&a.endpoint);
+    let router = Router::connected_to(&[&proxy.endpoint, &b.endpoint]);
     let client = Client::open(&router.1).await;
     until("the router is connected", async || {
         node_is_there(&client, "a").await
@@ -290,15 +312,15 @@ async fn after_a_cut_both_reject_everything_until_one_is_gone() {
     .await;
     create(&client, "a", "school").await.unwrap();
     let mut second = b.start();
-    until_standing(
+    until_standings(
         &client,
         "school",
         &[("a", Standing::Changed), ("b", Standing::Waiting)],
     )
     .await;
 
-    cut.cut();
-    until_standing(&client, "school", &[("b", Standing::Serving)]).await;
+    proxy.cut();
+    until_standings(&client, "school", &[("b", Standing::Serving)]).await;
     // On either side of a cut both execute: see docs/guarantees.md.
     let direct = Client::open(&a.endpoint).await;
     for (client, id) in [(&client, "behind-the-router"), (&direct, "at-the-first")] {
@@ -307,9 +329,9 @@ async fn after_a_cut_both_reject_everything_until_one_is_gone() {
     }
     let both = [("a", Standing::Changed), ("b", Standing::Changed)];
     // While it heals, nothing is executed twice.
-    cut.heal();
+    proxy.heal();
     let mut ids = Vec::new();
-    until("both refuse", async || {
+    until("both reject", async || {
         let id = format!("healing-{}", ids.len());
         let answers = set(&client, "school", &id, 2.0 + 1e-3 * ids.len() as f64).await;
         ids.push(id);
@@ -318,12 +340,12 @@ async fn after_a_cut_both_reject_everything_until_one_is_gone() {
             .any(|it| it.as_ref().is_err_and(|it| it.code == ErrorCode::Contested))
     })
     .await;
-    until_standing(&client, "school", &both).await;
+    until_standings(&client, "school", &both).await;
     for client in [&client, &direct] {
-        until_refused(client, "school", ["a", "b"]).await;
+        until_contested(client, "school", ["a", "b"]).await;
         // A get could return the state of either swarm, so it is rejected, too.
         let key = keys::get(PREFIX, "school", "status");
-        for answer in client.ask(&key, None).await {
+        for answer in client.query_all(&key, None).await {
             assert_eq!(answer.unwrap_err().code, ErrorCode::Contested);
         }
     }
@@ -361,11 +383,10 @@ async fn after_a_cut_both_reject_everything_until_one_is_gone() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn of_two_daemons_of_one_name_the_later_serves_nothing_until_the_first_is_gone() {
-    let _machine = beside_others().await;
-    let (a, b) = (Place::new("lab"), Place::new("lab"));
+    let (a, b) = (RestartableDaemon::new("lab"), RestartableDaemon::new("lab"));
     b.prepare(&["other"]).await;
     let mut first = a.start();
-    let router = Router::to(&[&a.endpoint, &b.endpoint]);
+    let router = Router::connected_to(&[&a.endpoint, &b.endpoint]);
     let client = Client::open(&router.1).await;
     until("the router is connected", async || {
         node_is_there(&client, "lab").await
@@ -373,7 +394,7 @@ async fn of_two_daemons_of_one_name_the_later_serves_nothing_until_the_first_is_
     .await;
     create(&client, "lab", "school").await.unwrap();
     let mut second = b.start();
-    until_standing(&client, "other", &[("lab", Standing::Waiting)]).await;
+    until_standings(&client, "other", &[("lab", Standing::Waiting)]).await;
     for i in 0..20 {
         let swarms = node(&client, "lab", "swarms").await;
         let swarms = swarms["swarms"].as_array().unwrap();
@@ -403,16 +424,15 @@ async fn clients(client: &Client) -> u64 {
 #[tokio::test(flavor = "multi_thread")]
 async fn routers_that_connect_often_do_not_hold_commands_for_good() {
     const CONNECTIONS: usize = 20;
-    let _machine = beside_others().await;
-    let place = Place::new("a");
-    let _daemon = place.start();
-    let client = Client::open(&place.endpoint).await;
+    let daemon = RestartableDaemon::new("a");
+    let _daemon = daemon.start();
+    let client = Client::open(&daemon.endpoint).await;
     create(&client, "a", "school").await.unwrap();
     let began = Instant::now();
     // A process for each: zenoh 1.10.2 blocks a thread of its network runtime for 10 s after a router
     // session is closed, and 50 such threads stop every session of the process.
     for _ in 0..CONNECTIONS {
-        let router = Router::to(&[&place.endpoint]);
+        let router = Router::connected_to(&[&daemon.endpoint]);
         // A router listens before it has connected.
         until("the router is connected", async || {
             clients(&client).await == 2
@@ -423,7 +443,7 @@ async fn routers_that_connect_often_do_not_hold_commands_for_good() {
         drop(router);
         until("the router is gone", async || clients(&client).await == 1).await;
     }
-    let log = std::fs::read_to_string(place.folder.path().join("log")).unwrap();
+    let log = std::fs::read_to_string(daemon.folder.path().join("log")).unwrap();
     let not_held = log.matches("commands are not held for this one").count();
     // Five connections in 60 s hold commands; on a busy machine the connections may take longer.
     let most = 5 * (1 + began.elapsed().as_secs() / 60);
@@ -435,11 +455,10 @@ async fn routers_that_connect_often_do_not_hold_commands_for_good() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn the_command_line_waits_for_two_daemons_to_settle_who_serves() {
-    let _machine = beside_others().await;
-    let place = Place::new("a");
-    let _daemon = place.start();
-    let client = Client::open(&place.endpoint).await;
+async fn the_command_line_waits_until_two_daemons_agree_which_serves() {
+    let daemon = RestartableDaemon::new("a");
+    let _daemon = daemon.start();
+    let client = Client::open(&daemon.endpoint).await;
     create(&client, "a", "school").await.unwrap();
     // The claim of another daemon that has not yet read this one's.
     let claim = Claim {
@@ -452,14 +471,14 @@ async fn the_command_line_waits_for_two_daemons_to_settle_who_serves() {
     };
     let token = client.session.liveliness();
     let token = token.declare_token(claim.key(PREFIX)).await.unwrap();
-    let (code, text) = jostle(&place.endpoint, &["set", "school", "pi3=2"]);
+    let (code, text) = jostle(&daemon.endpoint, &["set", "school", "pi3=2"]);
     assert_eq!(code, Some(4), "{text}");
     let began = Instant::now();
     let yielding = thread::spawn(move || {
         thread::sleep(Duration::from_millis(300));
         drop(token);
     });
-    let (code, text) = jostle(&place.endpoint, &["set", "school", "pi3=2"]);
+    let (code, text) = jostle(&daemon.endpoint, &["set", "school", "pi3=2"]);
     assert_eq!(code, Some(0), "{text}");
     assert!(began.elapsed() >= Duration::from_millis(300), "not waited");
     yielding.join().unwrap();

@@ -1,4 +1,4 @@
-//! The documents in `proto/` and a running daemon say the same, both ways.
+//! The documents in `proto/` describe all that a daemon serves, and a daemon serves all of it.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -10,15 +10,21 @@ use serde_json::{Value, json};
 use zenoh::Session;
 use zenoh_ext::{AdvancedSubscriberBuilderExt, HistoryConfig};
 
-use crate::replay;
-use crate::support::{Answer, Client, Daemon, NODE, PREFIX, until};
+use crate::support::playback;
+use crate::support::{Daemon, NODE, PREFIX, until};
 
 mod bounds;
+mod prepare;
 mod recorded;
 #[path = "../../proto/tests/contract/types.rs"]
 mod types;
 
-/// A key of the document with what zenoh adds to it.
+use prepare::{
+    create, finish_experiment, prepare_experiment, prepare_recording, prepare_replay, send,
+    send_again,
+};
+
+/// A key of the document with its zenoh binding.
 struct Channel {
     key: String,
     zenoh: Value,
@@ -82,103 +88,10 @@ fn fixtures(message: &str) -> Vec<(String, Value)> {
     fixtures
 }
 
-/// Fails unless a reply is just what its type says.
+/// Fails unless a reply equals what its type writes.
 fn check_reply(message: &str, reply: &Value) {
     let back = types::written_back(message, &reply.to_string());
     assert_eq!(back.as_ref(), Ok(reply), "{message}");
-}
-
-/// The spec of the fixtures: four individuals, paused, one of them informed.
-async fn create(client: &Client, name: &str) {
-    let (_, create) = fixtures("create.args.everything").remove(0);
-    client.create(name, create["spec"].clone()).await;
-    let informed = json!({"select": {"ids": [3]}, "direction": 1});
-    client.ok(name, "inform", informed).await;
-}
-
-/// Submits the experiment of the fixtures and waits until it is finished.
-async fn finish_experiment(client: &Client) {
-    let (_, submit) = fixtures("experiment.args")
-        .into_iter()
-        .find(|(name, _)| name == "experiment.args.json")
-        .unwrap();
-    send_again(client, "", "experiment", &submit).await.unwrap();
-    let key = keys::experiment(PREFIX, NODE, EXPERIMENT, "progress");
-    until("the experiment is finished", async || {
-        client.one(&key, None).await.unwrap()["phase"] == "finished"
-    })
-    .await;
-}
-
-/// Has an experiment of the fixtures' name be there, such that `args` can be carried out.
-async fn prepare_experiment(client: &Client, args: &Value) {
-    let send = async |args: Value| send_again(client, "", "experiment", &args).await;
-    // Whatever there was before, also of the name at its bound.
-    let named = args.as_object().unwrap().values();
-    let named = named.filter_map(|it| it["name"].as_str());
-    for name in named.chain([EXPERIMENT]) {
-        let name = json!({"name": name});
-        let _ = send(json!({"cancel": name})).await;
-        let _ = send(json!({"delete": name})).await;
-    }
-    let name = json!({"name": EXPERIMENT});
-    if args.get("submit").is_some() {
-        return;
-    }
-    let toml = "name = \"small\"\nduration = 1e6\nspec = { n = 20 }\n";
-    send(json!({"submit": {"toml": toml}})).await.unwrap();
-    if args.get("delete").is_some() {
-        send(json!({"cancel": name})).await.unwrap();
-    }
-}
-
-/// Has what a replay is made of be there.
-async fn prepare_replay(daemon: &Daemon, args: &Value, take: &[u8]) {
-    let client = &daemon.client;
-    client.ask(&keys::cmd(PREFIX, "tape", "delete"), None).await;
-    if let Some(upload) = args.get("upload") {
-        let number = |name: &str| usize::try_from(upload[name].as_u64().unwrap()).unwrap();
-        let file = vec![0; number("length")];
-        let mut from = 0;
-        while from < number("offset") {
-            let to = number("offset").min(from + 100_000);
-            let _ = replay::piece(client, "tape", &file, from, to).await;
-            from = to;
-        }
-    } else if let Some(recording) = args["open"]["recording"].as_str() {
-        let folder = daemon.data_dir().join("recordings").join(recording);
-        fs::create_dir_all(&folder).unwrap();
-        fs::write(folder.join("part-00000.mcap"), take).unwrap();
-    } else {
-        replay::upload(client, "tape", take).await;
-    }
-}
-
-/// Has a recording of the fixtures' name be there, unless `args` are to begin one.
-async fn prepare_recording(client: &Client, args: &Value) {
-    // Another verb may have deleted it.
-    client
-        .ask(&keys::cmd(PREFIX, "school", "delete"), None)
-        .await;
-    create(client, "school").await;
-    let send = async |args: Value| send_again(client, "", "record", &args).await;
-    let _ = send(json!({"delete": {"recording": "take"}})).await;
-    if args.get("begin").is_none() {
-        let begin = json!({"swarm": "school", "recording": "take"});
-        send(json!({"begin": begin})).await.unwrap();
-    }
-}
-
-/// Sends a command's arguments to a swarm of its own, or to the node.
-async fn send(client: &Client, swarm: &str, verb: &str, request: &Value) -> Answer {
-    if !keys::NODE_VERBS.contains(&verb) {
-        create(client, swarm).await;
-    }
-    if ["advance", "leave"].contains(&verb) {
-        let args = json!({"controller": "ada", "select": {"ids": [0, 1, 2]}, "driving": true});
-        client.ok(swarm, "join", args).await;
-    }
-    send_again(client, swarm, verb, request).await
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -237,7 +150,7 @@ async fn every_channel_of_the_document_is_served() {
                 _ => "",
             };
             let reply = client
-                .one(&format!("{key}{parameters}"), None)
+                .query(&format!("{key}{parameters}"), None)
                 .await
                 .unwrap();
             let message = match last {
@@ -250,7 +163,7 @@ async fn every_channel_of_the_document_is_served() {
             check_reply(&message, &reply);
         }
     }
-    let take = replay::take(client).await;
+    let take = playback::recorded_file(client).await;
     for verb in verbs {
         for (i, (fixture, args)) in fixtures(&format!("{verb}.args")).into_iter().enumerate() {
             let swarm = format!("{verb}-{i}");
@@ -271,7 +184,9 @@ async fn every_channel_of_the_document_is_served() {
                     send(client, &swarm, &verb, &args).await
                 }
                 "seek" => {
-                    replay::show(client, &swarm, &take).await.unwrap();
+                    playback::upload_and_open(client, &swarm, &take)
+                        .await
+                        .unwrap();
                     send_again(client, &swarm, &verb, &args).await
                 }
                 _ => send(client, &swarm, &verb, &args).await,
@@ -286,7 +201,7 @@ async fn every_channel_of_the_document_is_served() {
                 if is_of_none {
                     continue;
                 }
-                // Others have the same name.
+                // Other fixtures use the same name.
                 let made = reply["swarm"].as_str().unwrap();
                 client.ok(made, "delete", json!({})).await;
             } else if verb == "advance" {
@@ -303,17 +218,8 @@ async fn every_channel_of_the_document_is_served() {
     daemon.stop().await;
 }
 
-/// Verbs that make a swarm, which has no step yet to wait for.
+/// Verbs that create a swarm: they cannot be scheduled.
 const MAKING: [&str; 3] = ["create", "fork", "restore"];
-
-/// Sends a command to a swarm that is there, or to the node.
-async fn send_again(client: &Client, swarm: &str, verb: &str, request: &Value) -> Answer {
-    let key = match keys::NODE_VERBS.contains(&verb) {
-        true => keys::node_cmd(PREFIX, NODE, verb),
-        false => keys::cmd(PREFIX, swarm, verb),
-    };
-    client.one(&key, Some(request.to_string().as_bytes())).await
-}
 
 async fn tokens(session: &Session, key: &str) -> Vec<String> {
     let replies = session.liveliness().get(key).await.unwrap();
@@ -341,7 +247,7 @@ async fn peer(daemon: &Daemon) -> Session {
     zenoh::open(config).await.unwrap()
 }
 
-/// The keys of a kind that `peer` was told of; those below `@node` are not shown to anyone.
+/// The keys of a kind that `peer` received; zenoh hides those below `@node`.
 async fn declared(peer: &Session, kind: &str) -> BTreeSet<String> {
     let start = format!("@/{}/router/{kind}/", peer.zid());
     let replies = peer.get(format!("{start}**")).await.unwrap();
@@ -374,13 +280,13 @@ fn documented(kind: &str, is_node: bool) -> BTreeSet<String> {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn whatever_the_daemon_declares_is_in_the_document() {
+async fn everything_the_daemon_declares_is_in_the_document() {
     let daemon = Daemon::start().await;
     let client = &daemon.client;
     create(client, "a").await;
     let peer = peer(&daemon).await;
     let [mut queryable, token] = ["queryable", "liveliness"].map(|kind| documented(kind, false));
-    // Answers a deletion that is asked for again by name, when nothing of its swarm is left.
+    // Replies to a retried deletion when its swarm is gone.
     queryable.insert(keys::cmd(PREFIX, "*", "delete"));
     until("all declarations", async || {
         declared(&peer, "queryable").await.len() >= queryable.len()
@@ -418,7 +324,7 @@ async fn whatever_the_daemon_declares_is_in_the_document() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn late_joiners_get_as_many_events_as_the_document_says() {
+async fn late_subscribers_get_as_many_events_as_the_document_states() {
     let daemon = Daemon::start().await;
     let client = &daemon.client;
     create(client, "a").await;
@@ -446,14 +352,14 @@ async fn late_joiners_get_as_many_events_as_the_document_says() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn wildcards_are_answered_where_the_document_welcomes_them() {
+async fn wildcards_get_replies_where_the_document_permits_them() {
     let daemon = Daemon::start().await;
     let client = &daemon.client;
     create(client, "a").await;
     finish_experiment(client).await;
     for (everything, is_node) in [("jostle/**", false), ("jostle/@node/**", true)] {
         let replies = client.session.get(everything).await.unwrap();
-        let (mut answered, mut refused) = (BTreeSet::new(), 0);
+        let (mut answered, mut rejected) = (BTreeSet::new(), 0);
         while let Ok(reply) = replies.recv_async().await {
             match reply.into_result() {
                 Ok(sample) => {
@@ -465,7 +371,7 @@ async fn wildcards_are_answered_where_the_document_welcomes_them() {
                         error.message.contains("a wildcard executes nothing"),
                         "{error:?}"
                     );
-                    refused += 1;
+                    rejected += 1;
                 }
             }
         }
@@ -475,7 +381,7 @@ async fn wildcards_are_answered_where_the_document_welcomes_them() {
             key.contains("/@node/") == is_node && queryable["wildcards"] == "welcome"
         });
         assert_eq!(answered, welcoming.map(|channel| channel.key).collect());
-        assert_eq!(refused, 1, "one queryable for all verbs");
+        assert_eq!(rejected, 1, "one queryable for all verbs");
     }
     daemon.stop().await;
 }
@@ -493,7 +399,7 @@ async fn the_verbs_and_nouns_that_errors_name_are_those_of_the_document() {
         keys::experiment(PREFIX, NODE, EXPERIMENT, ""),
     ] {
         let error = client
-            .one(&format!("{folder}jump"), None)
+            .query(&format!("{folder}jump"), None)
             .await
             .unwrap_err();
         assert_eq!(error.code, ErrorCode::NotFound);

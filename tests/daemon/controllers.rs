@@ -1,4 +1,4 @@
-//! Controllers: in lock-step, and beside a swarm that runs.
+//! Controllers in lock-step and in free-running mode.
 
 mod driving;
 mod late;
@@ -11,9 +11,9 @@ use serde_json::{Value, json};
 use tokio::time::sleep;
 use zenoh::liveliness::LivelinessToken;
 
-use crate::support::{Answer, Client, Daemon, PREFIX, until};
+use crate::support::{Client, Daemon, PREFIX, QueryResult, until};
 
-/// A swarm and those who steer it.
+/// A swarm and its controllers.
 async fn join(client: &Client, controller: &str, ids: &[u32], more: Value) -> Value {
     let mut args = json!({"controller": controller, "select": {"ids": ids}});
     for (field, value) in more.as_object().into_iter().flatten() {
@@ -22,7 +22,7 @@ async fn join(client: &Client, controller: &str, ids: &[u32], more: Value) -> Va
     client.ok("a", "join", args).await
 }
 
-async fn advance(client: &Client, controller: &str, step: u64, more: Value) -> Answer {
+async fn advance(client: &Client, controller: &str, step: u64, more: Value) -> QueryResult {
     let mut args = json!({"controller": controller});
     for (field, value) in more.as_object().into_iter().flatten() {
         args[field] = value.clone();
@@ -47,12 +47,12 @@ async fn token(client: &Client, controller: &str) -> LivelinessToken {
 
 async fn weights(client: &Client) -> Vec<f64> {
     let key = format!("{}?format=json", keys::state(PREFIX, "a"));
-    let state = client.one(&key, None).await.unwrap();
+    let state = client.query(&key, None).await.unwrap();
     serde_json::from_value(state["weight"].clone()).unwrap()
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn it_steps_when_all_have_advanced_and_tells_each_where_it_is() {
+async fn a_swarm_steps_when_all_have_advanced_and_replies_to_each() {
     let daemon = Daemon::start().await;
     let (ada, bob) = (&daemon.client, &daemon.another_client().await);
     ada.create("a", json!({"n": 12})).await;
@@ -79,7 +79,7 @@ async fn it_steps_when_all_have_advanced_and_tells_each_where_it_is() {
         assert_eq!(ada.err("a", "join", args).await.0, code);
     }
 
-    // One who has advanced waits; whoever only looks does not, and does not hold anybody up.
+    // A controller that has advanced waits; a query does not wait, and delays no controller.
     let set = json!({"set": {"ids": [0], "direction": [1.0], "weight": [2.0]}});
     let (first, ()) = tokio::join!(advance(ada, "ada", 0, set), async {
         until("bob is awaited", async || {
@@ -115,7 +115,7 @@ async fn it_steps_when_all_have_advanced_and_tells_each_where_it_is() {
         json!([])
     );
 
-    // Who is elsewhere than it thinks hears where it is.
+    // An `expect_step` that differs from the swarm's step is an error with that step.
     let error = advance(ada, "ada", 0, json!({})).await.unwrap_err();
     assert_eq!((error.code, error.step), (ErrorCode::Conflict, Some(1)));
     let set = json!({"set": {"ids": [drawn[0]], "direction": [1.0]}});
@@ -123,7 +123,7 @@ async fn it_steps_when_all_have_advanced_and_tells_each_where_it_is() {
     assert_eq!(error.code, ErrorCode::InvalidArgument);
     assert!(error.message.contains("bob"), "{}", error.message);
 
-    // Ten at once for one are ten exchanges of the other.
+    // Ten steps in one advance are ten exchanges of the other controller.
     let (ten, ()) = tokio::join!(advance(ada, "ada", 1, json!({"steps": 10})), async {
         for step in 1..11 {
             assert_eq!(steps_on(bob, "bob", step).await["step"], step + 1);
@@ -137,7 +137,7 @@ async fn it_steps_when_all_have_advanced_and_tells_each_where_it_is() {
             ErrorCode::IncorrectState
         );
     }
-    // Who leaves lets the others go, and what it steered.
+    // A controller that leaves frees its individuals, and the others advance without it.
     let (last, _) = tokio::join!(advance(ada, "ada", 11, json!({})), async {
         until("ada waits", async || {
             bob.get("a", "status").await["result"]["waiting_for"][0]["controller"] == "bob"
@@ -187,7 +187,7 @@ async fn a_deadline_fires_and_after_three_the_others_are_alone() {
             (one.unwrap()["step"].clone(), other.unwrap()["step"].clone()),
             (json!(1), json!(1))
         );
-        // Nobody waits, so nobody is late.
+        // No controller waits, so none is late.
         sleep(Duration::from_millis(700)).await;
         let mut step = 1;
         for misses in 1..=3 {
@@ -220,7 +220,7 @@ async fn a_deadline_fires_and_after_three_the_others_are_alone() {
         let deadlines = entries.iter().filter(|it| it["verb"] == "deadline").count();
         assert_eq!(deadlines, 3, "each is an input");
 
-        // The same journal, the same hash: told again it needs no clock.
+        // The same journal, the same hash: a replay needs no clock.
         let hash = ada.hash("a").await;
         let verified = ada.get("a", "verify").await;
         assert_eq!(verified["result"]["differs_at"], Value::Null);
@@ -240,7 +240,7 @@ async fn a_deadline_fires_and_after_three_the_others_are_alone() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn who_is_late_but_comes_goes_on_counting_from_none() {
+async fn a_late_advance_resets_the_count_of_misses() {
     let daemon = Daemon::start().await;
     let client = &daemon.client;
     client.create("a", json!({"n": 6})).await;
@@ -264,7 +264,7 @@ async fn who_is_late_but_comes_goes_on_counting_from_none() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_controller_whose_token_goes_has_left_at_once() {
+async fn a_controller_whose_token_disappears_is_removed_at_once() {
     let daemon = Daemon::start().await;
     let (ada, bob) = (&daemon.client, daemon.another_client().await);
     ada.create("a", json!({"n": 6})).await;
@@ -295,7 +295,7 @@ async fn a_controller_whose_token_goes_has_left_at_once() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn one_that_comes_back_takes_its_place_though_its_old_token_goes_later() {
+async fn a_controller_that_rejoins_stays_when_its_old_token_disappears() {
     let daemon = Daemon::start().await;
     let (client, old) = (&daemon.client, daemon.another_client().await);
     client.create("a", json!({"n": 6})).await;
@@ -312,7 +312,7 @@ async fn one_that_comes_back_takes_its_place_though_its_old_token_goes_later() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn whoever_waits_is_told_when_something_comes_between() {
+async fn a_waiting_controller_gets_a_reply_when_a_command_intervenes() {
     let daemon = Daemon::start().await;
     let client = &daemon.client;
     client.create("a", json!({"n": 6})).await;
@@ -341,7 +341,7 @@ async fn whoever_waits_is_told_when_something_comes_between() {
         2,
         "they stay"
     );
-    // An individual that is gone is told to whoever steered it.
+    // The news of a controller list its individuals that were removed.
     client
         .ok("a", "remove", json!({"select": {"ids": [5]}}))
         .await;
@@ -353,7 +353,7 @@ async fn whoever_waits_is_told_when_something_comes_between() {
     let set = json!({"set": {"ids": [5], "direction": [0.0]}});
     let error = advance(client, "ada", 1, set).await.unwrap_err();
     assert_eq!(error.code, ErrorCode::InvalidArgument);
-    // The same controller once more takes the place of its own request.
+    // A second request of the same controller replaces its first.
     let (first, second) = tokio::join!(advance(client, "ada", 1, json!({})), async {
         until("ada waits", async || {
             client.get("a", "status").await["result"]["waiting_for"][0]["controller"] == "bob"
@@ -366,14 +366,14 @@ async fn whoever_waits_is_told_when_something_comes_between() {
     });
     assert_eq!(first.unwrap_err().code, ErrorCode::Conflict);
     assert_eq!(second.0.unwrap()["step"], 2);
-    // A deletion leaves nobody waiting.
+    // A deletion ends every wait.
     let reply = meanwhile("delete", json!({})).await;
     assert_eq!(reply.unwrap()["result"]["steps"], 0);
     daemon.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn joining_stops_a_swarm_that_runs_and_what_was_told_survives_the_daemon() {
+async fn join_stops_a_running_swarm_and_set_points_survive_a_restart() {
     let daemon = Daemon::start().await;
     let client = &daemon.client;
     client.create("a", json!({"n": 20, "rate": 5})).await;
@@ -408,7 +408,7 @@ async fn joining_stops_a_swarm_that_runs_and_what_was_told_survives_the_daemon()
         (&json!("ada"), &json!([3]))
     );
     assert_eq!(steps_on(client, "ada", step + 5).await["step"], step + 6);
-    // A copy has a future of its own, and no controllers.
+    // A fork has no controllers.
     client.ok("a", "fork", json!({"name": "b"})).await;
     assert_eq!(client.get("b", "status").await["result"]["controllers"], 0);
     client.ok("b", "step", json!({})).await;
@@ -460,17 +460,17 @@ async fn set_points_reach_a_swarm_that_runs_and_lapse_with_their_lease() {
     let set = |sequence: u64, id: u32, weight: f64| json!({"sequence": sequence, "set": {"ids": [id], "direction": [1.0], "weight": [weight]}});
     put(&key, set(1, 3, 2.0)).await;
     until("it is applied", async || weights(client).await[3] == 2.0).await;
-    // Too old, for another epoch, about another's, unreadable, out of range, to everybody.
+    // Stale, for another epoch, of another's individuals, unreadable, out of range, without a controller.
     put(&key, set(1, 3, 9.0)).await;
     let mut other = set(2, 3, 9.0);
     other["epoch"] = json!(7);
     put(&key, other).await;
     until("both are stale", async || puts().await["stale"] == 2).await;
     put(&key, set(3, 5, 9.0)).await;
-    until("it is refused", async || puts().await["refused"] == 1).await;
+    until("it is rejected", async || puts().await["refused"] == 1).await;
     put(&key, json!({"sequence": 4})).await;
     put(&key, set(5, 3, -1.0)).await;
-    until("they are refused", async || puts().await["refused"] == 3).await;
+    until("they are rejected", async || puts().await["refused"] == 3).await;
     put("jostle/*/ctl/*", set(100, 3, 9.0)).await;
     put("jostle/**", set(100, 3, 9.0)).await;
     let cbor = jostle_proto::to_cbor(&set(6, 4, 3.0));
@@ -478,7 +478,7 @@ async fn set_points_reach_a_swarm_that_runs_and_lapse_with_their_lease() {
     sent.await.unwrap();
     until("CBOR is read", async || weights(client).await[4] == 3.0).await;
     assert!(weights(client).await.iter().all(|weight| *weight < 9.0));
-    // Nothing more comes: what it steered is free again, and told of.
+    // Without further puts its individuals are uninformed again, and an event reports it.
     until("the lease ends", async || {
         weights(client).await.iter().all(|it| *it == 0.0)
     })

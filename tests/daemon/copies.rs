@@ -1,14 +1,14 @@
-//! Forks, snapshots, and a past told again.
+//! Forks, snapshots and replays of a history.
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use jostle_proto::{ErrorCode, Reply, Snapshot, keys};
 use serde_json::{Value, json};
 
-use crate::support::{Answer, Client, Daemon, NODE, PREFIX};
+use crate::support::{Client, Daemon, NODE, PREFIX, QueryResult};
 
 /// A group of the paper's size, in contact.
-async fn settled(client: &Client, name: &str, n: u64) {
+async fn create_in_contact(client: &Client, name: &str, n: u64) {
     client
         .create(name, json!({"n": n, "seed": 5, "pi1": 4, "rate": null}))
         .await;
@@ -23,18 +23,20 @@ async fn snapshot(client: &Client, swarm: &str) -> Vec<u8> {
     jostle_proto::to_cbor(&reply.result)
 }
 
-async fn restore(client: &Client, name: &str, snapshot: &[u8]) -> Answer {
+async fn restore(client: &Client, name: &str, snapshot: &[u8]) -> QueryResult {
     let request = json!({"name": name, "snapshot": STANDARD.encode(snapshot)});
     let key = keys::node_cmd(PREFIX, NODE, "restore");
-    client.one(&key, Some(request.to_string().as_bytes())).await
+    client
+        .query(&key, Some(request.to_string().as_bytes()))
+        .await
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_fork_has_the_same_future_until_it_is_treated_differently() {
+async fn a_fork_has_the_same_future_until_it_gets_other_commands() {
     let daemon = Daemon::start().await;
     let client = &daemon.client;
-    settled(client, "a", 74).await;
-    // Now also while it runs, wherever that is.
+    create_in_contact(client, "a", 74).await;
+    // The present state of a running swarm, too.
     client.ok("a", "run", json!({"rate": null})).await;
     let forked = client.ok("a", "fork", json!({"name": "b"})).await;
     let step = forked["step"].as_u64().unwrap();
@@ -46,18 +48,18 @@ async fn a_fork_has_the_same_future_until_it_is_treated_differently() {
     );
     let informed = json!({"select": {"ids": [3, 30, 50]}, "direction": 1.0});
     let later = step + 20_000;
-    let told = json!({"at_step": later, "args": informed});
-    client.ok("a", "inform", told).await;
+    let scheduled = json!({"at_step": later, "args": informed});
+    client.ok("a", "inform", scheduled).await;
     let a = client.hash_at("a", later + 200).await;
     // The same command at the same step.
     let b = client.hash_at("b", later).await;
     client.ok("b", "inform", informed).await;
     assert_eq!(client.hash_at("b", later + 200).await, a);
 
-    // As it was on the way there, what it had been told to do by then included.
+    // As it was at an earlier step, with its scheduled commands.
     for (name, at) in [("c", later), ("d", later - 100), ("e", later + 100)] {
-        let args = json!({"name": name, "step": at});
-        let forked = client.ok("a", "fork", args).await;
+        let fork = json!({"timeout_secs": 60, "args": {"name": name, "step": at}});
+        let forked = client.ok("a", "fork", fork).await;
         assert_eq!(forked["step"], at);
         assert_eq!(client.hash_at(name, later + 200).await, a, "{name}");
         if name == "c" {
@@ -78,7 +80,7 @@ async fn a_fork_has_the_same_future_until_it_is_treated_differently() {
 async fn what_if_they_had_not_been_informed() {
     let daemon = Daemon::start().await;
     let client = &daemon.client;
-    settled(client, "a", 30).await;
+    create_in_contact(client, "a", 30).await;
     let arrived = client.hash("a").await;
     let informed = json!({"select": {"count": 3}, "direction": 0.5});
     let ids = client.ok("a", "inform", informed.clone()).await;
@@ -87,7 +89,7 @@ async fn what_if_they_had_not_been_informed() {
     let client = &daemon.client;
     client.ok("a", "step", json!({"steps": 700})).await;
 
-    // As it arrived, before it was informed; also in a daemon that was started since.
+    // As it reached the step, before the `inform`; also after a restart of the daemon.
     let daemon = daemon.restart().await;
     let client = &daemon.client;
     for name in ["b", "c"] {
@@ -97,10 +99,10 @@ async fn what_if_they_had_not_been_informed() {
         assert_eq!(forked["result"]["state_hash"], arrived.as_str());
         assert_eq!(forked["step"], 1500);
     }
-    // In the middle of what one command had it do, too.
+    // At a step within one `step` command, too.
     let midway = json!({"name": "midway", "step": 700});
     assert_eq!(client.ok("a", "fork", midway).await["step"], 700);
-    // Told the same it does the same, the draw included; told nothing it does not.
+    // The same command has the same effect, the draw included; without it the states differ.
     let again = client.ok("b", "inform", informed).await;
     assert_eq!(again["result"]["ids"], ids["result"]["ids"]);
     let there = client.hash("a").await;
@@ -121,7 +123,7 @@ async fn what_if_they_had_not_been_informed() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_snapshot_goes_on_in_any_daemon() {
     let (here, there) = (Daemon::start().await, Daemon::start().await);
-    settled(&here.client, "a", 74).await;
+    create_in_contact(&here.client, "a", 74).await;
     let informed = json!({"select": {"count": 4}, "direction": 2.0, "for_time": 5.0});
     here.client.ok("a", "inform", informed).await;
     let rules = json!({"attraction": {"kind": "topological", "neighbours": 7}, "noise": 0.05,
@@ -145,9 +147,9 @@ async fn a_snapshot_goes_on_in_any_daemon() {
     );
     assert_eq!(parameters["attraction"]["neighbours"], 7);
 
-    let refused = restore(&there.client, "b", &bytes).await.unwrap_err();
-    assert_eq!(refused.code, ErrorCode::AlreadyExists);
-    // A bit of a position: every part that a future depends on is under the hash.
+    let error = restore(&there.client, "b", &bytes).await.unwrap_err();
+    assert_eq!(error.code, ErrorCode::AlreadyExists);
+    // A bit of a position: the hash covers every part that later states depend on.
     let mut read = Snapshot::from_cbor(&bytes).unwrap();
     read.x[10] = f64::from_bits(read.x[10].to_bits() ^ 1);
     for bad in [
@@ -156,18 +158,18 @@ async fn a_snapshot_goes_on_in_any_daemon() {
         Vec::new(),
         b"snapshot".to_vec(),
     ] {
-        let refused = restore(&there.client, "c", &bad).await.unwrap_err();
-        assert_eq!(refused.code, ErrorCode::InvalidArgument, "{refused:?}");
+        let error = restore(&there.client, "c", &bad).await.unwrap_err();
+        assert_eq!(error.code, ErrorCode::InvalidArgument, "{error:?}");
     }
     here.stop().await;
     there.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_past_comes_out_the_same_when_it_is_told_again() {
+async fn verify_replays_a_history_to_the_same_hashes() {
     let daemon = Daemon::start().await;
     let client = &daemon.client;
-    settled(client, "a", 40).await;
+    create_in_contact(client, "a", 40).await;
     client
         .ok(
             "a",
@@ -188,7 +190,7 @@ async fn a_past_comes_out_the_same_when_it_is_told_again() {
     assert_eq!(verified["to_step"], 2600);
     // Every 500 steps: five before the reset, four and one after it; and the present one.
     assert_eq!(verified["hashes"], 11);
-    // A past that is too short for any to be written down has that alone.
+    // A history too short for a journaled hash has only the present one.
     client.create("short", json!({"n": 10})).await;
     client.ok("short", "step", json!({"steps": 7})).await;
     let informed = json!({"select": {"count": 2}, "direction": 1});
@@ -206,10 +208,10 @@ async fn a_past_comes_out_the_same_when_it_is_told_again() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_restarted_daemon_has_its_swarms_as_they_were() {
+async fn a_restarted_daemon_recovers_its_swarms() {
     let daemon = Daemon::start().await;
     let client = &daemon.client;
-    settled(client, "paused", 20).await;
+    create_in_contact(client, "paused", 20).await;
     client.create("running", json!({"n": 20, "rate": 2})).await;
     client
         .ok("running", "run", json!({"until_step": 1_000_000}))
@@ -239,7 +241,7 @@ async fn a_restarted_daemon_has_its_swarms_as_they_were() {
         client.get("paused", "journal").await["result"]["entries"],
         journal
     );
-    // The answer that it had, and no two more.
+    // The reply that it had, and no second execution.
     assert_eq!(client.ok("paused", "inject", named).await, first);
     assert_eq!(client.hash("paused").await, hash);
     let running = client.get("running", "status").await;

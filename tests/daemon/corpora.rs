@@ -1,4 +1,4 @@
-//! What fuzzers found to be interesting, once more: each file of `fuzz/corpus`, whole and cut short.
+//! Every file of `fuzz/corpus`, complete and truncated, as input of its target.
 
 use std::path::{Path, PathBuf};
 
@@ -6,8 +6,8 @@ fn fuzz() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz")
 }
 
-/// Hands every file of a target's corpus to it.
-fn holds(target: &str, hold: fn(&[u8])) {
+/// Runs a target with every file of its corpus.
+fn check_corpus(target: &str, check: fn(&[u8])) {
     let bin = fuzz().join("fuzz_targets").join(format!("{target}.rs"));
     assert!(bin.exists(), "{target} is not fuzzed");
     let mut files = 0;
@@ -17,7 +17,7 @@ fn holds(target: &str, hold: fn(&[u8])) {
         // Shown if it panics, so that the file is known.
         println!("{}", path.display());
         for length in [data.len(), data.len() / 2, data.len().saturating_sub(1)] {
-            hold(&data[..length]);
+            check(&data[..length]);
         }
         files += 1;
     }
@@ -29,7 +29,7 @@ macro_rules! targets {
         $(
             #[test]
             fn $target() {
-                holds(stringify!($target), crate::targets::$target::hold);
+                check_corpus(stringify!($target), crate::targets::$target::check);
             }
         )*
 

@@ -1,4 +1,4 @@
-//! `jostled run` as its users meet it: killed, interrupted, run twice, run beside itself.
+//! `jostled run`: killed, interrupted, executed twice and concurrently.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -7,10 +7,10 @@ use std::process::{Command, Output, Stdio};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-use crate::apart::{Process, jostled};
-use crate::support::PATIENCE;
+use crate::support::TIMEOUT;
+use crate::support::process::{Process, jostled};
 
-/// Some seconds of one core: long enough to be killed in the midst of it.
+/// Some seconds of one core: long enough to be killed during the execution.
 const EXPERIMENT: &str = r#"
 name = "killed"
 seed = 3
@@ -31,7 +31,7 @@ order_every = 100
 const RUNS: usize = 24;
 
 /// A folder with the experiment's file in it.
-fn written() -> tempfile::TempDir {
+fn write_experiment() -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     fs::write(folder.path().join("killed.toml"), EXPERIMENT).unwrap();
     folder
@@ -55,7 +55,7 @@ fn tables(folder: &Path, output: &str) -> BTreeMap<&'static str, Vec<u8>> {
     names.into_iter().map(|name| (name, read(name))).collect()
 }
 
-/// The whole lines of the list of finished runs, its header aside.
+/// The complete lines of the list of finished runs, without its header.
 fn finished(folder: &Path, output: &str) -> Vec<String> {
     let text = fs::read_to_string(folder.join(output).join("runs.jsonl")).unwrap_or_default();
     let lines = text.split_inclusive('\n').skip(1);
@@ -67,14 +67,14 @@ fn finished(folder: &Path, output: &str) -> Vec<String> {
 pub fn until(what: &str, mut is_true: impl FnMut() -> bool) {
     let began = Instant::now();
     while !is_true() {
-        assert!(began.elapsed() < PATIENCE, "waiting for {what}");
+        assert!(began.elapsed() < TIMEOUT, "waiting for {what}");
         sleep(Duration::from_millis(2));
     }
 }
 
 #[test]
 fn tables_are_the_same_bytes_however_often_it_is_killed_and_on_any_number_of_threads() {
-    let folder = written();
+    let folder = write_experiment();
     let folder = folder.path();
     let whole = run(folder, "whole", &["--threads", "1"]);
     assert_eq!(whole.status.code(), Some(0), "{whole:?}");
@@ -90,8 +90,8 @@ fn tables_are_the_same_bytes_however_often_it_is_killed_and_on_any_number_of_thr
         process.end();
     }
     let before = finished(folder, "killed");
-    assert!(before.len() < RUNS, "it was killed too late to tell");
-    // A line cut short is no run.
+    assert!(before.len() < RUNS, "it was killed too late");
+    // A truncated line is not a run.
     let list = folder.join("killed").join("runs.jsonl");
     let mut torn = fs::read(&list).unwrap();
     torn.extend(&before[0].as_bytes()[..20]);
@@ -103,7 +103,7 @@ fn tables_are_the_same_bytes_however_often_it_is_killed_and_on_any_number_of_thr
     let after = finished(folder, "killed");
     assert_eq!((after.len(), &after[..before.len()]), (RUNS, &before[..]));
 
-    // Once more changes nothing, and mends a table that was lost.
+    // A further execution changes nothing, and restores a missing table.
     fs::remove_file(folder.join("killed").join("results.csv")).unwrap();
     let again = run(folder, "killed", &[]);
     assert_eq!(again.status.code(), Some(0), "{again:?}");
@@ -112,8 +112,8 @@ fn tables_are_the_same_bytes_however_often_it_is_killed_and_on_any_number_of_thr
 }
 
 #[test]
-fn ctrl_c_keeps_what_is_finished_and_tells_how_to_go_on() {
-    let folder = written();
+fn ctrl_c_keeps_finished_runs_and_prints_how_to_resume() {
+    let folder = write_experiment();
     let folder = folder.path();
     let mut interrupted = command(folder, "out", &["--threads", "2"]);
     let interrupted = interrupted.stdout(Stdio::piped()).stderr(Stdio::piped());
@@ -127,12 +127,12 @@ fn ctrl_c_keeps_what_is_finished_and_tells_how_to_go_on() {
 
     process.signal("-INT");
     assert_eq!(process.end().0, Some(130));
-    let mut told = String::new();
+    let mut stderr = String::new();
     let errors = process.0.stderr.take().unwrap();
-    std::io::Read::read_to_string(&mut { errors }, &mut told).unwrap();
+    std::io::Read::read_to_string(&mut { errors }, &mut stderr).unwrap();
     assert!(
-        told.contains("jostled run") && told.contains("-o"),
-        "{told}"
+        stderr.contains("jostled run") && stderr.contains("-o"),
+        "{stderr}"
     );
     let rows = tables(folder, "out")["results.csv"].clone();
     let rows = String::from_utf8(rows).unwrap().lines().count() - 1;
@@ -141,22 +141,22 @@ fn ctrl_c_keeps_what_is_finished_and_tells_how_to_go_on() {
 }
 
 #[test]
-fn another_file_in_the_same_folder_is_refused_and_changes_nothing() {
-    let folder = written();
+fn another_file_in_the_same_folder_is_rejected_and_changes_nothing() {
+    let folder = write_experiment();
     let folder = folder.path();
     let output = folder.join("out");
     fs::create_dir(&output).unwrap();
     fs::write(output.join("experiment.toml"), "another").unwrap();
-    let refused = run(folder, "out", &[]);
-    assert_eq!(refused.status.code(), Some(1));
-    let reason = String::from_utf8(refused.stderr).unwrap();
+    let ended = run(folder, "out", &[]);
+    assert_eq!(ended.status.code(), Some(1));
+    let reason = String::from_utf8(ended.stderr).unwrap();
     assert!(reason.contains("choose another folder"), "{reason}");
     assert!(!output.join("runs.jsonl").exists());
 }
 
 #[test]
 fn a_dry_run_lists_the_runs_and_their_seeds() {
-    let folder = written();
+    let folder = write_experiment();
     let file = folder.path().join("killed.toml");
     let listed = |more: &[&str]| {
         let mut command = jostled(&["run", "--dry-run"]);
@@ -181,9 +181,9 @@ fn a_dry_run_lists_the_runs_and_their_seeds() {
 
     fs::write(&file, EXPERIMENT.replace("duration", "durable")).unwrap();
     let mut command = jostled(&["run", "--dry-run"]);
-    let refused = command.arg(&file).stderr(Stdio::piped()).output().unwrap();
-    assert_eq!(refused.status.code(), Some(1));
-    let reason = String::from_utf8(refused.stderr).unwrap();
+    let output = command.arg(&file).stderr(Stdio::piped()).output().unwrap();
+    assert_eq!(output.status.code(), Some(1));
+    let reason = String::from_utf8(output.stderr).unwrap();
     assert!(
         reason.contains("line 5") && reason.contains("durable"),
         "{reason}"

@@ -1,4 +1,4 @@
-//! Experiments on a daemon: they outlive their clients, and the daemon itself.
+//! Experiments on a daemon: they continue without their clients, and after a restart.
 
 use std::fs;
 use std::path::Path;
@@ -7,11 +7,11 @@ use std::time::{Duration, Instant};
 use jostle_proto::{ErrorCode, keys};
 use serde_json::{Value, json};
 
-use crate::apart::{Process, jostled};
-use crate::crash::life::{Life, daemon};
-use crate::support::{Answer, Client, Daemon, NODE, PATIENCE, PREFIX, alone, beside_others, until};
+use crate::support::daemon_process::{DaemonProcess, daemon};
+use crate::support::process::{Process, jostled};
+use crate::support::{Client, Daemon, NODE, PREFIX, QueryResult, TIMEOUT, until};
 
-/// A handful of runs that take a second or two together.
+/// Some runs that take a second or two together.
 fn small(name: &str) -> String {
     format!(
         "name = \"{name}\"\nseed = 3\nreplicates = 2\nduration = 20\n[[grid]]\npi1 = [1, 4]\nn = \
@@ -19,14 +19,14 @@ fn small(name: &str) -> String {
     )
 }
 
-/// Runs that go on for longer than any test.
+/// Runs that take longer than any test.
 fn endless(name: &str) -> String {
     format!("name = \"{name}\"\nreplicates = 4\nduration = 1e6\n[[grid]]\nn = [20, 30]\n")
 }
 
-async fn send(client: &Client, args: &Value) -> Answer {
+async fn send(client: &Client, args: &Value) -> QueryResult {
     let key = keys::node_cmd(PREFIX, NODE, "experiment");
-    client.one(&key, Some(args.to_string().as_bytes())).await
+    client.query(&key, Some(args.to_string().as_bytes())).await
 }
 
 pub async fn ok(client: &Client, args: Value) -> Value {
@@ -38,14 +38,14 @@ pub async fn submit(client: &Client, toml: &str) -> Value {
     ok(client, json!({"submit": {"toml": toml}})).await
 }
 
-async fn refused(client: &Client, args: Value) -> (ErrorCode, String) {
+async fn error_of(client: &Client, args: Value) -> (ErrorCode, String) {
     let error = send(client, &args).await.unwrap_err();
     (error.code, error.message)
 }
 
-async fn get(client: &Client, name: &str, noun: &str) -> Answer {
+async fn get(client: &Client, name: &str, noun: &str) -> QueryResult {
     client
-        .one(&keys::experiment(PREFIX, NODE, name, noun), None)
+        .query(&keys::experiment(PREFIX, NODE, name, noun), None)
         .await
 }
 
@@ -54,8 +54,8 @@ pub async fn progress(client: &Client, name: &str) -> Value {
 }
 
 /// Waits until an experiment is in a phase.
-pub async fn reach(client: &Client, name: &str, phase: &str) -> Value {
-    let deadline = Instant::now() + 6 * PATIENCE;
+pub async fn wait_for_phase(client: &Client, name: &str, phase: &str) -> Value {
+    let deadline = Instant::now() + 6 * TIMEOUT;
     loop {
         let progress = progress(client, name).await;
         if progress["phase"] == phase {
@@ -66,7 +66,7 @@ pub async fn reach(client: &Client, name: &str, phase: &str) -> Value {
     }
 }
 
-/// Every row, asked for so many at a time.
+/// Every row, in pages of so many.
 pub async fn rows(client: &Client, name: &str, limit: usize) -> Vec<Value> {
     let (mut rows, mut after) = (Vec::new(), json!(0));
     while !after.is_null() {
@@ -86,7 +86,7 @@ pub async fn rows(client: &Client, name: &str, limit: usize) -> Vec<Value> {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn an_experiment_is_carried_out_told_of_and_its_results_come_in_pages() {
+async fn an_experiment_is_executed_its_progress_published_and_its_results_paged() {
     let daemon = Daemon::start().await;
     let client = &daemon.client;
     let key = keys::experiment(PREFIX, NODE, "small", "progress");
@@ -94,7 +94,7 @@ async fn an_experiment_is_carried_out_told_of_and_its_results_come_in_pages() {
     let submitted = submit(client, &small("small")).await;
     assert_eq!(submitted["created"], true);
     assert_eq!(submitted["progress"]["runs"], 16);
-    let finished = reach(client, "small", "finished").await;
+    let finished = wait_for_phase(client, "small", "finished").await;
     assert_eq!(
         (&finished["finished"], &finished["share"]),
         (&json!(16), &json!(1.0))
@@ -140,20 +140,22 @@ async fn an_experiment_is_carried_out_told_of_and_its_results_come_in_pages() {
     let list = client.node("experiments").await;
     assert_eq!(list["experiments"], json!([finished]));
     let wild = client
-        .ask("jostle/@node/*/experiment/*/progress", None)
+        .query_all("jostle/@node/*/experiment/*/progress", None)
         .await;
     assert_eq!(wild, [Ok(finished)]);
 
-    let mut told = Vec::new();
-    until("the end is told", async || {
+    let mut published = Vec::new();
+    until("the end is published", async || {
         while let Ok(Some(sample)) = samples.try_recv() {
-            let told_: Value = serde_json::from_slice(&sample.payload().to_bytes()).unwrap();
-            told.push(told_);
+            let progress: Value = serde_json::from_slice(&sample.payload().to_bytes()).unwrap();
+            published.push(progress);
         }
-        told.last().is_some_and(|last| last["phase"] == "finished")
+        published
+            .last()
+            .is_some_and(|last| last["phase"] == "finished")
     })
     .await;
-    let shares: Vec<f64> = told
+    let shares: Vec<f64> = published
         .iter()
         .map(|it| it["share"].as_f64().unwrap())
         .collect();
@@ -162,20 +164,20 @@ async fn an_experiment_is_carried_out_told_of_and_its_results_come_in_pages() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn the_same_file_again_is_the_same_experiment_and_another_is_refused() {
+async fn the_same_file_again_is_the_same_experiment_and_another_is_rejected() {
     let daemon = Daemon::start().await;
     let client = &daemon.client;
     submit(client, &small("small")).await;
     let again = submit(client, &small("small")).await;
     assert_eq!(again["created"], false);
     let other = json!({"submit": {"toml": small("other"), "name": "small"}});
-    let (code, message) = refused(client, other.clone()).await;
+    let (code, message) = error_of(client, other.clone()).await;
     assert_eq!(code, ErrorCode::AlreadyExists);
     assert!(
         message.contains("another name") && message.contains("delete"),
         "{message}"
     );
-    reach(client, "small", "finished").await;
+    wait_for_phase(client, "small", "finished").await;
     assert_eq!(submit(client, &small("small")).await["created"], false);
     ok(client, json!({"delete": {"name": "small"}})).await;
     let gone = get(client, "small", "progress").await.unwrap_err();
@@ -189,7 +191,7 @@ async fn the_same_file_again_is_the_same_experiment_and_another_is_refused() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_is_no_experiment_is_refused_by_its_line() {
+async fn an_invalid_experiment_is_rejected_with_its_line() {
     let daemon = Daemon::start().await;
     let client = &daemon.client;
     for (toml, named) in [
@@ -213,11 +215,11 @@ async fn what_is_no_experiment_is_refused_by_its_line() {
         json!({"begin": {}}),
         json!({"submit": {"toml": 5}}),
     ] {
-        let (code, message) = refused(client, args.clone()).await;
+        let (code, message) = error_of(client, args.clone()).await;
         assert_eq!(code, ErrorCode::InvalidArgument, "{args}: {message}");
     }
     for what in ["pause", "resume", "cancel", "delete"] {
-        let (code, _) = refused(client, json!({what: {"name": "nobody"}})).await;
+        let (code, _) = error_of(client, json!({what: {"name": "nobody"}})).await;
         assert_eq!(code, ErrorCode::NotFound, "{what}");
     }
     assert_eq!(client.node("experiments").await["experiments"], json!([]));
@@ -225,36 +227,36 @@ async fn what_is_no_experiment_is_refused_by_its_line() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn of_a_paused_experiment_the_runs_stand_still_and_the_next_begins() {
+async fn the_runs_of_a_paused_experiment_stop_and_the_next_begins() {
     let daemon = Daemon::start().await;
     let client = &daemon.client;
     submit(client, &endless("first")).await;
-    reach(client, "first", "running").await;
+    wait_for_phase(client, "first", "running").await;
     submit(client, &small("second")).await;
     assert_eq!(progress(client, "second").await["phase"], "queued");
     let paused = ok(client, json!({"pause": {"name": "first"}})).await["progress"].take();
     assert_eq!(paused["phase"], "paused");
-    // The step that a run was at is finished by the time that another experiment is.
-    reach(client, "second", "finished").await;
-    let before = reach(client, "first", "paused").await;
+    // A paused run has finished its step by the time that another experiment is finished.
+    wait_for_phase(client, "second", "finished").await;
+    let before = wait_for_phase(client, "first", "paused").await;
     submit(client, &small("third")).await;
-    reach(client, "third", "finished").await;
+    wait_for_phase(client, "third", "finished").await;
     assert_eq!(progress(client, "first").await, before, "it stands still");
-    let (code, message) = refused(client, json!({"delete": {"name": "first"}})).await;
+    let (code, message) = error_of(client, json!({"delete": {"name": "first"}})).await;
     assert_eq!(code, ErrorCode::IncorrectState);
     assert!(message.contains("cancel it first"), "{message}");
     ok(client, json!({"resume": {"name": "first"}})).await;
-    reach(client, "first", "running").await;
+    wait_for_phase(client, "first", "running").await;
     let cancelled = ok(client, json!({"cancel": {"name": "first"}})).await;
     assert_eq!(cancelled["progress"]["phase"], "cancelled");
     ok(client, json!({"delete": {"name": "first"}})).await;
-    let (code, _) = refused(client, json!({"cancel": {"name": "second"}})).await;
+    let (code, _) = error_of(client, json!({"cancel": {"name": "second"}})).await;
     assert_eq!(code, ErrorCode::IncorrectState);
     daemon.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_named_request_is_carried_out_once() {
+async fn a_request_with_an_id_is_executed_once() {
     let daemon = Daemon::start().await;
     let client = &daemon.client;
     let args = json!({"submit": {"toml": small("once")}});
@@ -269,7 +271,7 @@ async fn a_named_request_is_carried_out_once() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn nobody_else_publishes_how_far_an_experiment_is() {
+async fn only_the_daemon_publishes_the_progress_of_an_experiment() {
     let daemon = Daemon::start().await;
     let client = &daemon.client;
     let other = daemon.another_client().await;
@@ -290,13 +292,13 @@ async fn what_is_unfinished_goes_on_in_another_daemon_and_what_is_paused_does_no
     submit(client, &endless("still")).await;
     ok(client, json!({"pause": {"name": "still"}})).await;
     submit(client, &endless("going")).await;
-    reach(client, "going", "running").await;
+    wait_for_phase(client, "going", "running").await;
     submit(client, &small("next")).await;
     let began = Instant::now();
     let daemon = daemon.restart().await;
-    assert!(began.elapsed() < PATIENCE);
+    assert!(began.elapsed() < TIMEOUT);
     let client = &daemon.client;
-    reach(client, "going", "running").await;
+    wait_for_phase(client, "going", "running").await;
     assert_eq!(progress(client, "still").await["phase"], "paused");
     assert_eq!(progress(client, "next").await["phase"], "queued");
     let list = client.node("experiments").await;
@@ -312,34 +314,33 @@ async fn what_is_unfinished_goes_on_in_another_daemon_and_what_is_paused_does_no
         "in the order of submission"
     );
     ok(client, json!({"cancel": {"name": "going"}})).await;
-    reach(client, "next", "finished").await;
+    wait_for_phase(client, "next", "finished").await;
     daemon.stop().await;
 }
 
 /// A daemon in its own process, and a client of it.
-async fn life(folder: &Path) -> (Life, Client) {
-    let life = Life::begin(&mut daemon(folder)).unwrap();
-    let client = Client::open(&life.endpoint).await;
-    (life, client)
+async fn start_daemon(folder: &Path) -> (DaemonProcess, Client) {
+    let process = DaemonProcess::start(&mut daemon(folder)).unwrap();
+    let client = Client::open(&process.endpoint).await;
+    (process, client)
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn killed_again_and_again_it_comes_to_the_same_tables() {
-    let _beside = beside_others().await;
-    // Some seconds of one core: long enough to be killed in the midst of it.
+async fn repeated_kills_do_not_change_the_tables() {
+    // Some seconds of one core: long enough to be killed during the execution.
     let toml = "name = \"small\"\nseed = 3\nreplicates = 4\nduration = 300\n[[grid]]\npi1 = [1, 4]\n\
                 n = [20, 30]\ninformed = 3\n[measure]\norder_every = 100\n";
     let whole = tempfile::tempdir().unwrap();
-    let (_life, client) = life(whole.path()).await;
+    let (_process, client) = start_daemon(whole.path()).await;
     submit(&client, toml).await;
-    reach(&client, "small", "finished").await;
+    wait_for_phase(&client, "small", "finished").await;
     let table =
         |folder: &Path, name: &str| fs::read(folder.join("experiments/small").join(name)).unwrap();
 
     let folder = tempfile::tempdir().unwrap();
-    let (mut alive, client) = life(folder.path()).await;
+    let (mut process, client) = start_daemon(folder.path()).await;
     submit(&client, toml).await;
-    // The client goes away, and then the daemon.
+    // Closes the client, then kills the daemon repeatedly.
     client.session.close().await.unwrap();
     let (mut kills, mut lines) = (0, String::new());
     loop {
@@ -351,13 +352,13 @@ async fn killed_again_and_again_it_comes_to_the_same_tables() {
         );
         let whole_lines = known.rfind('\n').map_or(0, |end| end + 1);
         known[..whole_lines].clone_into(&mut lines);
-        let client = Client::open(&alive.endpoint).await;
+        let client = Client::open(&process.endpoint).await;
         let progress = progress(&client, "small").await;
         if progress["phase"] == "finished" {
             break;
         }
         let before = progress["finished"].as_u64().unwrap();
-        let deadline = Instant::now() + 6 * PATIENCE;
+        let deadline = Instant::now() + 6 * TIMEOUT;
         while crate::experiments::progress(&client, "small").await["finished"]
             .as_u64()
             .unwrap()
@@ -366,9 +367,9 @@ async fn killed_again_and_again_it_comes_to_the_same_tables() {
             assert!(Instant::now() < deadline);
             tokio::time::sleep(Duration::from_millis(5)).await;
         }
-        alive.kill();
+        process.kill();
         kills += 1;
-        alive = Life::begin(&mut daemon(folder.path())).unwrap();
+        process = DaemonProcess::start(&mut daemon(folder.path())).unwrap();
     }
     assert!(kills >= 3, "{kills}");
     for name in ["results.csv", "results.parquet", "order.parquet"] {
@@ -377,9 +378,9 @@ async fn killed_again_and_again_it_comes_to_the_same_tables() {
             "{name}"
         );
     }
-    // Now that it is finished another start does nothing.
-    alive.kill();
-    let (_alive, client) = life(folder.path()).await;
+    // A restart after the end does nothing.
+    process.kill();
+    let (_process, client) = start_daemon(folder.path()).await;
     let progress = progress(&client, "small").await;
     assert_eq!(
         (&progress["phase"], &progress["finished"]),
@@ -390,29 +391,27 @@ async fn killed_again_and_again_it_comes_to_the_same_tables() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_daemon_that_executes_a_long_run_ends() {
-    let _alone = alone().await;
     let serve = ["serve", "--listen", "tcp/127.0.0.1:0", "--node", NODE];
     let (mut process, endpoint) =
         Process::start(&mut jostled(&serve), tempfile::tempdir().unwrap());
     let client = Client::open(&endpoint).await;
     submit(&client, &endless("long")).await;
-    reach(&client, "long", "running").await;
+    wait_for_phase(&client, "long", "running").await;
     process.signal("-TERM");
     assert_eq!(process.end().0, Some(0));
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn runs_give_way_to_live_swarms() {
-    let _alone = alone().await;
-    let daemon = Daemon::for_measuring().await;
-    let client = &daemon.client;
+async fn runs_yield_to_live_swarms() {
+    let (daemon, endpoint) = Process::serve();
+    let client = &Client::open(&endpoint).await;
     submit(client, &endless("long")).await;
-    reach(client, "long", "running").await;
+    wait_for_phase(client, "long", "running").await;
     client.create("live", json!({"n": 50, "rate": 1})).await;
     client.ok("live", "run", json!({"until_time": 4.0})).await;
-    client.reach("live", 200).await;
+    client.wait_for_step("live", 200).await;
     // Run threads have a higher niceness than swarm threads, so the scheduler prefers swarms.
-    let tasks = fs::read_dir("/proc/self/task").unwrap();
+    let tasks = fs::read_dir(format!("/proc/{}/task", daemon.0.id())).unwrap();
     let (mut runs, mut live) = (Vec::new(), Vec::new());
     for task in tasks.map(|task| task.unwrap().path()) {
         let Ok(stat) = fs::read_to_string(task.join("stat")) else {
@@ -428,5 +427,4 @@ async fn runs_give_way_to_live_swarms() {
     }
     assert!(!runs.is_empty() && live.len() == 1, "{runs:?} {live:?}");
     assert!(runs.iter().all(|&nice| nice > live[0]), "{runs:?} {live:?}");
-    daemon.stop().await;
 }

@@ -1,77 +1,23 @@
-//! What tests need of the machine besides the toolchain. A test that lacks it fails and names the
-//! package; `JOSTLE_MAY_SKIP` lists, separated by commas, what the tests may go without.
+//! The harness of the tests: tests that lack a tool fail unless they may be skipped, and `tests/within`
+//! ends a command that takes too long.
 
-use std::fs::{self, File};
-use std::io::Write as _;
+use std::fs;
 use std::os::unix::process::ExitStatusExt as _;
-use std::panic::Location;
 use std::path::Path;
 use std::process::{Command, Output};
 use std::time::{Duration, Instant};
 
-use crate::crash::disk::Small;
-
-/// Something that a machine may lack.
-#[derive(Clone, Copy)]
-pub struct Need {
-    name: &'static str,
-    remedy: &'static str,
-}
-
-pub const LIBFIU: Need = Need {
-    name: "libfiu",
-    remedy: "apt-get install fiu-utils",
-};
-
-pub const FAKETIME: Need = Need {
-    name: "faketime",
-    remedy: "apt-get install faketime",
-};
-
-pub const MOUNT: Need = Need {
-    name: "mount",
-    remedy: "run the tests as root, where a tmpfs may be mounted",
-};
-
-impl Need {
-    /// Fails the calling test, which lacks this, unless `JOSTLE_MAY_SKIP` names it. The skipped test is
-    /// then recorded in the file that `JOSTLE_SKIPPED` names, and the caller returns.
-    #[track_caller]
-    pub fn is_missing(self) {
-        let Need { name, remedy } = self;
-        let allowed = std::env::var("JOSTLE_MAY_SKIP").unwrap_or_default();
-        assert!(
-            allowed.split(',').any(|it| it.trim() == name),
-            "this test needs {name}: {remedy}; or set JOSTLE_MAY_SKIP={name} to skip it"
-        );
-        let place = Location::caller();
-        let thread = std::thread::current();
-        // With one test thread the tests run on the main thread.
-        let test = match thread.name() {
-            None | Some("main") => format!("{}:{}", place.file(), place.line()),
-            Some(test) => test.to_owned(),
-        };
-        let line = format!("{name}: {test}\n");
-        // Past the test runner's capture of output.
-        let skipped = format!("skipped, needs {line}");
-        std::io::stderr().write_all(skipped.as_bytes()).unwrap();
-        if let Some(path) = std::env::var_os("JOSTLE_SKIPPED") {
-            let mut options = File::options();
-            let mut file = options.create(true).append(true).open(path).unwrap();
-            file.write_all(line.as_bytes()).unwrap();
-        }
-    }
-}
+use crate::support::small_disk::SmallDisk;
 
 /// A test that needs a disk of its own, run by the test below as a process.
 #[test]
 fn a_test_of_a_small_disk() {
     if std::env::var("JOSTLE_TEST_HELPER").is_ok() {
-        let _ = Small::mount(1);
+        let _ = SmallDisk::mount(1);
     }
 }
 
-/// Runs that test where nothing can be mounted.
+/// Runs that test without the right to mount.
 fn run_without_the_right_to_mount(may_skip: &str, skipped: &Path) -> Output {
     let own = std::env::current_exe().unwrap();
     let mut command = if rustix::process::geteuid().is_root() {
@@ -98,22 +44,22 @@ fn a_test_that_lacks_something_fails_unless_it_may_be_skipped_which_is_recorded(
     let skipped = folder.path().join("skipped");
     for may_skip in ["", "libfiu", "mounts,faketime"] {
         let output = run_without_the_right_to_mount(may_skip, &skipped);
-        let said = String::from_utf8_lossy(&output.stdout);
-        assert_eq!(output.status.code(), Some(101), "{may_skip:?}: {said}");
+        let text = String::from_utf8_lossy(&output.stdout);
+        assert_eq!(output.status.code(), Some(101), "{may_skip:?}: {text}");
         let remedy = "this test needs mount: run the tests as root";
-        assert!(said.contains(remedy), "{may_skip:?}: {said}");
+        assert!(text.contains(remedy), "{may_skip:?}: {text}");
         assert!(!skipped.exists(), "{may_skip:?}");
     }
     let output = run_without_the_right_to_mount("libfiu, mount", &skipped);
-    let said = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "{said}");
+    let text = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{text}");
     let line = "mount: harness::a_test_of_a_small_disk\n";
-    assert_eq!(said, format!("skipped, needs {line}"));
+    assert_eq!(text, format!("skipped, needs {line}"));
     assert_eq!(fs::read_to_string(&skipped).unwrap(), line);
 }
 
 /// Runs a shell script with a time limit, as `./check` runs its stages.
-fn within(secs: &str, script: &str) -> (Output, Duration) {
+fn run_with_time_limit(secs: &str, script: &str) -> (Output, Duration) {
     let began = Instant::now();
     let within = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/within");
     let output = Command::new(within)
@@ -125,16 +71,16 @@ fn within(secs: &str, script: &str) -> (Output, Duration) {
 
 #[test]
 fn a_command_that_ends_in_time_keeps_its_output_and_its_exit_code() {
-    for (script, code, said) in [
+    for (script, code, text) in [
         ("echo out; echo err >&2", 0, "out\nerr\n"),
         ("exit 7", 7, ""),
         ("kill -KILL $$", 137, ""),
-        // A process that is left over is killed, and does not hold up the command's end.
+        // A process that is left over is killed, and does not delay the command's end.
         ("sleep 600 & echo left", 0, "left\n"),
     ] {
-        let (output, _) = within("60", script);
+        let (output, _) = run_with_time_limit("60", script);
         assert_eq!(output.status.code(), Some(code), "{script}");
-        assert_eq!(String::from_utf8_lossy(&output.stdout), said, "{script}");
+        assert_eq!(String::from_utf8_lossy(&output.stdout), text, "{script}");
     }
 }
 
@@ -165,17 +111,17 @@ fn a_command_that_takes_too_long_is_killed_with_its_processes_and_the_running_te
          wait",
         pids.display()
     );
-    let (output, took) = within("1", &script);
-    let said = String::from_utf8_lossy(&output.stderr);
-    assert_eq!(output.status.code(), Some(124), "{said}");
+    let (output, took) = run_with_time_limit("1", &script);
+    let text = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(124), "{text}");
     assert!(took < Duration::from_secs(60), "{took:?}");
-    assert!(said.contains("took longer than 1 s: bash -c"), "{said}");
-    assert!(said.contains("running: c::stuck\n"), "{said}");
-    assert!(!said.contains("running: a::quick") && !said.contains("running: b::late"));
+    assert!(text.contains("took longer than 1 s: bash -c"), "{text}");
+    assert!(text.contains("running: c::stuck\n"), "{text}");
+    assert!(!text.contains("running: a::quick") && !text.contains("running: b::late"));
     for pid in fs::read_to_string(&pids).unwrap().lines() {
         let gone = || {
             let status = fs::read_to_string(format!("/proc/{pid}/stat")).unwrap_or_default();
-            // What is killed may remain until its parent has collected it.
+            // A killed process is a zombie until its parent waits for it.
             status.is_empty() || status.contains(") Z ")
         };
         let deadline = Instant::now() + Duration::from_secs(20);

@@ -1,41 +1,18 @@
-//! Whether all is well, and the daemon in numbers: over HTTP as those who watch it ask.
+//! `/healthz` and `/metrics`.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::io::{BufRead, BufReader, Read, Write};
-use std::net::TcpStream;
+use std::io::{BufRead, BufReader};
 use std::process::Stdio;
 use std::time::Instant;
 
 use jostle_proto::{Metrics, NodeReply, keys};
-use serde_json::{Value, json};
+use serde_json::json;
 
-use crate::apart::{Process, jostled};
-use crate::support::{Client, Daemon, NODE, PATIENCE, PREFIX, beside_others, until};
+use crate::support::http::{get, health, of_daemon, send};
+use crate::support::process::{Process, jostled};
+use crate::support::{Client, Daemon, NODE, PREFIX, until};
 
-/// The answer to a request as it came: status, head and body.
-pub fn send(address: &str, request: &str) -> (u16, String, String) {
-    let mut stream = TcpStream::connect(address).unwrap();
-    stream.set_read_timeout(Some(PATIENCE)).unwrap();
-    // What is refused for its head is not read to its end.
-    let _ = stream.write_all(request.as_bytes());
-    let mut answer = String::new();
-    stream.read_to_string(&mut answer).unwrap();
-    let (head, body) = answer.split_once("\r\n\r\n").unwrap();
-    let status = head.split(' ').nth(1).unwrap().parse().unwrap();
-    (status, head.to_lowercase(), body.to_owned())
-}
-
-pub fn get(address: &str, path: &str) -> (u16, String, String) {
-    let request = format!("GET {path} HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n");
-    send(address, &request)
-}
-
-pub fn health(address: &str) -> (u16, Value) {
-    let (status, _, body) = get(address, "/healthz");
-    (status, serde_json::from_str(&body).unwrap())
-}
-
-/// Every series of an answer by its name and labels, read as strictly as the format allows.
+/// Every series of `/metrics` by its name and labels, parsed strictly.
 pub fn series(address: &str) -> BTreeMap<String, f64> {
     let (status, head, body) = get(address, "/metrics");
     assert_eq!(status, 200);
@@ -93,11 +70,7 @@ pub fn series(address: &str) -> BTreeMap<String, f64> {
     series
 }
 
-pub fn of_daemon(daemon: &Daemon) -> String {
-    daemon.server.http().unwrap().to_string()
-}
-
-/// A daemon that fails at these points, where it listens and where it serves HTTP.
+/// A daemon that fails at these points, its endpoint and its HTTP address.
 fn serve_failing(points: &str) -> (Process, String, String) {
     let folder = tempfile::tempdir().unwrap();
     let mut command = jostled(&["--listen", "tcp/127.0.0.1:0", "--node", NODE]);
@@ -117,18 +90,18 @@ fn serve_failing(points: &str) -> (Process, String, String) {
     (process, endpoint, http)
 }
 
-/// Waits until it is well or not, and tells the codes of the reasons.
-async fn until_well(http: &str, well: bool) -> BTreeSet<String> {
+/// Waits until the daemon is healthy or not. Returns the codes of the reasons.
+async fn until_healthy(http: &str, well: bool) -> BTreeSet<String> {
     let mut codes = BTreeSet::new();
     let began = Instant::now();
     until("another state of health", async || {
-        let (status, told) = health(http);
-        assert_eq!(status == 200, told["healthy"] == true, "{told}");
-        let reasons = told["reasons"].as_array().unwrap().iter();
+        let (status, report) = health(http);
+        assert_eq!(status == 200, report["healthy"] == true, "{report}");
+        let reasons = report["reasons"].as_array().unwrap().iter();
         codes = reasons
             .map(|reason| reason["code"].as_str().unwrap().to_owned())
             .collect();
-        assert_eq!(status == 200, codes.is_empty(), "{told}");
+        assert_eq!(status == 200, codes.is_empty(), "{report}");
         (status == 200) == well
     })
     .await;
@@ -138,49 +111,46 @@ async fn until_well(http: &str, well: bool) -> BTreeSet<String> {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_swarm_stuck_in_a_step_turns_health_red_and_its_end_green() {
-    let _machine = beside_others().await;
     let (_daemon, endpoint, http) = serve_failing("step=3*off->1*sleep(9000)->off");
     let client = Client::open(&endpoint).await;
     client.create("a", json!({"n": 5})).await;
-    // One that has a step once in a thousand seconds waits, and is not stuck.
+    // A swarm with one step in a thousand seconds waits, and is not stuck.
     client.create("slow", json!({"n": 5, "rate": 1e-5})).await;
     client.ok("slow", "run", json!({})).await;
     assert_eq!(health(&http).0, 200);
     client.ok("a", "run", json!({"rate": null})).await;
-    let codes = until_well(&http, false).await;
+    let codes = until_healthy(&http, false).await;
     assert_eq!(codes, BTreeSet::from(["swarm_stuck".to_owned()]));
-    let (_, told) = health(&http);
-    let message = told["reasons"][0]["message"].as_str().unwrap();
-    assert!(message.starts_with("swarm a "), "{told}");
+    let (_, report) = health(&http);
+    let message = report["reasons"][0]["message"].as_str().unwrap();
+    assert!(message.starts_with("swarm a "), "{report}");
     assert_eq!(series(&http)["jostle_healthy"], 0.0);
-    until_well(&http, true).await;
+    until_healthy(&http, true).await;
     assert_eq!(series(&http)["jostle_healthy"], 1.0);
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_stuck_thread_of_the_daemon_turns_health_red_and_its_end_green() {
-    let _machine = beside_others().await;
     let (_daemon, endpoint, http) = serve_failing("query=1*sleep(9000)->off");
     let client = Client::open(&endpoint).await;
     let key = keys::node_get(PREFIX, NODE, "hello");
-    let (answer, codes) = tokio::join!(client.one(&key, None), until_well(&http, false));
+    let (answer, codes) = tokio::join!(client.query(&key, None), until_healthy(&http, false));
     assert_eq!(codes, BTreeSet::from(["thread_stuck".to_owned()]));
     assert!(answer.is_ok());
-    until_well(&http, true).await;
+    until_healthy(&http, true).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_deaf_listener_turns_health_red_and_its_answer_green() {
-    let _machine = beside_others().await;
     // Two failures in a row of each of its two listeners.
     let (_daemon, _, http) = serve_failing("probe=4*return->off");
-    let codes = until_well(&http, false).await;
+    let codes = until_healthy(&http, false).await;
     assert_eq!(codes, BTreeSet::from(["listener_deaf".to_owned()]));
-    until_well(&http, true).await;
+    until_healthy(&http, true).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn the_probe_is_answered_by_the_real_listener_and_opens_no_session() {
+async fn the_real_listener_replies_to_the_probe_which_opens_no_session() {
     let folder = tempfile::tempdir().unwrap();
     let socket = format!("unixsock-stream/{}/socket", folder.path().display());
     let listen = format!("tcp/127.0.0.1:0,{socket}");
@@ -190,9 +160,9 @@ async fn the_probe_is_answered_by_the_real_listener_and_opens_no_session() {
         series(&http).contains_key("jostle_probe_seconds")
     })
     .await;
-    let told = daemon.server.watch.figures();
-    assert!(told.probe_secs.unwrap() < 2.0, "{told:?}");
-    assert_eq!(told.reasons, []);
+    let report = daemon.server.watch.metrics();
+    assert!(report.probe_secs.unwrap() < 2.0, "{report:?}");
+    assert_eq!(report.reasons, []);
     until("the sessions to be counted", async || {
         series(&http)["jostle_sessions"] == 1.0
     })
@@ -201,7 +171,7 @@ async fn the_probe_is_answered_by_the_real_listener_and_opens_no_session() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_is_counted_moves_and_the_series_of_a_swarm_end_with_it() {
+async fn counters_increase_and_the_series_of_a_swarm_end_with_it() {
     let daemon = Daemon::start().await;
     let (client, http) = (&daemon.client, of_daemon(&daemon));
     let before = series(&http);
@@ -210,7 +180,7 @@ async fn what_is_counted_moves_and_the_series_of_a_swarm_end_with_it() {
         .await;
     client.ok("a", "step", json!({"steps": 100})).await;
     client.ok("a", "run", json!({"until_step": 150})).await;
-    client.reach("a", 150).await;
+    client.wait_for_step("a", 150).await;
     let now = series(&http);
     let grown = |name: &str| now[name] - before[name];
     for (name, by) in [
@@ -237,10 +207,10 @@ async fn what_is_counted_moves_and_the_series_of_a_swarm_end_with_it() {
     assert!(now["jostle_swarm_contacts{swarm=\"a\"}"] > 0.0);
 
     let reply = client
-        .one(&keys::node_get(PREFIX, NODE, "metrics"), None)
+        .query(&keys::node_get(PREFIX, NODE, "metrics"), None)
         .await;
-    let told: NodeReply<Metrics> = serde_json::from_value(reply.unwrap()).unwrap();
-    let metrics = told.result;
+    let report: NodeReply<Metrics> = serde_json::from_value(reply.unwrap()).unwrap();
+    let metrics = report.result;
     assert_eq!((metrics.steps, metrics.unwell.len()), (150, 0));
     let [swarm] = &metrics.swarms[..] else {
         panic!("{metrics:?}");
@@ -259,10 +229,10 @@ async fn what_is_counted_moves_and_the_series_of_a_swarm_end_with_it() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn swarms_that_came_and_went_leave_no_series() {
+async fn deleted_swarms_leave_no_series() {
     let daemon = Daemon::start().await;
     let (client, http) = (&daemon.client, of_daemon(&daemon));
-    // The probe's is there once it was answered.
+    // The probe's series exists after its first reply.
     let names = || {
         let names = series(&http).into_keys();
         let names = names.filter(|name| name != "jostle_probe_seconds");
@@ -324,8 +294,7 @@ async fn only_this_machine_by_its_own_name_is_answered_and_only_to_a_bare_get() 
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn an_address_that_cannot_be_served_on_is_refused_with_the_flag_to_change() {
-    let _machine = beside_others().await;
+async fn an_address_that_cannot_be_bound_is_rejected_with_the_flag_to_change() {
     let (_daemon, _, http) = serve_failing("");
     for (address, code, named) in [
         (http.as_str(), 1, "`--http 127.0.0.1:0`"),
@@ -335,9 +304,9 @@ async fn an_address_that_cannot_be_served_on_is_refused_with_the_flag_to_change(
         let mut command = jostled(&["--listen", "tcp/127.0.0.1:0", "--http", address]);
         let folder = tempfile::tempdir().unwrap();
         let command = command.arg("--data-dir").arg(folder.path());
-        let refused = command.stderr(Stdio::piped()).output().unwrap();
-        let text = String::from_utf8(refused.stderr).unwrap();
-        assert_eq!(refused.status.code(), Some(code), "{address}: {text}");
+        let output = command.stderr(Stdio::piped()).output().unwrap();
+        let text = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(code), "{address}: {text}");
         assert!(text.contains(named), "{address}: {text}");
     }
 }

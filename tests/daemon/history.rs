@@ -1,4 +1,4 @@
-//! What a swarm tells of its past and of its parameters.
+//! The events, the journal and the parameters of a swarm.
 
 use jostle_proto::{ErrorCode, Event, EventKind, Events, Journal, Parameters, keys};
 use serde_json::{Value, json};
@@ -8,12 +8,12 @@ use crate::support::{Client, Daemon, PREFIX};
 
 async fn page(client: &Client, swarm: &str, noun: &str, selector: &str) -> Value {
     let key = keys::get(PREFIX, swarm, noun);
-    let reply = client.one(&format!("{key}?{selector}"), None).await;
+    let reply = client.query(&format!("{key}?{selector}"), None).await;
     reply.unwrap()["result"].take()
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn events_are_caught_up_with_page_by_page_and_none_is_missing() {
+async fn missed_events_are_queried_page_by_page_and_none_is_missing() {
     let daemon = Daemon::start().await;
     let client = &daemon.client;
     client.create("a", json!({"n": 3})).await;
@@ -21,23 +21,23 @@ async fn events_are_caught_up_with_page_by_page_and_none_is_missing() {
         client.ok("a", "set", json!({"pi3": 1.1})).await;
     }
     let mut after = 0;
-    let mut told: Vec<Event> = Vec::new();
+    let mut events: Vec<Event> = Vec::new();
     loop {
         let selector = format!("after={after};limit=7");
         let page: Events =
             serde_json::from_value(page(client, "a", "events", &selector).await).unwrap();
         assert_eq!((page.oldest, page.newest), (Some(1), 41));
         assert!(page.events.len() <= 7);
-        told.extend(page.events);
-        after = told.last().unwrap().number;
+        events.extend(page.events);
+        after = events.last().unwrap().number;
         if after == page.newest {
             break;
         }
     }
-    let numbers: Vec<u64> = told.iter().map(|event| event.number).collect();
+    let numbers: Vec<u64> = events.iter().map(|event| event.number).collect();
     assert_eq!(numbers, (1..=41).collect::<Vec<_>>());
-    assert_eq!(told[0].event, EventKind::Created {});
-    // They are the ones that are published.
+    assert_eq!(events[0].event, EventKind::Created {});
+    // The same events are published.
     let watcher = daemon.another_client().await;
     let subscriber = watcher
         .session
@@ -45,7 +45,7 @@ async fn events_are_caught_up_with_page_by_page_and_none_is_missing() {
         .history(HistoryConfig::default().detect_late_publishers())
         .await
         .unwrap();
-    for expected in &told {
+    for expected in &events {
         let sample = subscriber.recv_async().await.unwrap();
         let event: Event = serde_json::from_slice(&sample.payload().to_bytes()).unwrap();
         assert_eq!(event, *expected);
@@ -56,7 +56,7 @@ async fn events_are_caught_up_with_page_by_page_and_none_is_missing() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn the_oldest_events_give_way_and_their_numbers_show_it() {
+async fn the_oldest_events_are_evicted_and_the_numbers_show_it() {
     let daemon = Daemon::start().await;
     let client = &daemon.client;
     client.create("a", json!({"n": 2})).await;
@@ -71,9 +71,9 @@ async fn the_oldest_events_give_way_and_their_numbers_show_it() {
     daemon.stop().await;
 }
 
-/// A journal and the spec are all that a state comes from.
+/// The spec and the journal determine the state.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_journal_carried_out_anew_leads_to_the_same_hash() {
+async fn executing_a_journal_again_leads_to_the_same_hash() {
     let daemon = Daemon::start().await;
     let client = &daemon.client;
     let spec = json!({"n": 12, "seed": 9, "rate": null});
@@ -87,7 +87,7 @@ async fn a_journal_carried_out_anew_leads_to_the_same_hash() {
     ] {
         client.ok("a", verb, args).await;
     }
-    client.reach("a", 80).await;
+    client.wait_for_step("a", 80).await;
     for (verb, args) in [
         ("inject", json!({"count": 3})),
         (
@@ -110,7 +110,7 @@ async fn a_journal_carried_out_anew_leads_to_the_same_hash() {
     assert_eq!((journal.oldest, journal.newest), (Some(1), 8));
     client.create("b", spec).await;
     for entry in &journal.entries {
-        client.reach("b", entry.step).await;
+        client.wait_for_step("b", entry.step).await;
         let request = json!({"expect_step": entry.step, "args": entry.args});
         let reply = client.ok("b", &entry.verb, request).await;
         assert!(reply["seq"].as_u64() >= Some(entry.seq), "{reply}");
@@ -125,17 +125,17 @@ async fn a_journal_carried_out_anew_leads_to_the_same_hash() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn every_parameter_tells_its_value_range_unit_and_whether_it_may_change() {
+async fn every_parameter_has_a_value_range_unit_and_whether_it_may_change() {
     let daemon = Daemon::with(&[("max_individuals", "77")]).await;
     let client = &daemon.client;
     client
         .create("a", json!({"n": 5, "pi1": 3, "seed": 8}))
         .await;
-    let told = async || -> Parameters {
+    let parameters = async || -> Parameters {
         let reply = client.get("a", "parameters").await;
         serde_json::from_value(reply["result"].clone()).unwrap()
     };
-    let before = told().await;
+    let before = parameters().await;
     let spec = client.get("a", "spec").await["result"].take();
     for parameter in &before.parameters {
         assert_eq!(parameter.value, spec[&parameter.name], "{parameter:?}");
@@ -150,7 +150,7 @@ async fn every_parameter_tells_its_value_range_unit_and_whether_it_may_change() 
     };
     assert_eq!(find(&before, "n").maximum, Some(77.0));
 
-    // What is live changes, and what is not does not.
+    // Live parameters change, others do not.
     let set = json!({"pi1": 6, "make_room": true, "pi2": 0.25, "publish_every": 7});
     client.ok("a", "set", set).await;
     client
@@ -160,7 +160,7 @@ async fn every_parameter_tells_its_value_range_unit_and_whether_it_may_change() 
     client.ok("a", "reset", json!({"seed": 10})).await;
     let set = json!({"pi1": 6, "make_room": true});
     client.ok("a", "set", set).await;
-    let after = told().await;
+    let after = parameters().await;
     let changed: Vec<String> = before
         .parameters
         .iter()
@@ -169,20 +169,22 @@ async fn every_parameter_tells_its_value_range_unit_and_whether_it_may_change() 
         .map(|(before, _)| before.name.clone())
         .collect();
     assert_eq!(changed, ["pi1", "seed", "rate"]);
-    // A longer body allows only a shorter step, and this is how long.
+    // A longer body permits only a shorter step, up to this range.
     let largest = find(&after, "dt").maximum.unwrap();
     assert!(largest < find(&before, "dt").maximum.unwrap());
     for (dt, fits) in [(largest * 0.999, true), (largest * 1.001, false)] {
         let create = json!({"name": format!("b{fits}"), "spec": {"n": 2, "pi1": 6, "dt": dt}});
         let key = keys::node_cmd(PREFIX, crate::support::NODE, "create");
-        let answer = client.one(&key, Some(create.to_string().as_bytes())).await;
+        let answer = client
+            .query(&key, Some(create.to_string().as_bytes()))
+            .await;
         assert_eq!(answer.is_ok(), fits, "{dt}: {answer:?}");
     }
     daemon.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_page_asked_for_wrongly_is_refused() {
+async fn an_invalid_query_for_a_page_is_rejected() {
     let daemon = Daemon::start().await;
     let client = &daemon.client;
     client.create("a", json!({"n": 2})).await;
@@ -195,7 +197,7 @@ async fn a_page_asked_for_wrongly_is_refused() {
         ("parameters", "after=1", "after"),
     ] {
         let key = keys::get(PREFIX, "a", noun);
-        let error = client.one(&format!("{key}?{selector}"), None).await;
+        let error = client.query(&format!("{key}?{selector}"), None).await;
         let error = error.unwrap_err();
         assert_eq!(error.code, ErrorCode::InvalidArgument, "{selector}");
         assert_eq!(error.details["field"], field);

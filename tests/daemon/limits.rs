@@ -5,22 +5,22 @@ use std::path::Path;
 use jostle_proto::ErrorCode;
 use serde_json::{Value, json};
 
-use crate::crash::life::{Life, daemon};
-use crate::support::{Client, beside_others};
+use crate::support::Client;
+use crate::support::daemon_process::{DaemonProcess, daemon};
 
 /// A daemon on `folder` with this many individuals for each swarm.
-async fn start(folder: &Path, limit: usize) -> (Life, Client) {
+async fn start(folder: &Path, limit: usize) -> (DaemonProcess, Client) {
     let mut command = daemon(folder);
     command.arg("--max-individuals").arg(limit.to_string());
-    let life = Life::begin(&mut command).unwrap();
-    let client = Client::open(&life.endpoint).await;
-    (life, client)
+    let process = DaemonProcess::start(&mut command).unwrap();
+    let client = Client::open(&process.endpoint).await;
+    (process, client)
 }
 
-async fn stop(mut life: Life, client: Client) {
+async fn stop(mut process: DaemonProcess, client: Client) {
     client.session.close().await.unwrap();
-    life.stop();
-    assert_eq!(life.end(), Some(0));
+    process.stop();
+    assert_eq!(process.end(), Some(0));
 }
 
 async fn n(client: &Client) -> u64 {
@@ -36,15 +36,14 @@ async fn memory(client: &Client) -> u64 {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_swarm_over_a_lowered_limit_can_be_shrunk_and_reset_and_not_grow() {
-    let _machine = beside_others().await;
     let folder = tempfile::tempdir().unwrap();
-    let (life, client) = start(folder.path(), 100).await;
+    let (process, client) = start(folder.path(), 100).await;
     client.create("a", json!({"n": 60, "seed": 3})).await;
     let begun = client.hash("a").await;
     client.ok("a", "step", json!({"steps": 20})).await;
-    stop(life, client).await;
+    stop(process, client).await;
 
-    let (life, client) = start(folder.path(), 20).await;
+    let (process, client) = start(folder.path(), 20).await;
     assert_eq!(n(&client).await, 60);
     let whole = memory(&client).await;
     let too_many = |(code, message): (ErrorCode, String), n: u64| {
@@ -75,7 +74,7 @@ async fn a_swarm_over_a_lowered_limit_can_be_shrunk_and_reset_and_not_grow() {
         (60, begun.clone())
     );
     assert_eq!(memory(&client).await, whole);
-    // Below the limit it may grow up to it, and be reset to what it began with.
+    // Below the limit it may grow up to it, and be reset to its start.
     client
         .ok("a", "remove", json!({"select": {"count": 45}}))
         .await;
@@ -88,14 +87,14 @@ async fn a_swarm_over_a_lowered_limit_can_be_shrunk_and_reset_and_not_grow() {
     let verified = client.get("a", "verify").await;
     assert_eq!(verified["result"]["differs_at"], Value::Null);
     let hash = client.hash("a").await;
-    stop(life, client).await;
+    stop(process, client).await;
 
-    // What was done over the limit is replayed under a lower one.
-    let (life, client) = start(folder.path(), 1).await;
+    // Commands from before are replayed although they exceed the lower limit.
+    let (process, client) = start(folder.path(), 1).await;
     assert_eq!((n(&client).await, client.hash("a").await), (60, hash));
     client
         .ok("a", "remove", json!({"select": {"count": 59}}))
         .await;
     assert_eq!(n(&client).await, 1);
-    stop(life, client).await;
+    stop(process, client).await;
 }

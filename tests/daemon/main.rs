@@ -1,10 +1,9 @@
-//! The daemon as its clients meet it: real sessions on loopback, real swarms, nothing mocked.
+//! Tests of the daemon through its interfaces: real sessions on loopback, real swarms, no mocks.
 
 #![expect(clippy::unwrap_used, reason = "tests")]
 
 mod abuse;
 mod annotate;
-mod apart;
 mod architecture;
 mod backup;
 mod changes;
@@ -26,9 +25,8 @@ mod history;
 mod idle_http;
 mod limits;
 mod load;
-mod memory;
 mod once;
-mod overload;
+mod operator;
 mod page;
 mod pages;
 mod parts;
@@ -40,11 +38,11 @@ mod replay;
 mod rights;
 mod schedule;
 mod settings;
-mod soak;
 mod states;
 mod stored;
 mod streams;
 mod supervisor;
+#[path = "../support/mod.rs"]
 mod support;
 mod targets;
 mod verify;

@@ -1,4 +1,4 @@
-//! A request that has a name is carried out once.
+//! A request with a `request_id` is executed once.
 
 use std::time::Duration;
 
@@ -25,26 +25,26 @@ async fn a_request_sent_again_is_answered_again_and_carried_out_once() {
     for _ in 0..3 {
         assert_eq!(client.ok("a", "step", request.clone()).await, first);
     }
-    // How long the sender waits does not make it another request; from elsewhere it is the same.
+    // Another timeout or another session does not make it another request.
     let mut patient = request.clone();
     patient["timeout_secs"] = json!(60);
     let other = daemon.another_client().await;
     assert_eq!(other.ok("a", "step", patient).await, first);
     assert_eq!(client.hash("a").await, hash);
-    // Spelled otherwise it is the same one too.
+    // Nor does another spelling of its JSON.
     let key = keys::cmd(PREFIX, "a", "step");
     for spelled in [
         r#"{"args":{"steps":3},"request_id":"1","client":"me"}"#,
         r#"{ "client": "me", "request_id": "1", "args": { "return": "none", "steps": 3 } }"#,
     ] {
-        let answer = client.one(&key, Some(spelled.as_bytes())).await;
+        let answer = client.query(&key, Some(spelled.as_bytes())).await;
         if spelled.contains("return") {
             assert_eq!(answer.unwrap_err().code, ErrorCode::Conflict);
         } else {
             assert_eq!(answer.unwrap(), first);
         }
     }
-    // Another client's request of the same name is another one.
+    // The same `request_id` of another client is another request.
     let mut theirs = request.clone();
     theirs["client"] = json!("they");
     assert_eq!(client.ok("a", "step", theirs).await["step"], 7);
@@ -52,7 +52,7 @@ async fn a_request_sent_again_is_answered_again_and_carried_out_once() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn one_name_for_two_requests_is_a_conflict() {
+async fn one_request_id_for_two_requests_is_a_conflict() {
     let daemon = Daemon::start().await;
     let client = &daemon.client;
     client.create("a", json!({"n": 5})).await;
@@ -78,7 +78,7 @@ async fn one_name_for_two_requests_is_a_conflict() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_was_refused_may_be_tried_again_under_its_name() {
+async fn what_was_rejected_may_be_tried_again_under_its_name() {
     let daemon = Daemon::start().await;
     let client = &daemon.client;
     client.create("a", json!({"n": 5, "rate": 1})).await;
@@ -93,7 +93,7 @@ async fn what_was_refused_may_be_tried_again_under_its_name() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn whoever_asks_again_while_it_is_under_way_or_after_a_deadline_gets_what_it_came_to() {
+async fn a_retry_during_execution_or_after_a_deadline_gets_the_result() {
     let daemon = Daemon::start().await;
     let client = &daemon.client;
     client.create("a", json!({"n": 20})).await;
@@ -115,12 +115,12 @@ async fn whoever_asks_again_while_it_is_under_way_or_after_a_deadline_gets_what_
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn creating_deleting_and_putting_off_are_done_once_too() {
+async fn creating_deleting_and_scheduling_are_executed_once_too() {
     let daemon = Daemon::start().await;
     let client = &daemon.client;
     let key = keys::node_cmd(PREFIX, NODE, "create");
     let create = named("1", json!({"name": "a", "spec": {"n": 5}})).to_string();
-    let create = async || client.one(&key, Some(create.as_bytes())).await;
+    let create = async || client.query(&key, Some(create.as_bytes())).await;
     let created = create().await.unwrap();
     assert_eq!(create().await.unwrap(), created);
 
@@ -135,7 +135,7 @@ async fn creating_deleting_and_putting_off_are_done_once_too() {
     assert_eq!(client.ok("a", "inject", schedule_command).await, waits);
     assert_eq!(client.get("a", "status").await["result"]["n"], 6);
 
-    // The one of that name now is not the one that was to be deleted.
+    // The swarm of that name is now another one.
     let delete = named("3", json!({}));
     let deleted = client.ok("a", "delete", delete.clone()).await;
     client.create("a", json!({"n": 7})).await;
@@ -168,7 +168,7 @@ async fn a_reply_with_a_state_and_the_fault_of_a_step_are_given_again() {
     daemon.stop().await;
 }
 
-/// Has `client` inform everybody of `crowd` under ids `flood-N`, one request after the other.
+/// `client` informs all individuals of `crowd` under ids `flood-N`, one request after the other.
 async fn flood(client: &Client, numbers: impl Iterator<Item = u32>) {
     for number in numbers {
         let request = json!({
@@ -230,7 +230,7 @@ async fn a_clients_many_replies_evict_its_own_and_no_others() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_large_reply_is_remembered_without_its_state_which_the_swarm_still_has() {
+async fn a_large_reply_is_cached_without_its_state_which_the_swarm_still_has() {
     let daemon = Daemon::start().await;
     let client = &daemon.client;
     client.create("a", json!({"n": 200})).await;
@@ -247,7 +247,7 @@ async fn a_large_reply_is_remembered_without_its_state_which_the_swarm_still_has
     let key = keys::cmd(PREFIX, "a", "advance");
     let killed = daemon.another_client().await;
     let payload = request.to_string();
-    let unheard = killed.ask(&key, Some(payload.as_bytes()));
+    let unheard = killed.query_all(&key, Some(payload.as_bytes()));
     _ = tokio::time::timeout(Duration::ZERO, unheard).await;
     drop(killed);
     until("it is carried out", async || {

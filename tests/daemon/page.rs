@@ -1,22 +1,18 @@
-//! What the page is served, over HTTP and WebSockets as a browser asks.
+//! The page's HTTP requests and WebSockets.
 
 use std::io::{BufRead, BufReader, Read};
 use std::process::Stdio;
-use std::time::Duration;
 
-use futures_util::{SinkExt, StreamExt};
+use futures_util::SinkExt;
 use serde_json::{Value, json};
-use tokio::net::TcpStream;
-use tokio::time::{sleep, timeout};
-use tokio_tungstenite::tungstenite::client::IntoClientRequest;
 use tokio_tungstenite::tungstenite::{self, Message};
-use tokio_tungstenite::{WebSocketStream, client_async};
 
-use crate::apart::{Process, jostled};
-use crate::health::{get, of_daemon, send};
-use crate::support::{Client, Daemon, NODE, PATIENCE, alone, beside_others, until};
+use crate::support::http::{get, of_daemon, send};
+use crate::support::process::jostled;
+use crate::support::websocket::{named, next_matching, open, step_of, tab};
+use crate::support::{Daemon, NODE, until};
 
-/// A browser that may steer, or not.
+/// A browser with or without the token.
 struct Browser {
     address: String,
     token: Option<String>,
@@ -54,53 +50,6 @@ impl Browser {
         let (status, _, body) = send(&self.address, &request);
         (status, serde_json::from_str(&body).unwrap_or_default())
     }
-}
-
-pub type Tab = WebSocketStream<TcpStream>;
-
-async fn open(address: &str, path: &str, origin: Option<&str>) -> tungstenite::Result<Tab> {
-    let stream = TcpStream::connect(address).await.unwrap();
-    let mut request = format!("ws://{address}{path}").into_client_request()?;
-    if let Some(origin) = origin {
-        request
-            .headers_mut()
-            .insert("origin", origin.parse().unwrap());
-    }
-    client_async(request, stream).await.map(|(tab, _)| tab)
-}
-
-pub async fn tab(address: &str, path: &str) -> Tab {
-    open(address, path, Some(&format!("http://{address}")))
-        .await
-        .unwrap()
-}
-
-/// The next thing told that `pick` takes.
-async fn told<T>(tab: &mut Tab, mut pick: impl FnMut(&Message) -> Option<T>) -> T {
-    let next = async {
-        loop {
-            let message = tab.next().await.unwrap().unwrap();
-            if let Some(picked) = pick(&message) {
-                return picked;
-            }
-        }
-    };
-    timeout(PATIENCE, next).await.unwrap()
-}
-
-/// What a text message tells under a name.
-fn named(message: &Message, name: &str) -> Option<Value> {
-    let document: Value = serde_json::from_str(message.to_text().ok()?).ok()?;
-    document.get(name).cloned()
-}
-
-/// The step of a state.
-fn step_of(message: &Message) -> Option<u64> {
-    let Message::Binary(bytes) = message else {
-        return None;
-    };
-    let state: jostle_proto::State = ciborium::from_reader(&bytes[..]).unwrap();
-    Some(state.step)
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -161,7 +110,7 @@ async fn nothing_is_changed_without_the_token() {
         let (status, _) = watching.post("/api/node/create", r#"{"name": "b", "spec": {"n": 3}}"#);
         assert_eq!(status, 401);
     }
-    // Nor with it in a get, where a link or a picture could bring it about.
+    // Nor with the token in a GET, which a link or an image could send.
     assert_eq!(steering.get("/api/cmd/a/delete").0, 405);
     for no_look in [
         "a/cmd/delete",
@@ -244,11 +193,11 @@ async fn other_pages_and_long_bodies_are_turned_away() {
             .trim_start_matches("Origin:")
             .trim();
         if origin != format!("http://{address}") {
-            let refused = open(&address, "/api/ws?swarm=a", Some(origin))
+            let error = open(&address, "/api/ws?swarm=a", Some(origin))
                 .await
                 .unwrap_err();
-            let tungstenite::Error::Http(answer) = refused else {
-                panic!("{refused}");
+            let tungstenite::Error::Http(answer) = error else {
+                panic!("{error}");
             };
             assert_eq!(answer.status(), 403);
         }
@@ -276,7 +225,7 @@ async fn other_pages_and_long_bodies_are_turned_away() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_tab_is_told_the_list_the_newest_state_and_every_event() {
+async fn a_tab_receives_the_list_the_newest_state_and_every_event() {
     let daemon = Daemon::start().await;
     let client = &daemon.client;
     client
@@ -284,12 +233,12 @@ async fn a_tab_is_told_the_list_the_newest_state_and_every_event() {
         .await;
     let address = of_daemon(&daemon);
     let mut tab = tab(&address, "/api/ws?swarm=a").await;
-    // What stands still is there at once.
-    assert_eq!(told(&mut tab, step_of).await, 0);
-    let swarms = told(&mut tab, |message| named(message, "swarms")).await;
+    // The state of a paused swarm arrives at once.
+    assert_eq!(next_matching(&mut tab, step_of).await, 0);
+    let swarms = next_matching(&mut tab, |message| named(message, "swarms")).await;
     assert_eq!(swarms[0]["swarm"], "a");
     client.ok("a", "step", json!({"steps": 40})).await;
-    told(&mut tab, |message| {
+    next_matching(&mut tab, |message| {
         step_of(message).filter(|step| *step == 40)
     })
     .await;
@@ -303,88 +252,36 @@ async fn a_tab_is_told_the_list_the_newest_state_and_every_event() {
     let is_inform = |message: &Message| {
         named(message, "event").filter(|event| event["event"]["verb"] == "inform")
     };
-    told(&mut tab, is_inform).await;
+    next_matching(&mut tab, is_inform).await;
     let is_informed =
         |message: &Message| named(message, "order").filter(|order| order["informed"] == 1);
     client.ok("a", "step", json!({"steps": 1})).await;
-    told(&mut tab, is_informed).await;
+    next_matching(&mut tab, is_informed).await;
     client.create("b", json!({"n": 3})).await;
     let both = |message: &Message| {
         named(message, "swarms").filter(|swarms| swarms.as_array().unwrap().len() == 2)
     };
-    told(&mut tab, both).await;
+    next_matching(&mut tab, both).await;
     client.ok("a", "delete", json!({})).await;
     let is_end = |message: &Message| {
         named(message, "event").filter(|event| event["event"]["kind"] == "deleted")
     };
-    told(&mut tab, is_end).await;
-    told(&mut tab, |message| named(message, "gone")).await;
+    next_matching(&mut tab, is_end).await;
+    next_matching(&mut tab, |message| named(message, "gone")).await;
     let (status, _) = Browser::of(&daemon).get("/api/get/a/get/status");
     assert_eq!(status, 404);
 
     let mut gone = self::tab(&address, "/api/ws?swarm=a").await;
-    told(&mut gone, |message| named(message, "gone")).await;
-    let refused = open(&address, "/api/ws?swarm=A*", None).await.unwrap_err();
-    let tungstenite::Error::Http(answer) = refused else {
-        panic!("{refused}");
+    next_matching(&mut gone, |message| named(message, "gone")).await;
+    let error = open(&address, "/api/ws?swarm=A*", None).await.unwrap_err();
+    let tungstenite::Error::Http(answer) = error else {
+        panic!("{error}");
     };
     assert_eq!(answer.status(), 400);
-    // What a tab says means nothing, and hurts nobody.
+    // Messages of a tab are ignored.
     let _ = tab.send(Message::text("delete everything")).await;
     let _ = tab.send(Message::binary(vec![0; 100_000])).await;
     assert_eq!(get(&address, "/healthz").0, 200);
-    daemon.stop().await;
-}
-
-#[tokio::test(flavor = "multi_thread")]
-async fn tabs_that_do_not_read_cost_nobody_anything() {
-    let _alone = alone().await;
-    let daemon = Daemon::for_measuring().await;
-    let client = &daemon.client;
-    let address = of_daemon(&daemon);
-    let spec = json!({"n": 200, "seed": 1, "publish_every": 1, "rate": 10.0});
-    client.create("a", spec.clone()).await;
-    client.ok("a", "run", json!({})).await;
-    // A daemon with no page open shows how fast the swarm can step on this machine.
-    let (_other, other) = Process::serve();
-    let free = Client::open(&other).await;
-    free.create("a", spec).await;
-    free.ok("a", "run", json!({})).await;
-    let bytes = || {
-        let statm = std::fs::read_to_string("/proc/self/statm").unwrap();
-        let pages: u64 = statm.split(' ').nth(1).unwrap().parse().unwrap();
-        pages * 4096
-    };
-    // None of these reads on; what their sockets hold is the system's and bounded.
-    let mut stopped = Vec::new();
-    for _ in 0..49 {
-        let mut tab = tab(&address, "/api/ws?swarm=a").await;
-        told(&mut tab, step_of).await;
-        stopped.push(tab);
-    }
-    let mut reading = tab(&address, "/api/ws?swarm=a").await;
-    sleep(Duration::from_secs(2)).await;
-    let step = async |client: &Client| client.get("a", "status").await["step"].as_u64().unwrap();
-    let (before, first) = (bytes(), [step(client).await, step(&free).await]);
-    // As many as are shown in 6 s.
-    for _ in 0..180 {
-        told(&mut reading, step_of).await;
-    }
-    let steps = [step(client).await - first[0], step(&free).await - first[1]];
-    let grown = bytes().saturating_sub(before);
-    println!("beside 49 that do not read: {steps:?} steps with and without, {grown} bytes more");
-    assert!(steps[0] * 20 > steps[1] * 19, "{steps:?}");
-    // 180 frames at 30 a second are 6 s, in which the other swarm takes 3,000 steps.
-    assert!(steps[1] < 6000, "{steps:?} in 180 frames");
-    assert!(grown < 16 << 20, "{grown}");
-    // Whoever reads on comes to the newest after what its socket holds.
-    let newest = told(&mut reading, step_of).await;
-    let late = &mut stopped[7];
-    told(late, |message| {
-        step_of(message).filter(|step| *step >= newest)
-    })
-    .await;
-    drop(stopped);
     daemon.stop().await;
 }
 
@@ -396,13 +293,13 @@ async fn so_many_tabs_are_open_at_once_and_no_more() {
     for _ in 0..256 {
         tabs.push(tab(&address, "/api/ws").await);
     }
-    let refused = open(&address, "/api/ws", None).await.unwrap_err();
-    let tungstenite::Error::Http(answer) = refused else {
-        panic!("{refused}");
+    let error = open(&address, "/api/ws", None).await.unwrap_err();
+    let tungstenite::Error::Http(answer) = error else {
+        panic!("{error}");
     };
     assert_eq!(answer.status(), 429);
-    let told = String::from_utf8_lossy(answer.body().as_deref().unwrap_or_default()).into_owned();
-    assert!(told.contains("close one"), "{told}");
+    let body = String::from_utf8_lossy(answer.body().as_deref().unwrap_or_default()).into_owned();
+    assert!(body.contains("close one"), "{body}");
     tabs.truncate(255);
     until("a place is free", async || {
         open(&address, "/api/ws", None).await.is_ok()
@@ -413,7 +310,6 @@ async fn so_many_tabs_are_open_at_once_and_no_more() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn the_token_is_printed_once_and_in_no_log() {
-    let _machine = beside_others().await;
     let folder = tempfile::tempdir().unwrap();
     let mut command = jostled(&["--listen", "tcp/127.0.0.1:0", "--node", NODE]);
     command
@@ -431,7 +327,7 @@ async fn the_token_is_printed_once_and_in_no_log() {
         lines.find_map(|line| Some(line.unwrap().strip_prefix("page on http://")?.to_owned()));
     let (address, token) = {
         let link = link.unwrap();
-        // It is told to no terminal, and so only where the token is.
+        // Standard output is not a terminal, so the line names the file with the token.
         let (address, file) = link.split_once("/ with the token in ").unwrap();
         let token = std::fs::read_to_string(file).unwrap();
         (address.to_owned(), token.trim().to_owned())
@@ -449,15 +345,15 @@ async fn the_token_is_printed_once_and_in_no_log() {
     assert_eq!(steering.get("/api/get/a/get/status").0, 200);
     drop(tab(&address, "/api/ws?swarm=a").await);
     process.kill().unwrap();
-    let mut told = String::new();
+    let mut log = String::new();
     process
         .stderr
         .take()
         .unwrap()
-        .read_to_string(&mut told)
+        .read_to_string(&mut log)
         .unwrap();
     process.wait().unwrap();
-    assert!(!told.contains(&token));
+    assert!(!log.contains(&token));
     let rest: Vec<String> = lines.map_while(Result::ok).collect();
     assert!(!rest.iter().any(|line| line.contains(&token)), "{rest:?}");
     for file in std::fs::read_dir(folder.path()).unwrap() {
@@ -477,8 +373,8 @@ async fn a_recording_is_fetched_with_the_token_only() {
     let begin = json!({"begin": {"swarm": "school", "recording": "take"}});
     let stop = json!({"stop": {"recording": "take"}});
     for request in [begin, stop] {
-        let (status, said) = operator.post("/api/node/record", &request.to_string());
-        assert_eq!(status, 200, "{said}");
+        let (status, body) = operator.post("/api/node/record", &request.to_string());
+        assert_eq!(status, 200, "{body}");
     }
     let watcher = Browser {
         address: operator.address.clone(),
@@ -486,8 +382,8 @@ async fn a_recording_is_fetched_with_the_token_only() {
     };
     assert_eq!(watcher.get("/api/get/@node/get/recordings").0, 200);
     let take = "/api/get/@node/get/recording?name=take";
-    let (status, said) = watcher.get(take);
-    assert!([401, 403].contains(&status), "{status}: {said}");
+    let (status, body) = watcher.get(take);
+    assert!([401, 403].contains(&status), "{status}: {body}");
     let (status, piece) = operator.get(take);
     assert_eq!(status, 200, "{piece}");
     assert!(piece["result"]["length"].as_u64() > Some(1000), "{piece}");

@@ -1,13 +1,18 @@
-//! The tests and files that the pages name exist, and what the two pages of promises claim without
-//! exception has a test or a command beside it.
+//! The tests and files that the pages name exist, and every claim without exception on the pages
+//! about guarantees and security has a test or a command beside it.
 
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
+/// The suites that a test is of which a page names without a command.
+const DAEMON: &str = "--test daemon";
+const MEASURED: &str = "--test measured";
+
 /// Where the tests of each suite are, by the arguments of `cargo test` that select it.
-const SUITES: [(&str, &str); 8] = [
-    ("--test daemon", "tests/daemon"),
+const SUITES: [(&str, &str); 9] = [
+    (DAEMON, "tests/daemon"),
+    (MEASURED, "tests/measured"),
     ("--test physics", "crates/physics/tests/physics"),
     ("--test cli", "clients/cli/tests/cli"),
     ("--lib", "src"),
@@ -22,7 +27,7 @@ const ABSOLUTE: [&str; 3] = ["never", "always", "every"];
 
 /// The tables that have a proof in each row.
 const TABLES: [&str; 2] = [
-    "What an answer means",
+    "What a reply means",
     "Threats, and the test that shows each defence",
 ];
 
@@ -96,10 +101,10 @@ struct Block {
 fn blocks(page: &Path) -> Vec<Block> {
     let text = fs::read_to_string(root().join(page)).unwrap();
     let (mut blocks, mut heading): (Vec<Block>, _) = (Vec::new(), String::new());
-    let (mut is_fenced, mut goes_on) = (false, false);
+    let (mut is_fenced, mut continues) = (false, false);
     for (line, number) in text.lines().zip(1..) {
         if line.starts_with("```") {
-            (is_fenced, goes_on) = (!is_fenced, false);
+            (is_fenced, continues) = (!is_fenced, false);
             continue;
         }
         if line.starts_with('#') {
@@ -109,11 +114,11 @@ fn blocks(page: &Path) -> Vec<Block> {
             .iter()
             .any(|it| line.starts_with(it));
         if is_fenced || line.trim().is_empty() {
-            goes_on = false;
+            continues = false;
             continue;
         }
         match blocks.last_mut() {
-            Some(block) if goes_on && !begins => {
+            Some(block) if continues && !begins => {
                 block.text.push(' ');
                 block.text.push_str(line.trim());
             }
@@ -123,7 +128,7 @@ fn blocks(page: &Path) -> Vec<Block> {
                 text: line.trim().to_owned(),
             }),
         }
-        goes_on = true;
+        continues = true;
     }
     blocks
 }
@@ -131,8 +136,8 @@ fn blocks(page: &Path) -> Vec<Block> {
 /// Something that a block names as its proof.
 #[derive(Debug)]
 enum Proof {
-    /// A test, by the suite and the beginning of its name.
-    Test(String, String),
+    /// A test of the daemon, by the beginning of its name.
+    Test(String),
     /// A word that a command selects tests by.
     Selection(String, String),
     /// A file.
@@ -161,7 +166,7 @@ fn is_name(text: &str) -> bool {
     text.contains("::") && begins && text.split("::").all(is_part)
 }
 
-/// What a block names, in backticks or, of tests, without.
+/// The proofs that a block names: in backticks or, of tests, without.
 fn proofs(text: &str) -> Vec<Proof> {
     let mut proofs = Vec::new();
     let pieces: Vec<&str> = text.split('`').collect();
@@ -169,7 +174,7 @@ fn proofs(text: &str) -> Vec<Proof> {
         if at % 2 == 0 {
             let words = piece.split(|c: char| !(c.is_ascii_alphanumeric() || "_:".contains(c)));
             let names = words.filter(|word| is_name(word));
-            proofs.extend(names.map(|it| Proof::Test("--test daemon".into(), it.into())));
+            proofs.extend(names.map(|it| Proof::Test(it.into())));
             continue;
         }
         let next = pieces.get(at + 1).zip(pieces.get(at + 2));
@@ -181,7 +186,7 @@ fn proofs(text: &str) -> Vec<Proof> {
                 false => Proof::Selection(suite, (*piece).to_owned()),
             });
         } else if is_name(piece) {
-            proofs.push(Proof::Test("--test daemon".into(), (*piece).to_owned()));
+            proofs.push(Proof::Test((*piece).to_owned()));
         } else if let Some((suite, word)) = selection(piece) {
             proofs.push(match word {
                 Some(word) => Proof::Selection(suite, word),
@@ -205,12 +210,13 @@ fn is_file(text: &str) -> bool {
     text.contains('/') && !text.contains([' ', '*']) && endings.iter().any(|it| text.ends_with(it))
 }
 
-/// What is wrong with a proof; nothing if it exists.
+/// The problem of a proof; `None` if it exists.
 fn missing(page: &Path, proof: &Proof, suites: &BTreeMap<&str, Vec<String>>) -> Option<String> {
     match proof {
-        Proof::Test(suite, name) => {
-            let is_there = suites[suite.as_str()].iter().any(|it| it.starts_with(name));
-            (!is_there).then(|| format!("no test of {suite} begins with {name}"))
+        Proof::Test(name) => {
+            let mut tests = suites[DAEMON].iter().chain(&suites[MEASURED]);
+            let is_there = tests.any(|it| it.starts_with(name));
+            (!is_there).then(|| format!("no test of {DAEMON} or {MEASURED} begins with {name}"))
         }
         Proof::Selection(suite, word) => {
             let is_there = suites[suite.as_str()].iter().any(|it| it.contains(word));
@@ -225,7 +231,7 @@ fn missing(page: &Path, proof: &Proof, suites: &BTreeMap<&str, Vec<String>>) -> 
     }
 }
 
-/// The pages for people.
+/// The documentation.
 fn pages() -> Vec<PathBuf> {
     let mut pages = files("docs", ".md");
     for page in [
@@ -280,20 +286,20 @@ fn a_claim_without_exception_names_its_proof() {
 
 /// Whether a text claims something without exception, outside backticks.
 fn is_absolute(text: &str) -> bool {
-    let said: String = text.split('`').step_by(2).collect();
-    let said = said.to_lowercase();
-    let words = said.split(|c: char| !c.is_alphanumeric());
+    let quoted: String = text.split('`').step_by(2).collect();
+    let quoted = quoted.to_lowercase();
+    let words = quoted.split(|c: char| !c.is_alphanumeric());
     let words: Vec<&str> = words.filter(|it| !it.is_empty()).collect();
     let excludes = |words: &[&str]| words[0] == "no" && words[2] == "can";
     words.iter().any(|it| ABSOLUTE.contains(it)) || words.windows(3).any(excludes)
 }
 
 #[test]
-fn what_is_named_is_read_off_a_block() {
+fn the_names_in_a_block_are_found() {
     let read = |text: &str| format!("{:?}", proofs(text));
     assert_eq!(
         read("So it is: `once::what`, `a` and crash::disk::full."),
-        "[Test(\"--test daemon\", \"once::what\"), Test(\"--test daemon\", \"crash::disk::full\")]"
+        "[Test(\"once::what\"), Test(\"crash::disk::full\")]"
     );
     assert_eq!(
         read("`rights` in `cargo test --release --test cli`"),

@@ -1,15 +1,16 @@
 //! Parts of an experiment, executed by several processes and merged: the same bytes as one machine's.
 
+mod merge;
+mod scripts;
+
 use std::collections::BTreeMap;
 use std::fs;
-use std::os::unix::fs::PermissionsExt as _;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 use std::time::Duration;
 
-use crate::apart::{Process, jostled};
-use crate::crash::disk::Small;
 use crate::experiment::until;
+use crate::support::process::{Process, jostled};
 
 /// 24 runs of very different length, some seconds of one core in all.
 const EXPERIMENT: &str = r#"
@@ -185,9 +186,9 @@ fn killed_parts_merge_to_the_bytes_of_one_machine() {
     assert_eq!(again[0]["command"], serde_json::json!(command));
 
     fixture.run("parts/part-3", &["--runs", runs]);
-    let told = fixture.merge(&["parts"], &["-o", "merged"]).unwrap();
+    let output = fixture.merge(&["parts"], &["-o", "merged"]).unwrap();
     assert_eq!(
-        told,
+        output,
         format!("merged {RUNS} runs from 3 parts into merged\n")
     );
     assert_eq!(fixture.tables("merged"), expected);
@@ -287,38 +288,6 @@ fn a_plan_has_as_many_parts_as_requested() {
 }
 
 #[test]
-fn a_verified_merge_finds_a_run_with_another_result() {
-    let fixture = Fixture::new();
-    for (name, part) in [("one", "1/2"), ("two", "2/2")] {
-        fixture.run(name, &["--part", part, "--threads", "2"]);
-    }
-    let told = fixture.merge(&["one", "two"], &["-o", "verified", "--verify", "20%"]);
-    let told = told.unwrap();
-    assert!(
-        told.contains("executed 6 runs again, with the same results"),
-        "{told}"
-    );
-    // The last digit of a number, as a faulty processor would have it.
-    fixture.edit("two", |text| {
-        let (before, after) = text.rsplit_once("\"v\":").unwrap();
-        let (number, after) = after.split_once(',').unwrap();
-        let (digits, last) = number.split_at(number.len() - 1);
-        let last = if last == "3" { "4" } else { "3" };
-        format!("{before}\"v\":{digits}{last},{after}")
-    });
-    let all = ["-o", "rejected", "--verify", "100%"];
-    let (code, message) = fixture.merge(&["one", "two"], &all).unwrap_err();
-    assert_eq!(code, 9, "{message}");
-    assert!(
-        message.contains("1 of 24 runs have another result"),
-        "{message}"
-    );
-    assert!(message.contains(" of two (state hash "), "{message}");
-    assert!(message.contains("on both, other measurements"), "{message}");
-    assert!(!fixture.path("rejected").exists());
-}
-
-#[test]
 fn a_run_continues_from_its_checkpoint_with_the_same_result() {
     let fixture = Fixture::new();
     let long = EXPERIMENT.replace("duration = 60", "duration = 600");
@@ -358,278 +327,4 @@ fn a_run_continues_from_its_checkpoint_with_the_same_result() {
     fs::write(checkpoints.join("000000.cbor"), &last[..last.len() / 2]).unwrap();
     fixture.run("damaged", &runs);
     assert_eq!(fixture.tables("damaged"), expected);
-}
-
-#[test]
-fn a_killed_merge_leaves_no_folder_of_results() {
-    let fixture = Fixture::new();
-    let series = EXPERIMENT.replace("order_every = 2", "order_every = 1");
-    fs::write(fixture.path("parts.toml"), series).unwrap();
-    for (name, part) in [("one", "1/2"), ("two", "2/2")] {
-        fixture.run(name, &["--part", part, "--threads", "2"]);
-    }
-    let parts = ["one", "two"];
-    let program = Path::new(env!("CARGO_BIN_EXE_jostled")).with_file_name("jostle");
-    let mut killed = 0;
-    let temporary = fixture.path(".jostle-killed.merge");
-    for _ in 0..8 {
-        let mut command = Command::new(&program);
-        command.current_dir(fixture.0.path());
-        command.args(["results", "merge", "one", "two", "-o", "killed"]);
-        let mut process = Process::of(command.stdout(Stdio::null()));
-        until("the merge", || {
-            temporary.exists() || fixture.path("killed").exists()
-        });
-        process.signal("-KILL");
-        process.end();
-        if fixture.path("killed").exists() {
-            fixture.tables("killed");
-            fs::remove_dir_all(fixture.path("killed")).unwrap();
-        } else {
-            killed += 1;
-        }
-    }
-    assert!(killed > 0, "no merge was killed before its end");
-    fixture.merge(&parts, &["-o", "killed"]).unwrap();
-    assert!(!temporary.exists());
-    fixture.merge(&parts, &["-o", "again"]).unwrap();
-    assert_eq!(fixture.tables("killed"), fixture.tables("again"));
-    let (code, message) = fixture.merge(&parts, &["-o", "again"]).unwrap_err();
-    assert_eq!(code, 4);
-    assert!(
-        message.contains("again exists and is not empty"),
-        "{message}"
-    );
-    let (code, message) = fixture.merge(&parts, &["-o", "/proc/merged"]).unwrap_err();
-    assert_eq!(code, 3, "{message}");
-    assert!(message.contains("/proc"), "{message}");
-}
-
-#[test]
-fn a_merge_on_a_full_disk_leaves_nothing() {
-    let fixture = Fixture::new();
-    for (name, part) in [("one", "1/2"), ("two", "2/2")] {
-        fixture.run(name, &["--part", part, "--threads", "2"]);
-    }
-    let parts = ["one", "two"];
-    let whole = fixture.merge(&parts, &["-o", "whole"]);
-    whole.unwrap();
-    let size = |name: &str| {
-        fs::metadata(fixture.path("whole").join(name))
-            .unwrap()
-            .len()
-    };
-    let list = size("runs.jsonl");
-    let all: u64 = list + TABLES.iter().map(|name| size(name)).sum::<u64>();
-    // Full while the list is written, and while the tables are.
-    for room in [list / 2, (list + all) / 2] {
-        let Some(disk) = Small::mount(all.div_ceil(1 << 20) + 1) else {
-            return;
-        };
-        disk.fill();
-        let ballast = disk.path().join("ballast");
-        let filled = fs::metadata(&ballast).unwrap().len();
-        let file = fs::File::options().write(true).open(&ballast).unwrap();
-        file.set_len(filled - room).unwrap();
-        let merged = disk.path().join("merged");
-        let to = ["-o", merged.to_str().unwrap()];
-        let (code, message) = fixture.merge(&parts, &to).unwrap_err();
-        assert_eq!(code, 8, "{message}");
-        assert!(message.contains("No space left"), "{message}");
-        let left = fs::read_dir(disk.path()).unwrap().count();
-        assert_eq!(left, 1, "more than the ballast");
-    }
-}
-
-#[test]
-fn folders_that_cannot_be_written_are_named_and_nothing_is_left() {
-    let fixture = Fixture::new();
-    for (name, part) in [("one", "1/2"), ("two", "2/2")] {
-        fixture.run(name, &["--part", part, "--threads", "2"]);
-    }
-    let Some(disk) = Small::mount(1) else {
-        return;
-    };
-    let options = ["-o", "remount,ro"];
-    let mount = Command::new("mount")
-        .args(options)
-        .arg(disk.path())
-        .status();
-    assert!(mount.unwrap().success());
-    let target = disk.path().join("folder");
-    let target = target.to_str().unwrap();
-    let (code, message) = fixture.merge(&["one", "two"], &["-o", target]).unwrap_err();
-    assert_eq!(code, 5, "{message}");
-    assert!(message.contains("Read-only file system"), "{message}");
-    let output = fixture
-        .command(target, &["--part", "1/2"])
-        .stderr(Stdio::piped())
-        .output()
-        .unwrap();
-    let message = String::from_utf8(output.stderr).unwrap();
-    assert_eq!(output.status.code(), Some(1), "{message}");
-    assert!(message.contains("folder.1-of-2: Read-only"), "{message}");
-    assert_eq!(fs::read_dir(disk.path()).unwrap().count(), 0);
-
-    // An empty folder behind a link.
-    fs::create_dir(fixture.path("behind")).unwrap();
-    std::os::unix::fs::symlink("behind", fixture.path("link")).unwrap();
-    fixture.merge(&["one", "two"], &["-o", "link"]).unwrap();
-    assert_eq!(fixture.tables("behind"), fixture.tables("link"));
-
-    // A folder without results.
-    fs::create_dir(fixture.path("empty")).unwrap();
-    let (code, message) = fixture
-        .merge(&["one", "empty"], &["-o", "none"])
-        .unwrap_err();
-    assert_eq!(code, 3, "{message}");
-    assert!(
-        message.contains("empty contains no results: use folders"),
-        "{message}"
-    );
-}
-
-#[test]
-fn a_part_that_cannot_be_read_is_named() {
-    let fixture = Fixture::new();
-    for (name, part) in [("one", "1/2"), ("two", "2/2")] {
-        fixture.run(&format!("parts/{name}"), &["--part", part]);
-    }
-    let two = fixture.path("parts/two");
-    let set_mode = |mode| fs::set_permissions(&two, fs::Permissions::from_mode(mode)).unwrap();
-    set_mode(0o000);
-    let program = Path::new(env!("CARGO_BIN_EXE_jostled")).with_file_name("jostle");
-    let merge = ["results", "merge", "parts", "-o", "merged"];
-    let plan = ["experiment", "plan", "parts.toml", "--missing", "parts"];
-    for arguments in [&merge[..], &plan] {
-        // With these capabilities the superuser may read everywhere.
-        let capabilities = "=-dac_override,-dac_read_search";
-        let mut command = Command::new("setpriv");
-        command.args(["bounding-set", "inh-caps"].map(|it| format!("--{it}{capabilities}")));
-        if !rustix::process::geteuid().is_root() {
-            command = Command::new("env");
-        }
-        let command = command.arg(&program).args(arguments);
-        let output = command.current_dir(fixture.0.path()).output().unwrap();
-        let message = String::from_utf8(output.stderr).unwrap();
-        assert_eq!(output.status.code(), Some(5), "{message}");
-        assert!(
-            message.contains("parts/two: Permission denied"),
-            "{message}"
-        );
-    }
-    set_mode(0o755);
-    assert!(!fixture.path("merged").exists());
-}
-
-#[test]
-fn a_damaged_line_of_the_first_part_is_named() {
-    let fixture = Fixture::new();
-    let parts = ["one", "three", "two"];
-    for (name, part) in parts.iter().zip(["1/3", "2/3", "3/3"]) {
-        fixture.run(name, &["--part", part]);
-    }
-    let damage = |text: String| {
-        let mut lines: Vec<&str> = text.split_inclusive('\n').collect();
-        lines[1] = "{\"run\": 3}\n";
-        lines.concat()
-    };
-    fixture.edit("one", damage);
-    let message = fixture.rejected(&parts, 2);
-    assert!(message.contains("one/runs.jsonl, line 2: "), "{message}");
-    assert!(
-        message.contains("restore the file from a copy"),
-        "{message}"
-    );
-}
-
-#[test]
-fn a_merge_that_cannot_be_renamed_names_the_folder_of_its_results() {
-    let fixture = Fixture::new();
-    fixture.run("one", &["--part", "1/1"]);
-    // A mount point cannot be replaced.
-    let Some(disk) = Small::mount(1) else {
-        return;
-    };
-    let target = disk.path().to_str().unwrap();
-    let (_, message) = fixture.merge(&["one"], &["-o", target]).unwrap_err();
-    let (folder, name) = target.rsplit_once('/').unwrap();
-    let results = format!("{folder}/.jostle-{name}.merge");
-    assert!(message.contains(&format!("failed to rename {results} to {target}: ")));
-    assert!(message.contains("the results are complete in the former"));
-    let table = fs::read(Path::new(&results).join("results.csv")).unwrap();
-    fs::remove_dir_all(&results).unwrap();
-    assert_eq!(table, fixture.tables("one")["results.csv"]);
-}
-
-#[test]
-fn names_in_a_script_are_neither_options_nor_commands() {
-    let fixture = Fixture::new();
-    fs::copy(fixture.path("parts.toml"), fixture.path("-p.toml")).unwrap();
-    let plan = ["experiment", "plan", "--parts", "2", "--emit", "slurm"];
-    let planned = |more: &[&str]| fixture.jostle(&[&plan[..], more].concat());
-    let script = planned(&["--out=-o", "--", "-p.toml"]).stdout;
-    let script = String::from_utf8(script).unwrap();
-    assert!(
-        script.contains("\nexec jostled run ./-p.toml --part "),
-        "{script}"
-    );
-    assert!(script.contains("\n  -o ./-o/part-"), "{script}");
-    fs::copy(fixture.path("parts.toml"), fixture.path("p\nrm.toml")).unwrap();
-    for more in [["p\nrm.toml", "--out=o"], ["parts.toml", "--out=o\rrm"]] {
-        let output = planned(&more);
-        let message = String::from_utf8(output.stderr).unwrap();
-        assert_eq!(output.status.code(), Some(2), "{message}");
-        assert!(
-            message.contains("a script cannot contain control characters"),
-            "{message}"
-        );
-        assert!(output.stdout.is_empty());
-    }
-}
-
-/// The text of the blocks of a kind in a section of the page.
-fn blocks(section: &str, kind: &str) -> Vec<String> {
-    let page = include_str!("../../docs/cluster.md");
-    let start = page.find(&format!("\n## {section}\n")).unwrap();
-    let text = &page[start + 1..];
-    let text = &text[..text.find("\n## ").unwrap_or(text.len())];
-    let open = format!("```{kind}\n");
-    let blocks = text.split(open.as_str()).skip(1);
-    blocks
-        .map(|it| it.split("```").next().unwrap().to_owned())
-        .collect()
-}
-
-#[test]
-fn the_commands_of_the_page_about_clusters_write_one_table() {
-    let page = include_str!("../../docs/cluster.md");
-    let toml = page.split("```toml\n").nth(1).unwrap();
-    let toml = toml.split("```").next().unwrap();
-    // In place of a job array, its elements one after the other; `tests/try-slurm` has a real one.
-    let sbatch = "sbatch() { for it in 1 2 3 4; do SLURM_ARRAY_TASK_ID=$it bash \"$1\"; done; }\n";
-    let mut tables = Vec::new();
-    for (section, count, results) in [
-        ("On one machine", 1, "results"),
-        ("On several machines, by hand", 1, "merged"),
-        ("Slurm", 2, "order-results"),
-    ] {
-        let folder = tempfile::tempdir().unwrap();
-        fs::write(folder.path().join("order.toml"), toml).unwrap();
-        let blocks = blocks(section, "sh");
-        assert_eq!(blocks.len(), count, "{section}");
-        let programs = Path::new(env!("CARGO_BIN_EXE_jostled")).parent().unwrap();
-        let path = std::env::var("PATH").unwrap();
-        let output = Command::new("bash")
-            .args(["-euc", &format!("{sbatch}{}", blocks.concat())])
-            .current_dir(folder.path())
-            .env("PATH", format!("{}:{path}", programs.display()))
-            .output()
-            .unwrap();
-        assert_eq!(output.status.code(), Some(0), "{section}: {output:?}");
-        tables.push(fs::read(folder.path().join(results).join("results.csv")).unwrap());
-    }
-    assert!(tables.iter().all(|it| *it == tables[0]));
-    let lines = tables[0].iter().filter(|&&byte| byte == b'\n').count();
-    assert_eq!(lines, 41);
 }

@@ -1,4 +1,4 @@
-//! A client that waits and verifies as often as it can keeps no other client from either.
+//! A client that sends as many `wait` and `verify` as it can does not keep other clients out.
 
 use jostle_proto::ErrorCode;
 use serde_json::json;
@@ -6,23 +6,20 @@ use tokio::net::TcpStream;
 use zenoh::handlers::FifoChannelHandler;
 use zenoh::query::Reply;
 
-use crate::support::{Answer, Client, Daemon, PATIENCE, read};
+use crate::support::{Client, Daemon, QueryResult, TIMEOUT, result_of};
 
 type Pending = FifoChannelHandler<Reply>;
 
 /// Sends a query and does not wait for its answer.
 async fn send(client: &Client, selector: &str) -> Pending {
-    let query = client.session.get(selector).timeout(3 * PATIENCE);
+    let query = client.session.get(selector).timeout(3 * TIMEOUT);
     query.await.unwrap()
 }
 
-/// The answer to a query that was sent; none if it does not come.
-async fn answer(pending: &Pending) -> Option<Answer> {
-    let reply = tokio::time::timeout(PATIENCE, pending.recv_async()).await;
-    Some(match reply.ok()?.unwrap().into_result() {
-        Ok(sample) => Ok(read(sample.encoding(), &sample.payload().to_bytes())),
-        Err(error) => Err(serde_json::from_slice(&error.payload().to_bytes()).unwrap()),
-    })
+/// The reply to a query that was sent; `None` without one.
+async fn answer(pending: &Pending) -> Option<QueryResult> {
+    let reply = tokio::time::timeout(3 * TIMEOUT, pending.recv_async()).await;
+    Some(result_of(reply.ok()?.unwrap()))
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -35,7 +32,7 @@ async fn of_too_many_waits_the_longest_gives_way_to_the_newest() {
     let mut in_place = Vec::new();
     for sent in 0..IN_PLACE {
         if sent % 100 == 0 {
-            // What was sent before this has arrived before it: no queue on the way is full.
+            // A query sent after the others arrives after them: no queue on the way is full.
             client.get("a", "status").await;
         }
         in_place.push(send(client, "jostle/a/get/wait?phase=running").await);
@@ -43,7 +40,10 @@ async fn of_too_many_waits_the_longest_gives_way_to_the_newest() {
     client.get("a", "status").await;
 
     let other = daemon.another_client().await;
-    let waited = other.one("jostle/a/get/wait?step=20", None).await.unwrap();
+    let waited = other
+        .query("jostle/a/get/wait?step=20", None)
+        .await
+        .unwrap();
     assert_eq!(waited["step"], 20);
     let verified = other.get("a", "verify").await;
     assert_eq!(verified["result"]["differs_at"], json!(null), "{verified}");
@@ -51,7 +51,7 @@ async fn of_too_many_waits_the_longest_gives_way_to_the_newest() {
     let waiting = send(&other, "jostle/a/get/wait?phase=running").await;
     other.get("a", "status").await;
 
-    // 1,024 may wait. The 77 that have waited longest are answered while the swarm still stands.
+    // 1,024 may wait. The 77 that have waited longest get a reply while the swarm is paused.
     let served = in_place.split_off(IN_PLACE + 1 - 1024);
     for displaced in &in_place {
         let error = answer(displaced).await.unwrap().unwrap_err();

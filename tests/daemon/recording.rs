@@ -1,111 +1,30 @@
-//! Recordings that the daemon makes: whole files, whatever happens to it, its swarms and its disk.
+//! Recordings by the daemon: complete files after resets, kills and disk failures.
 
 mod fetched;
 mod steps;
 
-use std::collections::BTreeMap;
 use std::fs;
-use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use jostle_proto::{ErrorCode, EventKind, keys};
-use jostle_results::recording::{About, Format, Recorder, Written, parts};
-use serde_json::{Value, json};
+use jostle_results::recording::parts;
+use serde_json::json;
 
-use crate::crash::disk::Small;
-use crate::crash::life::{Life, daemon, log};
-use crate::health::{health, of_daemon, series};
-use crate::streams::{next_event, subscribe};
-use crate::support::{Answer, Client, Daemon, NODE, PREFIX, alone, beside_others, until};
-
-async fn send(client: &Client, request: &Value) -> Answer {
-    let key = keys::node_cmd(PREFIX, NODE, "record");
-    client.one(&key, Some(request.to_string().as_bytes())).await
-}
-
-pub async fn ok(client: &Client, request: Value) -> Value {
-    let answer = send(client, &request).await;
-    answer.unwrap_or_else(|error| panic!("{request}: {error:?}"))["result"].take()
-}
-
-async fn refused(client: &Client, request: Value) -> (ErrorCode, String) {
-    let error = send(client, &request).await.unwrap_err();
-    (error.code, error.message)
-}
-
-async fn begin(client: &Client, swarm: &str, recording: &str) -> Value {
-    let begin = json!({"swarm": swarm, "recording": recording});
-    ok(client, json!({"begin": begin})).await
-}
-
-pub async fn stop(client: &Client, recording: &str) -> Value {
-    ok(client, json!({"stop": {"recording": recording}})).await
-}
-
-/// How a recording stands, as the list has it.
-pub async fn standing(client: &Client, recording: &str) -> Value {
-    let mut list = client.node("recordings").await;
-    let list = list["recordings"].as_array_mut().unwrap();
-    let found = list.iter_mut().find(|it| it["recording"] == recording);
-    found.unwrap_or_else(|| panic!("no {recording}")).take()
-}
-
-/// Waits until so much is recorded: `frames` or `parts`.
-pub async fn has(client: &Client, recording: &str, what: &str, count: u64) -> Value {
-    let mut last = Value::Null;
-    until(&format!("{count} {what} of {recording}"), async || {
-        last = standing(client, recording).await;
-        last[what].as_u64() >= Some(count)
-    })
-    .await;
-    last
-}
-
-/// A swarm that publishes every step, fifty of them a second.
-async fn run(client: &Client, swarm: &str, n: u64) {
-    let spec = json!({"n": n, "publish_every": 1, "rate": 1});
-    client.create(swarm, spec).await;
-    client.ok(swarm, "run", json!({})).await;
-}
-
-pub fn folder_of(data: &Path, recording: &str) -> PathBuf {
-    data.join("recordings").join(recording)
-}
-
-/// What the files of a recording hold, each of them read as a whole one.
-fn read(data: &Path, recording: &str) -> Written {
-    let folder = folder_of(data, recording);
-    let recorder = Recorder::go_on(&folder, Format::Mcap, About::new()).unwrap();
-    recorder.written()
-}
-
-fn assert_holds(data: &Path, standing: &Value) {
-    let recording = standing["recording"].as_str().unwrap();
-    let written = read(data, recording);
-    assert_eq!(standing["frames"], written.frames, "{standing}");
-    assert_eq!(standing["parts"], written.parts, "{standing}");
-    assert_eq!(standing["bytes"], written.bytes, "{standing}");
-}
-
-/// The names and the bytes of the whole parts.
-fn files(data: &Path, recording: &str) -> BTreeMap<PathBuf, Vec<u8>> {
-    let parts = parts(&folder_of(data, recording)).unwrap().into_iter();
-    parts
-        .map(|part| (part.clone(), fs::read(part).unwrap()))
-        .collect()
-}
-
-async fn life(data: &Path, points: &str) -> (Life, Client) {
-    let life = Life::begin(daemon(data).env("FAILPOINTS", points)).unwrap();
-    let client = Client::open(&life.endpoint).await;
-    (life, client)
-}
+use crate::health::series;
+use crate::support::daemon_process::log;
+use crate::support::http::{health, of_daemon};
+use crate::support::recording::{
+    assert_holds, begin, error_of, files, folder_of, has, ok, read, recording_status, run, send,
+    start_daemon, stop,
+};
+use crate::support::small_disk::SmallDisk;
+use crate::support::streams::{next_event, subscribe};
+use crate::support::{Daemon, PREFIX, until};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_swarm_is_recorded_twice_at_once_and_the_files_are_whole() {
-    let _machine = beside_others().await;
     let data = tempfile::tempdir().unwrap();
-    let (_life, client) = life(data.path(), "").await;
+    let (_process, client) = start_daemon(data.path(), "").await;
     run(&client, "school", 10).await;
     let begun = ok(&client, json!({"begin": {"swarm": "school"}})).await;
     assert_eq!(
@@ -121,48 +40,50 @@ async fn a_swarm_is_recorded_twice_at_once_and_the_files_are_whole() {
         stop(&client, "school-1").await,
         stop(&client, "school-2").await,
     ];
-    for standing in [&all, &some] {
-        assert_eq!(standing["phase"], "ended", "{standing}");
-        assert_eq!(standing["reason"], "stopped", "{standing}");
-        assert_eq!(standing["missed"], 0, "{standing}");
-        assert_eq!(standing["parts"], 1, "{standing}");
-        assert_holds(data.path(), standing);
+    for status in [&all, &some] {
+        assert_eq!(status["phase"], "ended", "{status}");
+        assert_eq!(status["reason"], "stopped", "{status}");
+        assert_eq!(status["missed"], 0, "{status}");
+        assert_eq!(status["parts"], 1, "{status}");
+        assert_holds(data.path(), status);
     }
     let [frames, few] = [&all, &some].map(|it| it["frames"].as_u64().unwrap());
     assert!(few >= 3 && few <= frames / 20 + 2, "{few} of {frames}");
     let names = fs::read_dir(folder_of(data.path(), "school-1")).unwrap();
     assert_eq!(names.count(), 3, "the part, and how it stands and stood");
 
-    // Stopped again it is as it was, and a deleted one is gone.
+    // A second `stop` changes nothing, and a deleted recording is gone.
     assert_eq!(stop(&client, "school-1").await, all);
     let delete = json!({"delete": {"recording": "school-1"}});
     assert_eq!(ok(&client, delete.clone()).await, all);
     assert!(!folder_of(data.path(), "school-1").exists());
-    assert_eq!(refused(&client, delete).await.0, ErrorCode::NotFound);
+    assert_eq!(error_of(&client, delete).await.0, ErrorCode::NotFound);
     let list = client.node("recordings").await;
     assert_eq!(list["recordings"], json!([some]));
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_reset_goes_on_and_a_deletion_ends_a_recording() {
-    let _machine = beside_others().await;
+async fn a_recording_continues_after_a_reset_and_ends_with_a_deletion() {
     let data = tempfile::tempdir().unwrap();
-    let (_life, client) = life(data.path(), "").await;
+    let (_process, client) = start_daemon(data.path(), "").await;
     client.create("school", json!({"n": 5})).await;
-    // One that stands still is in it as it is.
+    // The state of a paused swarm is recorded once.
     begin(&client, "school", "take").await;
     has(&client, "take", "frames", 1).await;
     client.ok("school", "step", json!({"steps": 20})).await;
     let before = has(&client, "take", "frames", 2).await["frames"].as_u64();
     client.ok("school", "reset", json!({})).await;
     has(&client, "take", "frames", before.unwrap() + 1).await;
-    assert_eq!(standing(&client, "take").await["phase"], "recording");
+    assert_eq!(
+        recording_status(&client, "take").await["phase"],
+        "recording"
+    );
     client.ok("school", "delete", json!({})).await;
     until("the recording has ended", async || {
-        standing(&client, "take").await["phase"] == "ended"
+        recording_status(&client, "take").await["phase"] == "ended"
     })
     .await;
-    let ended = standing(&client, "take").await;
+    let ended = recording_status(&client, "take").await;
     assert_eq!(ended["reason"], "its swarm was deleted");
     assert_holds(data.path(), &ended);
     let bytes = fs::read(&parts(&folder_of(data.path(), "take")).unwrap()[0]).unwrap();
@@ -173,11 +94,10 @@ async fn a_reset_goes_on_and_a_deletion_ends_a_recording() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn killed_in_the_midst_of_it_a_recording_goes_on_and_its_parts_are_whole() {
-    let _machine = beside_others().await;
+async fn a_recording_resumes_after_a_kill_and_its_parts_are_complete() {
     let data = tempfile::tempdir().unwrap();
     let points = "recording-part=return(200)";
-    let (mut alive, mut client) = life(data.path(), points).await;
+    let (mut process, mut client) = start_daemon(data.path(), points).await;
     run(&client, "school", 10).await;
     run(&client, "gone", 10).await;
     for recording in ["first", "second"] {
@@ -187,20 +107,22 @@ async fn killed_in_the_midst_of_it_a_recording_goes_on_and_its_parts_are_whole()
     for kill in 1..=3 {
         let mut before = Vec::new();
         for name in ["first", "second"] {
-            let standing = standing(&client, name).await["parts"].as_u64().unwrap();
-            has(&client, name, "parts", standing + 2).await;
+            let status = recording_status(&client, name).await["parts"]
+                .as_u64()
+                .unwrap();
+            has(&client, name, "parts", status + 2).await;
         }
-        alive.kill();
+        process.kill();
         for name in ["first", "second"] {
             before.push(files(data.path(), name));
         }
-        (alive, client) = life(data.path(), points).await;
+        (process, client) = start_daemon(data.path(), points).await;
         for (name, before) in ["first", "second"].iter().zip(before) {
             until("it goes on", async || {
                 log(data.path()).matches("resumed with a new part").count() >= 2 * kill
             })
             .await;
-            let now = standing(&client, name).await;
+            let now = recording_status(&client, name).await;
             assert_eq!(now["phase"], "recording", "{now}");
             assert!(now["parts"].as_u64() >= Some(before.len() as u64), "{now}");
             has(&client, name, "parts", before.len() as u64 + 1).await;
@@ -215,41 +137,40 @@ async fn killed_in_the_midst_of_it_a_recording_goes_on_and_its_parts_are_whole()
         assert_holds(data.path(), &ended);
     }
 
-    // What is deleted while the recording could not know is recorded no longer.
-    alive.kill();
+    // The recording ends if its swarm was deleted while the daemon was down.
+    process.kill();
     let folder = folder_of(data.path(), "other");
     let text = fs::read_to_string(folder.join("recording.json")).unwrap();
     let text = text.replace("\"gone\"", "\"nobody\"");
     fs::write(folder.join("recording.json"), text).unwrap();
-    let (_alive, client) = life(data.path(), points).await;
+    let (_process, client) = start_daemon(data.path(), points).await;
     until("it is over", async || {
-        standing(&client, "other").await["phase"] == "ended"
+        recording_status(&client, "other").await["phase"] == "ended"
     })
     .await;
-    let ended = standing(&client, "other").await;
+    let ended = recording_status(&client, "other").await;
     assert!(ended["reason"].as_str().unwrap().contains("did not exist"));
     assert_holds(data.path(), &ended);
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_daemon_that_stops_ends_the_parts_in_hand_and_goes_on_when_it_is_back() {
-    let _machine = beside_others().await;
     let data = tempfile::tempdir().unwrap();
-    let (mut alive, client) = life(data.path(), "").await;
+    let (mut process, client) = start_daemon(data.path(), "").await;
     run(&client, "school", 10).await;
     begin(&client, "school", "take").await;
     has(&client, "take", "frames", 20).await;
-    let id = alive.child.id().to_string();
+    let id = process.child.id().to_string();
     let signalled = Command::new("kill").args(["-TERM", &id]).status();
     assert!(signalled.unwrap().success());
-    assert_eq!(alive.end(), Some(0));
+    assert_eq!(process.end(), Some(0));
     let folder = folder_of(data.path(), "take");
     let names = fs::read_dir(&folder).unwrap().count();
     assert_eq!(names, 3, "one part, and how it stands and stood");
     let whole = read(data.path(), "take");
     assert!(whole.frames >= 20, "{whole:?}");
 
-    let (_alive, client) = life(data.path(), "").await;
+    let (_process, client) = start_daemon(data.path(), "").await;
     has(&client, "take", "frames", whole.frames + 5).await;
     let ended = stop(&client, "take").await;
     assert_eq!(ended["parts"], 2);
@@ -258,42 +179,41 @@ async fn a_daemon_that_stops_ends_the_parts_in_hand_and_goes_on_when_it_is_back(
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_full_disk_ends_a_recording_and_harms_no_swarm() {
-    let _alone = alone().await;
-    let Some(disk) = Small::mount(16) else {
+    let Some(disk) = SmallDisk::mount(16) else {
         return;
     };
-    let (mut alive, client) = life(disk.path(), "recording-settled=sleep(300)").await;
+    let (mut process, client) = start_daemon(disk.path(), "recording-settled=sleep(300)").await;
     run(&client, "school", 200).await;
     begin(&client, "school", "take").await;
     begin(&client, "school", "table").await;
     has(&client, "take", "frames", 5).await;
     for name in ["take", "table"] {
         until("the disk is full", async || {
-            // What the end of a part gives back is somebody else's at once.
+            // Fills the space that the end of a part frees.
             disk.fill_more();
-            standing(&client, name).await["phase"] == "failed"
+            recording_status(&client, name).await["phase"] == "failed"
         })
         .await;
-        let failed = standing(&client, name).await;
+        let failed = recording_status(&client, name).await;
         let reason = failed["reason"].as_str().unwrap();
         assert!(reason.contains("the disk is full"), "{failed}");
         assert!(failed["frames"].as_u64() >= Some(5), "{failed}");
         assert_holds(disk.path(), &failed);
         let step = client.get("school", "status").await["step"].as_u64();
-        client.reach("school", step.unwrap() + 10).await;
-        let (code, _) = refused(&client, json!({"stop": {"recording": name}})).await;
+        client.wait_for_step("school", step.unwrap() + 10).await;
+        let (code, _) = error_of(&client, json!({"stop": {"recording": name}})).await;
         assert_eq!(code, ErrorCode::IncorrectState);
         let warnings = client.node("metrics").await["warnings"].to_string();
         assert!(warnings.contains(name), "{warnings}");
     }
     disk.fill_more();
-    let (code, message) = refused(&client, json!({"begin": {"swarm": "school"}})).await;
+    let (code, message) = error_of(&client, json!({"begin": {"swarm": "school"}})).await;
     assert_eq!(code, ErrorCode::StorageFull, "{message}");
     let before = client.node("recordings").await;
     assert_eq!(before["recordings"].as_array().unwrap().len(), 2);
-    alive.kill();
+    process.kill();
     disk.make_room();
-    let (_alive, client) = life(disk.path(), "").await;
+    let (_process, client) = start_daemon(disk.path(), "").await;
     assert_eq!(client.node("recordings").await, before);
 }
 
@@ -308,10 +228,10 @@ async fn a_failed_recording_is_an_event_a_metric_and_a_warning_until_it_is_delet
     begin(client, "school", "other").await;
     has(client, "take", "frames", 1).await;
     assert_eq!(["recording", "ended", "failed"].map(count), [2.0, 0.0, 0.0]);
-    let (status, told) = health(&http);
-    assert_eq!((status, &told["warnings"]), (200, &json!([])));
+    let (status, report) = health(&http);
+    assert_eq!((status, &report["warnings"]), (200, &json!([])));
 
-    // The part can get its name no more.
+    // The part cannot be renamed.
     fs::remove_dir_all(folder_of(daemon.data_dir(), "take")).unwrap();
     let failed = stop(client, "take").await;
     assert_eq!(failed["phase"], "failed", "{failed}");
@@ -328,10 +248,13 @@ async fn a_failed_recording_is_an_event_a_metric_and_a_warning_until_it_is_delet
     assert!(kinds.any(|kind| kind == "recording_failed"), "{history}");
 
     assert_eq!(["recording", "ended", "failed"].map(count), [1.0, 0.0, 1.0]);
-    let (status, told) = health(&http);
-    assert_eq!((status, &told["healthy"]), (200, &json!(true)));
-    assert_eq!(told["warnings"][0]["code"], "recording_failed", "{told}");
-    let message = told["warnings"][0]["message"].as_str().unwrap();
+    let (status, report) = health(&http);
+    assert_eq!((status, &report["healthy"]), (200, &json!(true)));
+    assert_eq!(
+        report["warnings"][0]["code"], "recording_failed",
+        "{report}"
+    );
+    let message = report["warnings"][0]["message"].as_str().unwrap();
     assert!(message.contains(&format!("take ({expected})")), "{message}");
     assert!(message.contains("--delete NAME"), "{message}");
     let metrics = client.node("metrics").await;
@@ -366,14 +289,14 @@ async fn frames_and_bytes_are_counted_while_a_part_is_written() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_cannot_be_recorded_is_refused_and_leaves_nothing() {
+async fn an_impossible_recording_is_rejected_and_leaves_nothing() {
     let daemon = Daemon::start().await;
     let client = &daemon.client;
     client.create("school", json!({"n": 3})).await;
-    let (code, message) = refused(client, json!({"begin": {"swarm": "nobody"}})).await;
+    let (code, message) = error_of(client, json!({"begin": {"swarm": "nobody"}})).await;
     assert_eq!(code, ErrorCode::NotFound, "{message}");
     for action in ["stop", "delete"] {
-        let (code, message) = refused(client, json!({action: {"recording": "take"}})).await;
+        let (code, message) = error_of(client, json!({action: {"recording": "take"}})).await;
         assert_eq!(code, ErrorCode::NotFound, "{message}");
         assert!(message.contains("get/recordings"), "{message}");
     }
@@ -381,7 +304,7 @@ async fn what_cannot_be_recorded_is_refused_and_leaves_nothing() {
     let request = json!({"client": "me", "request_id": "one", "args": args});
     let begun = send(client, &request).await.unwrap();
     assert_eq!(send(client, &request).await.unwrap(), begun, "once");
-    let (code, message) = refused(client, args).await;
+    let (code, message) = error_of(client, args).await;
     assert_eq!(code, ErrorCode::AlreadyExists);
     assert!(message.contains("another name"), "{message}");
 
@@ -389,7 +312,7 @@ async fn what_cannot_be_recorded_is_refused_and_leaves_nothing() {
         let begun = ok(client, json!({"begin": {"swarm": "school"}})).await;
         assert_eq!(begun["recording"], format!("school-{number}"));
     }
-    let (code, message) = refused(client, json!({"begin": {"swarm": "school"}})).await;
+    let (code, message) = error_of(client, json!({"begin": {"swarm": "school"}})).await;
     assert_eq!(code, ErrorCode::ResourceExhausted);
     assert!(message.contains("stop one"), "{message}");
     stop(client, "school-7").await;

@@ -1,4 +1,4 @@
-//! Same spec and seed, same hash: whoever else is there, however it is stepped and watched.
+//! The hash depends on spec, seed and commands, not on other swarms, pacing or subscribers.
 
 use jostle_proto::keys;
 use serde_json::json;
@@ -18,7 +18,7 @@ async fn the_hash_depends_on_nothing_but_spec_seed_and_commands() {
     client.ok("alone", "inform", inform.clone()).await;
     let expected = client.hash_at("alone", STEPS).await;
 
-    // Beside others, watched, publishing every step.
+    // Beside other swarms, with subscribers, publishing every step.
     let watcher = daemon.another_client().await;
     let subscriber = watcher
         .session
@@ -40,7 +40,7 @@ async fn the_hash_depends_on_nothing_but_spec_seed_and_commands() {
     assert_eq!(client.hash_at("beside", STEPS).await, expected);
     assert!(subscriber.try_recv().unwrap().is_some(), "it was watched");
 
-    // One by one, and in strides, and paced.
+    // Step by step, in larger steps, and at a rate.
     client.create("by-one", spec.clone()).await;
     client.ok("by-one", "inform", inform.clone()).await;
     for _ in 0..100 {
@@ -49,7 +49,7 @@ async fn the_hash_depends_on_nothing_but_spec_seed_and_commands() {
     client
         .ok("by-one", "run", json!({"rate": 100, "until_step": 600}))
         .await;
-    client.reach("by-one", 600).await;
+    client.wait_for_step("by-one", 600).await;
     let reply = client
         .ok(
             "by-one",
@@ -59,7 +59,7 @@ async fn the_hash_depends_on_nothing_but_spec_seed_and_commands() {
         .await;
     assert_eq!(reply["result"]["state_hash"], expected);
 
-    // From a reset; another seed goes elsewhere.
+    // After a reset; another seed gives another hash.
     client.ok("by-one", "reset", json!({})).await;
     client.ok("by-one", "inform", inform.clone()).await;
     assert_eq!(client.hash_at("by-one", STEPS).await, expected);

@@ -1,162 +1,25 @@
-//! Recordings shown as if they were swarms.
+//! Playbacks: recordings shown as swarms.
 
 use std::fs;
-use std::path::Path;
-use std::time::{Duration, SystemTime};
+use std::time::Duration;
 
-use base64::Engine as _;
-use base64::engine::general_purpose::STANDARD;
 use jostle_proto::{Error, ErrorCode, State, keys};
-use jostle_results::recording::{About, Frame, Moment, Recorder};
+use jostle_results::recording::{About, Recorder};
 use serde_json::{Value, json};
 
-use crate::support::{Answer, Client, Daemon, NODE, PREFIX, until};
-
-/// A recording of a swarm that steps by fives, changes shape and is informed on the way, and is
-/// reset once: 41 frames, and then 11.
-async fn record(client: &Client, path: &Path) -> Vec<State> {
-    let spec = json!({"n": 12, "seed": 3, "rate": null});
-    client.create("live", spec).await;
-    let (spec, status) = (
-        client.get("live", "spec").await,
-        client.get("live", "status").await,
-    );
-    let about = About::from([
-        ("swarm".to_owned(), "live".to_owned()),
-        ("spec".to_owned(), spec["result"].to_string()),
-        ("rate".to_owned(), "20.0".to_owned()),
-        (
-            "parameters".to_owned(),
-            status["result"]["parameters"].to_string(),
-        ),
-    ]);
-    let mut recorder = Recorder::to_file(path, true, about, |_, _| Ok(())).unwrap();
-    let (mut states, mut told) = (Vec::new(), 0);
-    for number in 0..52 {
-        match number {
-            0 => {}
-            41 => drop(client.ok("live", "reset", json!({})).await),
-            _ => drop(client.ok("live", "step", json!({"steps": 5})).await),
-        }
-        match number {
-            10 => {
-                let select = json!({"select": {"ids": [1, 4]}, "direction": 1.5});
-                client.ok("live", "inform", select).await;
-            }
-            20 => drop(
-                client
-                    .ok("live", "set", json!({"pi1": 3.0, "make_room": true}))
-                    .await,
-            ),
-            _ => {}
-        }
-        let events = format!("events?after={told}");
-        let events = client.get("live", &events).await["result"]["events"].clone();
-        let published = state_bytes(client, "live").await;
-        let state = State::from_cbor(&published).unwrap();
-        for event in events.as_array().unwrap() {
-            told = event["number"].as_u64().unwrap();
-            let at = moment(told, &state);
-            recorder.event(&at, event.to_string().as_bytes()).unwrap();
-        }
-        recorder
-            .frame(&Frame {
-                swarm: &state.swarm,
-                moment: moment(number, &state),
-                phase: state.phase.name(),
-                step: state.step,
-                origin: state.origin,
-                id: &state.id,
-                x: &state.x,
-                y: &state.y,
-                alpha: &state.alpha,
-                weight: &state.weight,
-                direction: &state.direction,
-                order: state.order.order,
-                drift: state.order.drift,
-                worst_gap: state.certificate.worst_gap,
-                residual: state.certificate.residual,
-                contacts: state.certificate.contacts,
-                published: &published,
-            })
-            .unwrap();
-        states.push(state);
-    }
-    recorder.finish(&About::new()).unwrap();
-    states
-}
-
-fn moment(number: u64, state: &State) -> Moment {
-    Moment {
-        epoch: state.epoch,
-        number,
-        time: state.time,
-        taken: SystemTime::now(),
-    }
-}
-
-async fn state_bytes(client: &Client, swarm: &str) -> Vec<u8> {
-    let replies = client
-        .session
-        .get(keys::state(PREFIX, swarm))
-        .await
-        .unwrap();
-    let sample = replies.recv_async().await.unwrap().into_result().unwrap();
-    sample.payload().to_bytes().into_owned()
-}
-
-async fn state(client: &Client, swarm: &str) -> State {
-    State::from_cbor(&state_bytes(client, swarm).await).unwrap()
-}
-
-async fn replay(client: &Client, args: Value) -> Answer {
-    let key = keys::node_cmd(PREFIX, NODE, "replay");
-    client.one(&key, Some(args.to_string().as_bytes())).await
-}
-
-/// A recording of a swarm that is there no more.
-pub async fn take(client: &Client) -> Vec<u8> {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("take.mcap");
-    record(client, &path).await;
-    client.ok("live", "delete", json!({})).await;
-    fs::read(path).unwrap()
-}
-
-pub async fn piece(client: &Client, name: &str, file: &[u8], from: usize, to: usize) -> Answer {
-    let args = json!({"upload": {
-        "name": name, "offset": from, "length": file.len(), "bytes": STANDARD.encode(&file[from..to]),
-    }});
-    replay(client, args).await
-}
-
-/// Uploads a file.
-pub async fn upload(client: &Client, name: &str, file: &[u8]) {
-    let mut from = 0;
-    while from < file.len() {
-        let to = file.len().min(from + 50_000);
-        let uploaded = piece(client, name, file, from, to).await.unwrap();
-        assert_eq!(uploaded["result"]["uploaded"], to);
-        from = to;
-    }
-}
-
-/// Uploads a file and opens it.
-pub async fn show(client: &Client, name: &str, file: &[u8]) -> Answer {
-    upload(client, name, file).await;
-    replay(client, json!({"open": {"name": name}})).await
-}
+use crate::support::playback::{record, replay, state, upload_and_open, upload_piece};
+use crate::support::{Client, Daemon, PREFIX, QueryResult, until};
 
 async fn seek_error(client: &Client, args: &Value) -> Error {
     let key = keys::cmd(PREFIX, "tape", "seek");
     let payload = json!({ "args": args }).to_string();
     client
-        .one(&key, Some(payload.as_bytes()))
+        .query(&key, Some(payload.as_bytes()))
         .await
         .unwrap_err()
 }
 
-/// Whether a state shows what another one did, under another name.
+/// Fails unless a state equals a recorded one but for the swarm's name, epoch, frame and phase.
 fn assert_shows(shown: &State, recorded: &State) {
     let as_recorded = State {
         swarm: recorded.swarm.clone(),
@@ -175,15 +38,15 @@ async fn a_recording_is_shown_to_the_bit_and_goes_wherever_it_is_sought() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("take.mcap");
     let recorded = record(client, &path).await;
-    let shown = show(client, "tape", &fs::read(&path).unwrap())
+    let shown = upload_and_open(client, "tape", &fs::read(&path).unwrap())
         .await
         .unwrap();
-    let mut told = shown["result"]["replay"].clone();
-    let duration = told["duration"].take().as_f64().unwrap();
+    let mut playback = shown["result"]["replay"].clone();
+    let duration = playback["duration"].take().as_f64().unwrap();
     assert!((duration - 5.0).abs() < 1e-9, "{duration}");
     let expected =
         json!({"of": "live", "frame": 1, "frames": 52, "position": 0.0, "duration": null});
-    assert_eq!(told, expected);
+    assert_eq!(playback, expected);
     let status = client.get("tape", "status").await;
     assert_eq!(status["result"]["rate"], 20.0);
 
@@ -204,7 +67,7 @@ async fn a_recording_is_shown_to_the_bit_and_goes_wherever_it_is_sought() {
         assert_shows(&state(client, "tape").await, &recorded[frame]);
         let status = client.get("tape", "status").await;
         assert_eq!(status["result"]["replay"]["frame"], frame + 1);
-        // The shape is the one it had then.
+        // The parameters are those of that time.
         let pi1 = if (20..41).contains(&frame) { 3.0 } else { 4.0 };
         assert_eq!(status["result"]["parameters"]["pi1"], pi1, "frame {frame}");
     }
@@ -236,7 +99,7 @@ async fn a_recording_is_shown_to_the_bit_and_goes_wherever_it_is_sought() {
         assert_eq!(after, before, "{beyond}: it stays where it is");
     }
     client.ok("tape", "seek", json!({"fraction": 0})).await;
-    // The last frame itself is not beyond the end, and a rounded time is as good.
+    // The last frame is not beyond the end, also by a rounded time.
     for last in [
         json!({"time": 4.0}),
         json!({"time": 3.999_999_999_9}),
@@ -270,13 +133,13 @@ async fn a_recording_is_shown_to_the_bit_and_goes_wherever_it_is_sought() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn whoever_watches_a_replay_sees_and_hears_what_there_was() {
+async fn a_playback_publishes_the_recorded_states_and_events() {
     let daemon = Daemon::start().await;
     let client = &daemon.client;
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("take.mcap");
     let recorded = record(client, &path).await;
-    show(client, "tape", &fs::read(&path).unwrap())
+    upload_and_open(client, "tape", &fs::read(&path).unwrap())
         .await
         .unwrap();
     let states = client
@@ -292,7 +155,7 @@ async fn whoever_watches_a_replay_sees_and_hears_what_there_was() {
         .await;
     let took = began.elapsed();
     assert_eq!(paused["result"]["reason"], "finished");
-    // Five of time at five a second.
+    // Five time units at five a second.
     assert!(took > Duration::from_millis(900), "{took:?}");
     assert_eq!(paused["result"]["replay"]["frame"], 52);
     let mut epochs = Vec::new();
@@ -315,22 +178,22 @@ async fn whoever_watches_a_replay_sees_and_hears_what_there_was() {
         "{epochs:?}"
     );
     // The verb and the wall-clock time of each command event.
-    let told_by = async |swarm: &str| -> Vec<(String, f64)> {
+    let changes_of = async |swarm: &str| -> Vec<(String, f64)> {
         let events = client.get(swarm, "events?limit=1000").await["result"]["events"].take();
-        let told = events.as_array().unwrap().iter().filter_map(|it| {
+        let changes = events.as_array().unwrap().iter().filter_map(|it| {
             let verb = it["event"]["verb"].as_str()?;
             let is_change = ["inform", "set", "reset"].contains(&verb);
             is_change.then(|| (verb.to_owned(), it["unix_secs"].as_f64().unwrap()))
         });
-        told.collect()
+        changes.collect()
     };
-    let told = told_by("tape").await;
-    let verbs: Vec<&str> = told.iter().map(|(verb, _)| verb.as_str()).collect();
+    let changes = changes_of("tape").await;
+    let verbs: Vec<&str> = changes.iter().map(|(verb, _)| verb.as_str()).collect();
     assert_eq!(verbs, ["inform", "set", "reset"]);
-    assert_eq!(told, told_by("live").await);
+    assert_eq!(changes, changes_of("live").await);
 
-    // At its end it begins anew, which is an epoch, and so is the reset on the way; as fast as
-    // possible is a frame at a time.
+    // At its end a run begins again in a new epoch, and the recorded reset is another one; as fast as
+    // possible shows every frame.
     let ended_in = paused["epoch"].as_u64().unwrap();
     client.ok("tape", "run", json!({"rate": null})).await;
     let paused = client
@@ -340,7 +203,7 @@ async fn whoever_watches_a_replay_sees_and_hears_what_there_was() {
         (&paused["step"], paused["epoch"].as_u64()),
         (&json!(50), Some(ended_in + 2))
     );
-    // After a seek backwards playback goes on from there, at this rate with a frame a second.
+    // After a seek backwards playback continues there, at this rate with a frame a second.
     let frame = async || {
         let status = client.get("tape", "status").await;
         status["result"]["replay"]["frame"].as_u64().unwrap()
@@ -368,14 +231,14 @@ async fn whoever_watches_a_replay_sees_and_hears_what_there_was() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_replay_refuses_what_would_change_it_and_a_swarm_to_be_sought_through() {
+async fn a_replay_rejects_what_would_change_it_and_a_swarm_to_be_sought_through() {
     let daemon = Daemon::start().await;
     let client = &daemon.client;
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("take.mcap");
     record(client, &path).await;
     let file = fs::read(&path).unwrap();
-    show(client, "tape", &file).await.unwrap();
+    upload_and_open(client, "tape", &file).await.unwrap();
     for (verb, args) in [
         ("set", json!({"pi1": 5})),
         ("inform", json!({"select": {"ids": [1]}, "direction": 0})),
@@ -408,20 +271,26 @@ async fn a_replay_refuses_what_would_change_it_and_a_swarm_to_be_sought_through(
         .err("tape", "seek", json!({"at_step": 4, "args": {"step": 1}}))
         .await;
     assert_eq!(code, ErrorCode::InvalidArgument);
-    // The name is taken, and what is there goes on.
+    // The name is in use, and the playback of that name continues.
     assert_eq!(
-        show(client, "tape", &file).await.unwrap_err().code,
+        upload_and_open(client, "tape", &file)
+            .await
+            .unwrap_err()
+            .code,
         ErrorCode::AlreadyExists
     );
     assert_eq!(
-        show(client, "live", &file).await.unwrap_err().code,
+        upload_and_open(client, "live", &file)
+            .await
+            .unwrap_err()
+            .code,
         ErrorCode::AlreadyExists
     );
     client.ok("tape", "seek", json!({"step": 50})).await;
     for noun in ["snapshot", "verify"] {
-        let refused = client.one(&keys::get(PREFIX, "tape", noun), None).await;
+        let rejected = client.query(&keys::get(PREFIX, "tape", noun), None).await;
         assert_eq!(
-            refused.unwrap_err().code,
+            rejected.unwrap_err().code,
             ErrorCode::IncorrectState,
             "{noun}"
         );
@@ -430,7 +299,7 @@ async fn a_replay_refuses_what_would_change_it_and_a_swarm_to_be_sought_through(
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn pieces_that_do_not_fit_and_files_that_are_no_recordings_are_refused() {
+async fn pieces_that_do_not_fit_and_files_that_are_no_recordings_are_rejected() {
     let daemon = Daemon::start().await;
     let client = &daemon.client;
     let folder = tempfile::tempdir().unwrap();
@@ -438,23 +307,23 @@ async fn pieces_that_do_not_fit_and_files_that_are_no_recordings_are_refused() {
     record(client, &path).await;
     let file = fs::read(&path).unwrap();
 
-    let code = |answer: Answer| answer.unwrap_err().code;
+    let code = |answer: QueryResult| answer.unwrap_err().code;
     assert_eq!(
-        code(piece(client, "t", &file, 10, 20).await),
+        code(upload_piece(client, "t", &file, 10, 20).await),
         ErrorCode::Conflict
     );
-    piece(client, "t", &file, 0, 1000).await.unwrap();
+    upload_piece(client, "t", &file, 0, 1000).await.unwrap();
     assert_eq!(
         code(replay(client, json!({"open": {"name": "t"}})).await),
         ErrorCode::NotFound
     );
     assert_eq!(
-        code(piece(client, "t", &file, 2000, 3000).await),
+        code(upload_piece(client, "t", &file, 2000, 3000).await),
         ErrorCode::Conflict
     );
-    // One that came twice is as good, and it goes on.
+    // A repeated piece is accepted, and the upload continues.
     for _ in 0..2 {
-        let uploaded = piece(client, "t", &file, 1000, 2000).await.unwrap();
+        let uploaded = upload_piece(client, "t", &file, 1000, 2000).await.unwrap();
         assert_eq!(uploaded["result"]["uploaded"], 2000);
     }
     let huge = json!({"upload": {"name": "h", "offset": 0, "length": 1u64 << 50, "bytes": ""}});
@@ -491,13 +360,13 @@ async fn pieces_that_do_not_fit_and_files_that_are_no_recordings_are_refused() {
         ("no MCAP", &b"PAR1 and no more than that"[..]),
         ("has no spec", &without_spec),
     ] {
-        let Error { code, message, .. } = show(client, "t", bytes).await.unwrap_err();
+        let Error { code, message, .. } = upload_and_open(client, "t", bytes).await.unwrap_err();
         assert_eq!(code, ErrorCode::InvalidArgument, "{why}: {message}");
         assert!(message.contains(why), "{why}: {message}");
     }
-    // The daemon has kept nothing of it.
+    // The daemon has deleted the uploads.
     let left = fs::read_dir(daemon.data_dir().join("replays")).unwrap();
     assert_eq!(left.count(), 0);
-    show(client, "t", &file).await.unwrap();
+    upload_and_open(client, "t", &file).await.unwrap();
     daemon.stop().await;
 }

@@ -1,4 +1,4 @@
-//! Many people, each with their rights: what each may, over TLS and within the machine.
+//! People and roles: what each may do, over TLS and within the machine.
 
 mod address;
 mod blocked;
@@ -20,11 +20,10 @@ use jostled::cli::settings;
 use jostled::config::Config;
 use serde_json::{Value, json};
 use tempfile::TempDir;
-use tokio::sync::RwLockReadGuard;
 use zenoh::Session;
 use zenoh::bytes::Encoding;
 
-use crate::support::{Answer, NODE, PATIENCE, PREFIX, beside_others, read};
+use crate::support::{NODE, PREFIX, QueryResult, TIMEOUT, result_of};
 
 /// Two viewers, two controllers, an operator.
 const PEOPLE: [(&str, Role); 5] = [
@@ -35,24 +34,22 @@ const PEOPLE: [(&str, Role); 5] = [
     ("olga", Role::Operator),
 ];
 
-/// A daemon that knows its people.
-struct Lab {
+/// A daemon with roles.
+struct AuthDaemon {
     server: Server,
     folder: Folder,
     base: TempDir,
-    _machine: RwLockReadGuard<'static, ()>,
 }
 
-impl Lab {
-    async fn open() -> Self {
-        Self::serving("127.0.0.1:0").await
+impl AuthDaemon {
+    async fn start() -> Self {
+        Self::start_with_http("127.0.0.1:0").await
     }
 
     /// A daemon that serves HTTP there.
-    async fn serving(http: &str) -> Self {
-        let machine = beside_others().await;
+    async fn start_with_http(http: &str) -> Self {
         let base = tempfile::tempdir().unwrap();
-        let folder = Folder::at(base.path().join("auth"));
+        let folder = Folder::new(base.path().join("auth"));
         let people = PEOPLE.map(|(name, role)| (name.to_owned(), role));
         issue::init(&folder, &[], &people).unwrap();
         let data = base.path().join("data");
@@ -65,11 +62,10 @@ impl Lab {
         ];
         let resolved = settings::from_flags(flags).unwrap();
         let server = app::start(&Config::new(&resolved).unwrap()).await.unwrap();
-        Lab {
+        AuthDaemon {
             server,
             folder,
             base,
-            _machine: machine,
         }
     }
 
@@ -84,41 +80,41 @@ impl Lab {
     }
 
     /// A session of `name`'s over TLS, which sends their token.
-    async fn enter(&self, name: &str) -> Visitor {
-        self.enter_with(name, Some(&self.credentials(name).token))
+    async fn open_session(&self, name: &str) -> UserSession {
+        self.open_session_with(name, Some(&self.credentials(name).token))
             .await
     }
 
     /// A session of `name`'s over TLS, which sends `token`.
-    async fn enter_with(&self, name: &str, token: Option<&str>) -> Visitor {
-        let proof = Proof::of(&self.folder, name);
-        Visitor {
-            session: proof.open(self.endpoint("tls")).await.unwrap(),
+    async fn open_session_with(&self, name: &str, token: Option<&str>) -> UserSession {
+        let credentials = SessionCredentials::of(&self.folder, name);
+        UserSession {
+            session: credentials.open(self.endpoint("tls")).await.unwrap(),
             token: token.map(str::to_owned),
         }
     }
 
-    async fn close(self, visitors: Vec<Visitor>) {
-        for visitor in visitors {
-            visitor.session.close().await.unwrap();
+    async fn close(self, users: Vec<UserSession>) {
+        for user in users {
+            user.session.close().await.unwrap();
         }
         self.server.stop().await;
     }
 }
 
-/// What a session is opened with.
-struct Proof {
+/// The credentials of a session.
+struct SessionCredentials {
     user: Option<(String, String)>,
     authority: PathBuf,
     certificate: Option<[PathBuf; 2]>,
 }
 
-impl Proof {
+impl SessionCredentials {
     fn of(folder: &Folder, name: &str) -> Self {
         let password = folder.credentials(name).unwrap().password;
         let [authority, certificate, key] =
-            Credentials::CERTIFICATES.map(|file| folder.of(name).join(file));
-        Proof {
+            Credentials::CERTIFICATES.map(|file| folder.person_folder(name).join(file));
+        SessionCredentials {
             user: Some((name.to_owned(), password)),
             authority,
             certificate: Some([certificate, key]),
@@ -146,8 +142,8 @@ impl Proof {
             ("transport/link/tls", tls),
         ];
         if let Some((user, password)) = &self.user {
-            let proof = json!({"user": user, "password": password});
-            settings.push(("transport/auth/usrpwd", proof));
+            let credentials = json!({"user": user, "password": password});
+            settings.push(("transport/auth/usrpwd", credentials));
         }
         let mut config = zenoh::Config::default();
         for (key, value) in settings {
@@ -157,16 +153,16 @@ impl Proof {
     }
 }
 
-/// Somebody with a session, and a token to send or none.
-struct Visitor {
+/// A session, with a token to send or without.
+struct UserSession {
     session: Session,
     token: Option<String>,
 }
 
-impl Visitor {
-    /// Every answer; none if the request never arrives.
-    async fn ask(&self, selector: &str, payload: Option<&Value>) -> Vec<Answer> {
-        let mut query = self.session.get(selector).timeout(2 * PATIENCE);
+impl UserSession {
+    /// Every reply; none if the request is dropped.
+    async fn query_all(&self, selector: &str, payload: Option<&Value>) -> Vec<QueryResult> {
+        let mut query = self.session.get(selector).timeout(2 * TIMEOUT);
         if let Some(payload) = payload {
             let payload = payload.to_string();
             query = query.payload(payload).encoding(Encoding::APPLICATION_JSON);
@@ -177,17 +173,14 @@ impl Visitor {
         let replies = query.await.unwrap();
         let mut answers = Vec::new();
         while let Ok(reply) = replies.recv_async().await {
-            answers.push(match reply.into_result() {
-                Ok(sample) => Ok(read(sample.encoding(), &sample.payload().to_bytes())),
-                Err(error) => Err(serde_json::from_slice(&error.payload().to_bytes()).unwrap()),
-            });
+            answers.push(result_of(reply));
         }
         answers
     }
 
-    /// The answer of something that succeeds.
+    /// The reply to a request that succeeds.
     async fn ok(&self, key: &str, payload: Option<&Value>) -> Value {
-        let mut answers = self.ask(key, payload).await;
+        let mut answers = self.query_all(key, payload).await;
         assert_eq!(answers.len(), 1, "{key} {payload:?}: {answers:?}");
         let answer = answers.remove(0);
         answer.unwrap_or_else(|error| panic!("{key} {payload:?}: {error:?}"))

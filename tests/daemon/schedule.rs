@@ -1,12 +1,12 @@
-//! Commands for a step to come, and several at one step.
+//! Scheduled commands and batches.
 
 use jostle_proto::{ErrorCode, Event, EventKind, Events, keys};
 use serde_json::{Value, json};
 
-use crate::streams::{next_event, subscribe};
+use crate::support::streams::{next_event, subscribe};
 use crate::support::{Client, Daemon, PREFIX, until};
 
-/// Every event a swarm still has.
+/// Every event in the history of a swarm.
 async fn events(client: &Client, swarm: &str) -> Vec<Event> {
     let reply = client.get(swarm, "events").await;
     let events: Events = serde_json::from_value(reply["result"].clone()).unwrap();
@@ -20,14 +20,14 @@ fn at(step: u64, args: Value) -> Value {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_command_for_a_step_to_come_is_acknowledged_announced_and_carried_out_there() {
+async fn a_command_for_a_later_step_is_acknowledged_announced_and_executed_there() {
     let daemon = Daemon::start().await;
     let client = &daemon.client;
     client.create("a", json!({"n": 8, "seed": 3})).await;
     client.create("b", json!({"n": 8, "seed": 3})).await;
     let set = json!({"pi3": 1.5});
 
-    // Put off while it stands, and in passing.
+    // Scheduled while the swarm is paused, and while it runs.
     let request = json!({"at_step": 7, "client": "me", "request_id": "later", "args": set});
     let reply = client.ok("a", "set", request).await;
     assert_eq!(reply["result"], json!({"applies_at_step": 7}));
@@ -37,7 +37,7 @@ async fn a_command_for_a_step_to_come_is_acknowledged_announced_and_carried_out_
     assert_eq!(reply["seq"], 2);
     assert_eq!(client.get("a", "status").await["result"]["scheduled"], 0);
 
-    // By hand, at the same step.
+    // Sent without `at_step`, at the same step.
     client.ok("b", "step", json!({"steps": 7})).await;
     client.ok("b", "set", set.clone()).await;
     let by_hand = client.ok("b", "step", json!({"steps": 5})).await;
@@ -46,8 +46,8 @@ async fn a_command_for_a_step_to_come_is_acknowledged_announced_and_carried_out_
         by_hand["result"]["state_hash"]
     );
 
-    let told = events(client, "a").await;
-    let scheduled = told.iter().find_map(|event| match &event.event {
+    let received = events(client, "a").await;
+    let scheduled = received.iter().find_map(|event| match &event.event {
         EventKind::Scheduled {
             applies_at_step,
             verb,
@@ -57,7 +57,7 @@ async fn a_command_for_a_step_to_come_is_acknowledged_announced_and_carried_out_
         _ => None,
     });
     assert_eq!(scheduled, Some((7, "set", Some("later".into()))));
-    let applied = told.iter().find_map(|event| match &event.event {
+    let applied = received.iter().find_map(|event| match &event.event {
         EventKind::Command {
             verb, request_id, ..
         } if verb == "set" => Some((event.step, request_id.clone())),
@@ -88,7 +88,7 @@ async fn a_step_in_the_past_is_a_conflict_and_the_present_one_is_now() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_running_swarm_pauses_steps_on_and_ends_just_where_it_was_told_to() {
+async fn a_running_swarm_pauses_resumes_and_ends_at_the_scheduled_steps() {
     let daemon = Daemon::start().await;
     let client = &daemon.client;
     client.create("a", json!({"n": 4, "rate": null})).await;
@@ -98,12 +98,12 @@ async fn a_running_swarm_pauses_steps_on_and_ends_just_where_it_was_told_to() {
     }
     let subscriber = subscribe(client, keys::event(PREFIX, "a")).await;
     client.ok("a", "run", json!({})).await;
-    let mut told = Vec::new();
+    let mut received = Vec::new();
     let is_end = |event: &Event| event.event == EventKind::Deleted {};
-    while !told.last().is_some_and(is_end) {
-        told.push(next_event(&subscriber).await);
+    while !received.last().is_some_and(is_end) {
+        received.push(next_event(&subscriber).await);
     }
-    let applied: Vec<(u64, &str)> = told
+    let applied: Vec<(u64, &str)> = received
         .iter()
         .filter_map(|event| match &event.event {
             EventKind::Command { verb, .. } => Some((event.step, verb.as_str())),
@@ -123,22 +123,22 @@ async fn a_running_swarm_pauses_steps_on_and_ends_just_where_it_was_told_to() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_cannot_be_done_when_its_step_comes_is_told_by_an_event() {
+async fn a_scheduled_command_that_fails_at_its_step_is_an_event() {
     let daemon = Daemon::start().await;
     let client = &daemon.client;
     client.create("a", json!({"n": 3})).await;
-    // What can be seen to be wrong is refused at once.
+    // An invalid argument is rejected at once.
     let (code, message) = client.err("a", "set", at(9, json!({"pi1": 0.5}))).await;
     assert_eq!(code, ErrorCode::InvalidArgument, "{message}");
-    // That nobody of this id will be there cannot.
+    // A missing individual is an error only at the step.
     let remove = json!({"select": {"ids": [2]}});
     client.ok("a", "remove", at(3, remove.clone())).await;
     client.ok("a", "remove", at(3, remove)).await;
-    // It runs when this one's turn comes.
+    // The swarm runs at the step of this command.
     client.ok("a", "step", at(4, json!({}))).await;
     let reply = client.ok("a", "step", json!({"steps": 5})).await;
     assert_eq!(reply["step"], 5);
-    let refused: Vec<(u64, String, ErrorCode)> = events(client, "a")
+    let rejected: Vec<(u64, String, ErrorCode)> = events(client, "a")
         .await
         .into_iter()
         .filter_map(|event| match event.event {
@@ -150,13 +150,13 @@ async fn what_cannot_be_done_when_its_step_comes_is_told_by_an_event() {
         (3, "remove".to_owned(), ErrorCode::InvalidArgument),
         (4, "step".to_owned(), ErrorCode::IncorrectState),
     ];
-    assert_eq!(refused, expected);
+    assert_eq!(rejected, expected);
     assert_eq!(client.get("a", "status").await["result"]["n"], 2);
     daemon.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_reset_refuses_all_that_waits() {
+async fn a_reset_rejects_all_that_waits() {
     let daemon = Daemon::start().await;
     let client = &daemon.client;
     client.create("a", json!({"n": 3})).await;
@@ -165,7 +165,7 @@ async fn a_reset_refuses_all_that_waits() {
     }
     client.ok("a", "reset", json!({})).await;
     assert_eq!(client.get("a", "status").await["result"]["scheduled"], 0);
-    let refused: Vec<Value> = events(client, "a")
+    let rejected: Vec<Value> = events(client, "a")
         .await
         .into_iter()
         .filter_map(|event| match event.event {
@@ -173,7 +173,7 @@ async fn a_reset_refuses_all_that_waits() {
             _ => None,
         })
         .collect();
-    assert_eq!(refused, [json!(["conflict", 10]), json!(["conflict", 20])]);
+    assert_eq!(rejected, [json!(["conflict", 10]), json!(["conflict", 20])]);
     client.ok("a", "step", json!({"steps": 30})).await;
     let status = client.get("a", "status").await;
     assert_eq!(status["result"]["parameters"]["pi3"], 1.0);
@@ -181,24 +181,24 @@ async fn a_reset_refuses_all_that_waits() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn only_so_many_wait_and_the_rest_is_refused() {
+async fn the_number_of_scheduled_commands_is_limited() {
     let daemon = Daemon::start().await;
     let client = &daemon.client;
     client.create("a", json!({"n": 3})).await;
-    let mut refused = 0;
+    let mut rejected = 0;
     for step in 0..1030 {
         let request = at(1000 + step, json!({"pi3": 2}));
         if let Err(error) = client.cmd("a", "set", request).await {
             assert_eq!(error.code, ErrorCode::ResourceExhausted);
-            refused += 1;
+            rejected += 1;
         }
     }
-    assert_eq!(refused, 1030 - 1024);
+    assert_eq!(rejected, 1030 - 1024);
     daemon.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_faulted_swarm_takes_nothing_for_later_but_its_reset() {
+async fn a_faulted_swarm_accepts_no_scheduled_command_but_reset() {
     let daemon = Daemon::start().await;
     let client = &daemon.client;
     crate::commands::fault(client, "a").await;
@@ -212,7 +212,7 @@ async fn a_faulted_swarm_takes_nothing_for_later_but_its_reset() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_batch_is_as_if_each_had_come_alone_at_that_step() {
+async fn a_batch_has_the_effect_of_its_changes_sent_alone_at_that_step() {
     let daemon = Daemon::start().await;
     let client = &daemon.client;
     let changes = [
@@ -279,7 +279,7 @@ async fn a_batch_with_one_impossible_change_changes_nothing() {
         assert_eq!(error.details["field"], field, "{error:?}");
         assert_eq!(client.get("a", "status").await, before);
     }
-    // Draws come out as if it had never been sent.
+    // Draws are as without the batch.
     client.create("b", json!({"n": 10, "seed": 4})).await;
     let inform = json!({"select": {"count": 5}, "direction": 0});
     for name in ["a", "b"] {
@@ -290,7 +290,7 @@ async fn a_batch_with_one_impossible_change_changes_nothing() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_batch_for_later_happens_whole_between_two_steps_of_a_running_swarm() {
+async fn a_scheduled_batch_applies_as_a_whole_between_two_steps_of_a_running_swarm() {
     let daemon = Daemon::start().await;
     let client = &daemon.client;
     client

@@ -1,4 +1,4 @@
-//! Every setting of the daemon acts, given by its flag, its variable or the file.
+//! Every setting of the daemon has an effect by its flag, its variable and the file.
 
 mod effects;
 
@@ -15,8 +15,7 @@ use jostled::auth::issue;
 use tokio::sync::Semaphore;
 use tokio::task::JoinSet;
 
-use crate::apart::Process;
-use crate::support::beside_others;
+use crate::support::process::Process;
 
 /// Two values of a setting, and what [`effects::observe`] observes of a daemon with each. `{folder}`
 /// is the daemon's own folder.
@@ -28,7 +27,7 @@ struct Row {
     /// daemons at once.
     other: &'static str,
     other_effect: &'static str,
-    /// A value that is refused with the place that it comes from.
+    /// A value that is rejected with the place that it comes from.
     bad: Option<&'static str>,
 }
 
@@ -165,13 +164,17 @@ const ROWS: [Row; 16] = [
 
 /// The ways to give a setting, the weakest first.
 #[derive(Clone, Copy, Debug, PartialEq)]
-enum Way {
+enum SettingSource {
     File,
     Variable,
     Flag,
 }
 
-const WAYS: [Way; 3] = [Way::File, Way::Variable, Way::Flag];
+const SETTING_SOURCES: [SettingSource; 3] = [
+    SettingSource::File,
+    SettingSource::Variable,
+    SettingSource::Flag,
+];
 
 /// What each daemon is started with; a setting that is tested is left out.
 const BASE: [(&str, &str); 4] = [
@@ -192,7 +195,7 @@ fn variable(name: &str) -> String {
     format!("JOSTLED_{}", name.to_uppercase())
 }
 
-/// A daemon with nothing of this process's environment that it would take for a setting.
+/// A daemon without the settings in this process's environment.
 fn jostled() -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_jostled"));
     for (name, _) in std::env::vars_os() {
@@ -205,7 +208,7 @@ fn jostled() -> Command {
 }
 
 /// `serve` with `name` given in each of these ways, and all else as [`BASE`] has it.
-fn serve(name: &str, given: &[(Way, &str)], folder: &Path) -> Command {
+fn serve(name: &str, given: &[(SettingSource, &str)], folder: &Path) -> Command {
     let path = folder.to_str().unwrap();
     let mut command = jostled();
     command.arg("serve");
@@ -215,9 +218,9 @@ fn serve(name: &str, given: &[(Way, &str)], folder: &Path) -> Command {
     for (way, value) in given {
         let value = value.replace("{folder}", path);
         match way {
-            Way::Flag => command.arg(flag(name)).arg(value),
-            Way::Variable => command.env(variable(name), value),
-            Way::File => {
+            SettingSource::Flag => command.arg(flag(name)).arg(value),
+            SettingSource::Variable => command.env(variable(name), value),
+            SettingSource::File => {
                 let file = folder.join("jostled.toml");
                 let value = match value.parse::<u64>() {
                     Ok(number) => number.to_string(),
@@ -235,16 +238,16 @@ fn serve(name: &str, given: &[(Way, &str)], folder: &Path) -> Command {
 struct Running {
     _process: Process,
     folder: tempfile::TempDir,
-    /// The first endpoint that it says it listens on.
+    /// The first endpoint that it prints.
     endpoint: String,
 }
 
 impl Running {
-    fn start(name: &str, given: &[(Way, &str)]) -> Result<Self, String> {
+    fn start(name: &str, given: &[(SettingSource, &str)]) -> Result<Self, String> {
         let folder = tempfile::tempdir().unwrap();
         if name == "auth_dir" {
             let people = [("olga".to_owned(), Role::Operator)];
-            issue::init(&Folder::at(folder.path().join("auth")), &[], &people).unwrap();
+            issue::init(&Folder::new(folder.path().join("auth")), &[], &people).unwrap();
         }
         let log = folder.path().join("log");
         let mut command = serve(name, given, folder.path());
@@ -286,7 +289,7 @@ fn all_settings() -> BTreeSet<String> {
 }
 
 /// What is observed of a daemon that `row`'s setting is given in these ways, if it is not `expected`.
-async fn compare(row: &Row, given: &[(Way, &str)], expected: &str) -> Result<(), String> {
+async fn compare(row: &Row, given: &[(SettingSource, &str)], expected: &str) -> Result<(), String> {
     let observed = match Running::start(row.name, given) {
         Ok(daemon) => effects::observe(row.name, &daemon, expected).await,
         Err(problem) => problem,
@@ -315,14 +318,16 @@ fn every_setting_that_config_default_writes_has_a_row_and_each_row_is_such_a_set
 /// as a flag takes effect over the value in all weaker ways.
 #[tokio::test(flavor = "multi_thread")]
 async fn every_setting_acts_by_its_flag_over_its_variable_over_the_file() {
-    let _machine = beside_others().await;
     let permits = Arc::new(Semaphore::new(AT_ONCE));
     let mut tasks = JoinSet::new();
     let mut count = 0;
     for row in &ROWS {
         let by = |strongest: usize, value: &'static str, weaker: &'static str| {
-            let weak = WAYS[..strongest].iter().map(|way| (*way, weaker));
-            weak.chain([(WAYS[strongest], value)]).collect::<Vec<_>>()
+            let weak = SETTING_SOURCES[..strongest]
+                .iter()
+                .map(|way| (*way, weaker));
+            weak.chain([(SETTING_SOURCES[strongest], value)])
+                .collect::<Vec<_>>()
         };
         for (given, expected) in [
             (by(0, row.value, row.other), row.effect),
@@ -344,53 +349,53 @@ async fn every_setting_acts_by_its_flag_over_its_variable_over_the_file() {
     assert!(problems.is_empty(), "{}", problems.join("\n"));
 }
 
-/// What a daemon says that ends at once because of a setting.
-fn refused(command: &mut Command) -> String {
+/// The message of a daemon that rejects a setting.
+fn error_of(command: &mut Command) -> String {
     let output = command.output().unwrap();
-    let told = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert_eq!(output.status.code(), Some(2), "{command:?}: {told}");
+    let message = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(2), "{command:?}: {message}");
     assert!(output.stdout.is_empty(), "{output:?}");
-    told
+    message
 }
 
 #[test]
-fn a_bad_value_is_refused_with_the_flag_variable_or_file_that_it_comes_from() {
+fn a_bad_value_is_rejected_with_the_flag_variable_or_file_that_it_comes_from() {
     let numbers = ROWS.iter().filter(|row| row.bad == Some("0")).count();
     assert!(numbers >= 8, "{numbers}");
     for row in &ROWS {
         let Some(bad) = row.bad else { continue };
-        for way in WAYS {
+        for way in SETTING_SOURCES {
             let folder = tempfile::tempdir().unwrap();
-            let told = refused(&mut serve(row.name, &[(way, bad)], folder.path()));
+            let message = error_of(&mut serve(row.name, &[(way, bad)], folder.path()));
             let place = match way {
-                Way::Flag => format!("flag {}", flag(row.name)),
-                Way::Variable => variable(row.name),
-                Way::File => folder.path().join("jostled.toml").display().to_string(),
+                SettingSource::Flag => format!("flag {}", flag(row.name)),
+                SettingSource::Variable => variable(row.name),
+                SettingSource::File => folder.path().join("jostled.toml").display().to_string(),
             };
-            assert!(told.contains(&place), "{place}: {told}");
-            assert!(told.contains(bad), "{bad}: {told}");
+            assert!(message.contains(&place), "{place}: {message}");
+            assert!(message.contains(bad), "{bad}: {message}");
         }
     }
 }
 
 #[test]
-fn a_setting_that_does_not_exist_is_refused_by_flag_variable_and_file() {
+fn a_setting_that_does_not_exist_is_rejected_by_flag_variable_and_file() {
     for (name, remedy) in [("wings", None), ("max_swarm", Some("max_swarms"))] {
-        for way in WAYS {
+        for way in SETTING_SOURCES {
             let folder = tempfile::tempdir().unwrap();
-            let told = refused(&mut serve(name, &[(way, "3")], folder.path()));
+            let message = error_of(&mut serve(name, &[(way, "3")], folder.path()));
             let place = match way {
-                Way::Flag => flag(name),
-                Way::Variable => variable(name),
-                Way::File => folder.path().join("jostled.toml").display().to_string(),
+                SettingSource::Flag => flag(name),
+                SettingSource::Variable => variable(name),
+                SettingSource::File => folder.path().join("jostled.toml").display().to_string(),
             };
-            assert!(told.contains(&place), "{place}: {told}");
+            assert!(message.contains(&place), "{place}: {message}");
             let remedy = remedy.map(|remedy| match way {
-                Way::Flag => flag(remedy),
-                Way::Variable => variable(remedy),
-                Way::File => remedy.to_owned(),
+                SettingSource::Flag => flag(remedy),
+                SettingSource::Variable => variable(remedy),
+                SettingSource::File => remedy.to_owned(),
             });
-            assert!(told.contains(&remedy.unwrap_or_default()), "{told}");
+            assert!(message.contains(&remedy.unwrap_or_default()), "{message}");
         }
     }
 }

@@ -11,10 +11,10 @@ use jostle_proto::keys;
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
-use crate::apart::jostled;
-use crate::crash::life::{Life, daemon};
-use crate::replay::show;
-use crate::support::{Client, NODE, PATIENCE, PREFIX, beside_others};
+use crate::support::daemon_process::{DaemonProcess, daemon};
+use crate::support::playback::upload_and_open;
+use crate::support::process::jostled;
+use crate::support::{Client, NODE, PREFIX, TIMEOUT};
 
 /// The fixtures, one folder for each build.
 fn builds() -> Vec<PathBuf> {
@@ -51,17 +51,17 @@ fn copy(build: &Path, folder: &str) -> TempDir {
 }
 
 /// Starts a daemon on a copy of the build's data folder.
-async fn start(build: &Path) -> (Life, Client, TempDir) {
+async fn start(build: &Path) -> (DaemonProcess, Client, TempDir) {
     let data = copy(build, "data");
-    let life = Life::begin(&mut daemon(data.path())).unwrap();
-    let client = Client::open(&life.endpoint).await;
-    (life, client, data)
+    let process = DaemonProcess::start(&mut daemon(data.path())).unwrap();
+    let client = Client::open(&process.endpoint).await;
+    (process, client, data)
 }
 
-async fn stop(mut life: Life, client: Client) {
+async fn stop(mut process: DaemonProcess, client: Client) {
     client.session.close().await.unwrap();
-    life.stop();
-    assert_eq!(life.end(), Some(0));
+    process.stop();
+    assert_eq!(process.end(), Some(0));
 }
 
 /// Whether `new` has every field of `old` with its value; it may have more.
@@ -98,10 +98,9 @@ fn a_missing_field_and_another_value_are_noticed() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn swarms_their_history_and_their_replies_are_recovered() {
-    let _machine = beside_others().await;
     for build in builds() {
         let expected = expected(&build);
-        let (life, client, _data) = start(&build).await;
+        let (process, client, _data) = start(&build).await;
         let swarms = expected["swarms"].as_object().unwrap();
         let listed = client.node("swarms").await["swarms"].clone();
         assert_eq!(listed.as_array().unwrap().len(), swarms.len());
@@ -135,27 +134,28 @@ async fn swarms_their_history_and_their_replies_are_recovered() {
         for request in requests {
             let key = request["key"].as_str().unwrap();
             let payload = request["request"].to_string();
-            let reply = client.one(key, Some(payload.as_bytes())).await;
+            let reply = client.query(key, Some(payload.as_bytes())).await;
             assert_eq!(reply.unwrap(), request["reply"], "{payload}");
         }
         for (name, old) in swarms {
             let status = client.get(name, "status").await;
             assert_eq!(status["seq"], old["status"]["seq"], "{name} executed twice");
         }
-        stop(life, client).await;
+        stop(process, client).await;
     }
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn snapshots_restore_and_the_future_is_the_same() {
-    let _machine = beside_others().await;
     for build in builds() {
         let expected = &expected(&build)["snapshot"];
-        let (life, client, _data) = start(&build).await;
+        let (process, client, _data) = start(&build).await;
         let snapshot = fs::read(build.join("school.snapshot")).unwrap();
         let request = json!({"name": "restored", "snapshot": STANDARD.encode(snapshot)});
         let key = keys::node_cmd(PREFIX, NODE, "restore");
-        let restored = client.one(&key, Some(request.to_string().as_bytes())).await;
+        let restored = client
+            .query(&key, Some(request.to_string().as_bytes()))
+            .await;
         restored.unwrap();
         // The journal and the snapshot both hold a command that waits for step 2000.
         for swarm in ["restored", "school"] {
@@ -175,16 +175,15 @@ async fn snapshots_restore_and_the_future_is_the_same() {
         let advance = json!({"expect_step": 50, "args": {"controller": "ada", "steps": 5}});
         assert_eq!(client.ok("led", "advance", advance).await["step"], 55);
         token.undeclare().await.unwrap();
-        stop(life, client).await;
+        stop(process, client).await;
     }
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn recordings_are_listed_resumed_and_played() {
-    let _machine = beside_others().await;
     for build in builds() {
         let expected = &expected(&build)["recordings"]["recordings"];
-        let (life, client, data) = start(&build).await;
+        let (process, client, data) = start(&build).await;
         let recordings = client.node("recordings").await["recordings"].clone();
         for (new, old) in recordings
             .as_array()
@@ -201,11 +200,11 @@ async fn recordings_are_listed_resumed_and_played() {
             );
         }
         assert_eq!(recordings.as_array().unwrap().len(), 3);
-        // The one that was not stopped goes on, and takes another frame.
+        // The recording that was not stopped continues with another frame.
         client.ok("filmed", "step", json!({"steps": 20})).await;
         let key = keys::node_cmd(PREFIX, NODE, "record");
         let stop_it = json!({"stop": {"recording": "going"}}).to_string();
-        let stopped = client.one(&key, Some(stop_it.as_bytes())).await.unwrap();
+        let stopped = client.query(&key, Some(stop_it.as_bytes())).await.unwrap();
         assert_eq!(stopped["result"]["phase"], "ended");
         let mut listed = recordings.as_array().unwrap().iter();
         let before = listed.find(|it| it["recording"] == "going").unwrap();
@@ -213,7 +212,7 @@ async fn recordings_are_listed_resumed_and_played() {
             stopped["result"]["frames"].as_u64() > before["frames"].as_u64(),
             "{stopped} {before}"
         );
-        // Every part that was whole is played, and so is the recording of a client.
+        // Every complete part is played, and so is the recording of a client.
         let mut frames = 0;
         let mut parts = fs::read_dir(data.path().join("recordings/film"))
             .unwrap()
@@ -223,34 +222,33 @@ async fn recordings_are_listed_resumed_and_played() {
         parts.sort();
         for (number, part) in parts.iter().enumerate() {
             let name = format!("part-{number}");
-            let shown = show(&client, &name, &fs::read(part).unwrap()).await;
+            let shown = upload_and_open(&client, &name, &fs::read(part).unwrap()).await;
             let replay = &shown.unwrap()["result"]["replay"];
             assert_eq!(replay["of"], "filmed");
             frames += replay["frames"].as_u64().unwrap();
         }
         assert_eq!(json!(frames), expected[0]["frames"]);
         let file = fs::read(build.join("filmed.mcap")).unwrap();
-        let shown = show(&client, "client", &file).await.unwrap();
+        let shown = upload_and_open(&client, "client", &file).await.unwrap();
         assert!(shown["result"]["replay"]["frames"].as_u64() > Some(1));
         client.ok("client", "seek", json!({"fraction": 1.0})).await;
-        stop(life, client).await;
+        stop(process, client).await;
     }
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn experiments_go_on_and_their_results_are_the_same() {
-    let _machine = beside_others().await;
+async fn experiments_continue_and_their_results_are_the_same() {
     for build in builds() {
         let old = &expected(&build)["experiment"];
-        let (life, client, _data) = start(&build).await;
+        let (process, client, _data) = start(&build).await;
         let key = keys::experiment(PREFIX, NODE, "half", "results");
         let began = Instant::now();
         let page = loop {
-            let page = client.one(&key, None).await.unwrap();
+            let page = client.query(&key, None).await.unwrap();
             if page["finished"] == 6 {
                 break page;
             }
-            assert!(began.elapsed() < 3 * PATIENCE, "{page}");
+            assert!(began.elapsed() < 3 * TIMEOUT, "{page}");
             tokio::time::sleep(std::time::Duration::from_millis(50)).await;
         };
         let (rows, old) = (
@@ -262,7 +260,7 @@ async fn experiments_go_on_and_their_results_are_the_same() {
             let new = rows.iter().find(|new| new["run"] == old["run"]);
             assert_has_all(new.unwrap(), old);
         }
-        stop(life, client).await;
+        stop(process, client).await;
 
         let results = copy(&build, "results");
         let table = results.path().join("results.csv");

@@ -11,8 +11,8 @@ use jostled::swarm::journal::Record;
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
-use crate::crash::life::{self, Life};
-use crate::support::{Client, PATIENCE, beside_others, until};
+use crate::support::daemon_process::{self, DaemonProcess};
+use crate::support::{Client, TIMEOUT, until};
 
 /// What is altered in the journal of swarm `a`.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -30,8 +30,8 @@ const LAST: u64 = 1150;
 /// Runs `a` and `b` to the step [`LAST`] of epoch 2 and stops the daemon. Hashes are journaled at
 /// the steps 500 and 1000 of both epochs; commands are executed at the steps 600 and 1100.
 pub async fn fill(folder: &Path) -> [String; 2] {
-    let mut life = Life::begin(&mut life::daemon(folder)).unwrap();
-    let client = Client::open(&life.endpoint).await;
+    let mut process = DaemonProcess::start(&mut daemon_process::daemon(folder)).unwrap();
+    let client = Client::open(&process.endpoint).await;
     let mut hashes = Vec::new();
     for swarm in ["a", "b"] {
         client.create(swarm, json!({"n": 5, "seed": 7})).await;
@@ -50,8 +50,8 @@ pub async fn fill(folder: &Path) -> [String; 2] {
         hashes.push(client.hash(swarm).await);
     }
     client.session.close().await.unwrap();
-    life.stop();
-    assert_eq!(life.end(), Some(0));
+    process.stop();
+    assert_eq!(process.end(), Some(0));
     hashes.try_into().unwrap()
 }
 
@@ -60,7 +60,7 @@ pub async fn fill(folder: &Path) -> [String; 2] {
 /// it also those of the reset and of the stop.
 pub fn altered(folder: &Path, alteration: Alteration, keeps_checkpoints: bool) -> TempDir {
     let copy = tempfile::tempdir().unwrap();
-    life::copy(folder, copy.path());
+    daemon_process::copy(folder, copy.path());
     let settings = Settings {
         quota_bytes: u64::MAX,
     };
@@ -95,7 +95,7 @@ pub fn altered(folder: &Path, alteration: Alteration, keeps_checkpoints: bool) -
             row,
         });
         if marks.iter().any(|mark| mark.number == number) {
-            writes.push(Write::Keep {
+            writes.push(Write::SaveCheckpoint {
                 swarm: swarm.clone(),
                 checkpoint: checkpoint(number),
             });
@@ -103,7 +103,7 @@ pub fn altered(folder: &Path, alteration: Alteration, keeps_checkpoints: bool) -
     }
     assert_eq!(count, usize::from(alteration != Alteration::Nothing));
     store.commit(writes).unwrap();
-    assert!(store.stop(PATIENCE));
+    assert!(store.stop(TIMEOUT));
     copy
 }
 
@@ -155,7 +155,6 @@ fn difference(verified: &Value) -> Option<(u64, u64)> {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn verify_names_the_epoch_and_step_of_the_first_hash_that_differs() {
-    let _machine = beside_others().await;
     let folder = tempfile::tempdir().unwrap();
     let [hash, other_hash] = fill(folder.path()).await;
     // The restart begins epoch 3, and the present state is compared there.
@@ -165,7 +164,7 @@ async fn verify_names_the_epoch_and_step_of_the_first_hash_that_differs() {
         (Alteration::Hash(1, 1000), Some((1, 1000)), 4),
         (Alteration::Hash(2, 500), Some((2, 500)), 3),
         (Alteration::Hash(2, 1000), Some((2, 1000)), 4),
-        // A command is noticed at the first hash after it in its epoch.
+        // An altered command is detected at the first hash after it in its epoch.
         (Alteration::Direction(1, 600), Some((1, 1000)), 4),
         (Alteration::Direction(2, 600), Some((2, 1000)), 4),
         (Alteration::Direction(2, 1100), Some((3, LAST)), 5),
@@ -173,17 +172,18 @@ async fn verify_names_the_epoch_and_step_of_the_first_hash_that_differs() {
         (Alteration::Direction(1, 1100), None, 5),
     ] {
         let altered = altered(folder.path(), alteration, true);
-        let mut life = Life::begin(&mut life::daemon(altered.path())).unwrap();
-        let client = Client::open(&life.endpoint).await;
+        let mut process =
+            DaemonProcess::start(&mut daemon_process::daemon(altered.path())).unwrap();
+        let client = Client::open(&process.endpoint).await;
         let status = client.get("a", "status").await;
         // The last checkpoint has the state of the stop: nothing is replayed.
         assert_eq!(status["phase"], "paused", "{alteration:?}: {status}");
         assert_eq!(status["result"]["state_hash"], hash, "{alteration:?}");
         let replied = verified(&client, "a").await;
-        let told = format!("{alteration:?}: {replied}");
-        assert_eq!(difference(&replied), expected, "{told}");
-        assert_eq!(replied["hashes"], compared, "{told}");
-        // A state that cannot be reached with its hash is not forked.
+        let context = format!("{alteration:?}: {replied}");
+        assert_eq!(difference(&replied), expected, "{context}");
+        assert_eq!(replied["hashes"], compared, "{context}");
+        // A state whose hash differs is not forked.
         let fork = json!({"name": "c", "step": 1000});
         let forked = client.cmd("a", "fork", fork).await;
         match expected {
@@ -197,12 +197,12 @@ async fn verify_names_the_epoch_and_step_of_the_first_hash_that_differs() {
         }
         assert_eq!(difference(&verified(&client, "b").await), None);
         assert_eq!(client.hash("b").await, other_hash);
-        life.kill();
+        process.kill();
     }
 }
 
 /// The status of a swarm once it does not run.
-async fn settled(client: &Client, swarm: &str) -> Value {
+async fn status_once_paused(client: &Client, swarm: &str) -> Value {
     let mut status = Value::Null;
     until("the swarm does not run", async || {
         status = client.get(swarm, "status").await;
@@ -214,7 +214,6 @@ async fn settled(client: &Client, swarm: &str) -> Value {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_restart_faults_the_swarm_at_the_first_hash_that_differs() {
-    let _machine = beside_others().await;
     let folder = tempfile::tempdir().unwrap();
     let [hash, other_hash] = fill(folder.path()).await;
     for (alteration, expected) in [
@@ -226,34 +225,35 @@ async fn a_restart_faults_the_swarm_at_the_first_hash_that_differs() {
         (Alteration::Direction(2, 1100), None),
     ] {
         let altered = altered(folder.path(), alteration, false);
-        // A second restart finds the same.
+        // A second restart has the same result.
         for epoch in 3..=4 {
-            let mut life = Life::begin(&mut life::daemon(altered.path())).unwrap();
-            let client = Client::open(&life.endpoint).await;
+            let mut process =
+                DaemonProcess::start(&mut daemon_process::daemon(altered.path())).unwrap();
+            let client = Client::open(&process.endpoint).await;
             // The last `step` of the journal may still be executed.
-            let status = settled(&client, "a").await;
-            let told = format!("{alteration:?}: {status}");
-            assert_eq!(status["epoch"], epoch, "{told}");
+            let status = status_once_paused(&client, "a").await;
+            let context = format!("{alteration:?}: {status}");
+            assert_eq!(status["epoch"], epoch, "{context}");
             let same = alteration == Alteration::Nothing;
             match expected {
                 Some(step) => {
-                    assert_eq!(status["phase"], "faulted", "{told}");
-                    assert_eq!(status["step"], step, "{told}");
+                    assert_eq!(status["phase"], "faulted", "{context}");
+                    assert_eq!(status["step"], step, "{context}");
                     let reason = status["result"]["reason"].as_str().unwrap();
                     let named = format!("step {step} has another hash");
-                    assert!(reason.contains(&named), "{told}");
+                    assert!(reason.contains(&named), "{context}");
                 }
                 None => {
-                    assert_eq!(status["phase"], "paused", "{told}");
-                    assert_eq!(status["step"], LAST, "{told}");
+                    assert_eq!(status["phase"], "paused", "{context}");
+                    assert_eq!(status["step"], LAST, "{context}");
                     let is_same = status["result"]["state_hash"] == hash;
-                    assert_eq!(is_same, same, "{told}");
+                    assert_eq!(is_same, same, "{context}");
                 }
             }
             let replied = verified(&client, "a").await;
             let named = expected.map(|step| (2, step));
             assert_eq!(difference(&replied), named, "{alteration:?}: {replied}");
-            let other = settled(&client, "b").await;
+            let other = status_once_paused(&client, "b").await;
             assert_eq!(other["phase"], "paused", "{other}");
             assert_eq!(other["result"]["state_hash"], other_hash, "{other}");
             if epoch == 4 && expected.is_some() {
@@ -263,7 +263,7 @@ async fn a_restart_faults_the_swarm_at_the_first_hash_that_differs() {
                 let stepped = client.ok("a", "step", json!({"steps": 2})).await;
                 assert_eq!(stepped["step"], 2);
             }
-            life.kill();
+            process.kill();
         }
     }
 }

@@ -1,13 +1,13 @@
-//! When something happened, by the wall clock: in the journal, in events and after a restart.
+//! Wall-clock times in the journal, in events and after a restart.
 
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use jostle_proto::{Event, JournalEntry, keys};
 use serde_json::{Value, json};
 
-use crate::apart::Process;
-use crate::crash::life::{Life, daemon};
-use crate::support::{Client, PREFIX, beside_others};
+use crate::support::daemon_process::{DaemonProcess, daemon};
+use crate::support::process::Process;
+use crate::support::{Client, PREFIX};
 
 fn now() -> f64 {
     let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap();
@@ -35,7 +35,6 @@ fn of(entry: &JournalEntry) -> (u64, f64) {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn commands_and_events_have_the_time_at_which_they_were_applied() {
-    let _machine = beside_others().await;
     let (_daemon, endpoint) = Process::serve();
     let client = Client::open(&endpoint).await;
     let before = now();
@@ -67,13 +66,13 @@ async fn commands_and_events_have_the_time_at_which_they_were_applied() {
         times[0] <= scheduled && scheduled + 0.9 < times[2],
         "{times:?}"
     );
-    // The events have the same times, asked for and published.
+    // The events of queries and subscriptions have the same times.
     let events = events(&client).await;
     for entry in &entries {
-        let told = events
+        let event = events
             .iter()
             .find(|event| serde_json::to_value(&event.event).unwrap()["seq"] == entry.seq);
-        assert_eq!(told.unwrap().unix_secs, entry.unix_secs);
+        assert_eq!(event.unwrap().unix_secs, entry.unix_secs);
     }
     let kinds = |kind: &str| {
         let of_kind = |event: &&Event| serde_json::to_value(&event.event).unwrap()["kind"] == kind;
@@ -93,23 +92,22 @@ async fn commands_and_events_have_the_time_at_which_they_were_applied() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn times_survive_stops_and_kills_and_change_no_hash() {
-    let _machine = beside_others().await;
     let folder = tempfile::tempdir().unwrap();
-    let mut told: Vec<(u64, f64)> = Vec::new();
+    let mut times: Vec<(u64, f64)> = Vec::new();
     let mut hash = String::new();
-    for life in 0..4 {
-        let mut daemon = Life::begin(&mut daemon(folder.path())).unwrap();
+    for round in 0..4 {
+        let mut daemon = DaemonProcess::start(&mut daemon(folder.path())).unwrap();
         let client = Client::open(&daemon.endpoint).await;
-        if life == 0 {
+        if round == 0 {
             client.create("a", json!({"n": 6, "seed": 2})).await;
         } else {
             let again: Vec<(u64, f64)> = journal(&client).await.iter().map(of).collect();
-            assert_eq!(again, told, "life {life}");
+            assert_eq!(again, times, "round {round}");
             assert_eq!(client.hash("a").await, hash);
             let verified = client.get("a", "verify").await["result"].take();
             assert_eq!(verified["differs_at"], Value::Null);
         }
-        // Replayed events have the time of their command or none; what was applied in this life is
+        // Replayed events have the time of their command or none; what was applied in this round is
         // no older.
         for event in events(&client).await {
             assert!(event.unix_secs.is_none_or(|it| it <= now()), "{event:?}");
@@ -124,29 +122,28 @@ async fn times_survive_stops_and_kills_and_change_no_hash() {
             client.ok("a", verb, request).await;
         }
         hash = client.hash("a").await;
-        told = journal(&client).await.iter().map(of).collect();
-        // What is durable within milliseconds is.
+        times = journal(&client).await.iter().map(of).collect();
+        // `step` becomes durable within milliseconds.
         tokio::time::sleep(Duration::from_millis(500)).await;
         client.session.close().await.unwrap();
-        if life % 2 == 0 {
+        if round % 2 == 0 {
             daemon.kill();
         } else {
             daemon.stop();
             assert_eq!(daemon.end(), Some(0));
         }
     }
-    assert_eq!(told.len(), 16);
-    assert!(told.is_sorted_by(|a, b| a.1 <= b.1), "{told:?}");
+    assert_eq!(times.len(), 16);
+    assert!(times.is_sorted_by(|a, b| a.1 <= b.1), "{times:?}");
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_command_that_a_crash_took_back_has_the_time_at_which_it_was_applied_again() {
-    let _machine = beside_others().await;
     let folder = tempfile::tempdir().unwrap();
     // `run` is applied, and the kill comes when `set` has been.
     let mut failing = daemon(folder.path());
     failing.env("FAILPOINTS", "swarm-applied=1*off->return");
-    let mut first = Life::begin(&mut failing).unwrap();
+    let mut first = DaemonProcess::start(&mut failing).unwrap();
     let client = Client::open(&first.endpoint).await;
     client.create("a", json!({"n": 4})).await;
     let set = json!({"at_step": 2, "args": {"pi3": 2}});
@@ -154,12 +151,12 @@ async fn a_command_that_a_crash_took_back_has_the_time_at_which_it_was_applied_a
     // The kill may come before the reply.
     let run = json!({"args": {"until_step": 2, "rate": null}}).to_string();
     let key = keys::cmd(PREFIX, "a", "run");
-    let _ = client.ask(&key, Some(run.as_bytes())).await;
+    let _ = client.query_all(&key, Some(run.as_bytes())).await;
     assert_eq!(first.end(), None, "it was killed");
     let restarted = now();
-    let second = Life::begin(&mut daemon(folder.path())).unwrap();
+    let second = DaemonProcess::start(&mut daemon(folder.path())).unwrap();
     let client = Client::open(&second.endpoint).await;
-    client.reach("a", 2).await;
+    client.wait_for_step("a", 2).await;
     let entries = journal(&client).await;
     let verbs: Vec<&str> = entries.iter().map(|it| it.verb.as_str()).collect();
     assert_eq!(verbs, ["run", "set"]);

@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
-"""Writes what a build of jostle stores, with the replies it gave: the fixtures of later builds.
+"""Writes the files that a build of jostle stores, with its replies: fixtures for later builds.
 
     target/venv/bin/python tests/stored/make.py TARGET/release tests/stored/COMMIT
 
 The first argument is the folder with the binaries `jostled` and `jostle` of that commit. The second
 one is created; it must not exist. The daemon is killed, not stopped, while an experiment runs, a
-controller is a member and a recording goes on, so that the data folder is what a crash leaves.
+controller is a member and a recording is active, so that the data folder is that of a crash.
 """
 
 import json
@@ -45,7 +45,7 @@ order_every = 100
 
 
 def main() -> None:
-    """Makes every part of the fixture."""
+    """Writes every part of the fixture."""
     binaries, out = Path(sys.argv[1]).resolve(), Path(sys.argv[2]).resolve()
     out.mkdir(parents=True)
     (out / "results.toml").write_text(RESULTS)
@@ -64,14 +64,14 @@ def main() -> None:
         endpoint = daemon.stdout.readline().removeprefix("listening on ").strip()
         with open_session(endpoint) as session:
             expected = fill(session, [binaries / "jostle", "-e", endpoint], out)
-            # Leaving would be a command: the controller's token goes with the daemon.
+            # `leave` would be a command, so the token is kept until the daemon is killed.
             daemon.kill()
             daemon.wait()
     finally:
         daemon.kill()
         daemon.wait()
     (out / "expected.json").write_text(json.dumps(expected, indent=1, sort_keys=True) + "\n")
-    # Secrets, caches and locks of a daemon that is gone.
+    # Secrets, caches and locks.
     for name in ("page-token", "jostle.sqlite-shm", "reserve", "lock"):
         (out / "data" / name).unlink(missing_ok=True)
     shutil.rmtree(out / "data" / "replays", ignore_errors=True)
@@ -90,7 +90,7 @@ def fill(session: zenoh.Session, jostle: list[Any], out: Path) -> dict[str, Any]
     """Runs the scenario; returns what the daemon replied."""
     requests: list[dict[str, Any]] = []
 
-    def ask(key: str, request: dict[str, Any] | None = None) -> Any:
+    def send(key: str, request: dict[str, Any] | None = None) -> Any:
         payload = None if request is None else json.dumps(request)
         replies = session.get(f"jostle/{key}", payload=payload, encoding="application/json")
         for reply in replies:
@@ -101,12 +101,12 @@ def fill(session: zenoh.Session, jostle: list[Any], out: Path) -> dict[str, Any]
 
     def command(key: str, args: dict[str, Any], **envelope: Any) -> Any:
         request = {"client": "fixture", "request_id": f"r{len(requests)}", "args": args, **envelope}
-        reply = ask(key, request)
+        reply = send(key, request)
         requests.append({"key": f"jostle/{key}", "request": request, "reply": reply})
         return reply
 
     node = "@node/test"
-    # Every change there is, a command that waits for its step, and a fork.
+    # Every kind of change, a scheduled command, and a fork.
     command(f"{node}/cmd/create", {"name": "school", "spec": {"n": 12, "seed": 5}})
     command("school/cmd/step", {"steps": 300})
     command("school/cmd/inform", {"select": {"count": 3}, "direction": 0.5})
@@ -136,13 +136,13 @@ def fill(session: zenoh.Session, jostle: list[Any], out: Path) -> dict[str, Any]
         advance = {"controller": "ada", "steps": 10, "set": points}
         command("led/cmd/advance", advance, expect_step=10 * k)
 
-    # What clients write.
+    # A file that a client writes.
     run([*jostle, "snapshot", "school", "-o", out / "school.snapshot"])
     restore = [*jostle, "restore", out / "school.snapshot", "restored"]
     run(restore)
-    future = ask("restored/cmd/step", {"steps": 1200})
-    future_hash = ask("restored/get/status")["result"]["state_hash"]
-    ask("restored/cmd/delete", {})
+    future = send("restored/cmd/step", {"steps": 1200})
+    future_hash = send("restored/get/status")["result"]["state_hash"]
+    send("restored/cmd/delete", {})
 
     # Recordings of the daemon, and one by a client.
     command(f"{node}/cmd/create", {"name": "filmed", "spec": {"n": 5, "seed": 7}})
@@ -154,10 +154,10 @@ def fill(session: zenoh.Session, jostle: list[Any], out: Path) -> dict[str, Any]
         stdout=subprocess.DEVNULL,
     )
     time.sleep(2)
-    ask("filmed/cmd/run", {"until_step": 1000, "rate": 20.0})
+    send("filmed/cmd/run", {"until_step": 1000, "rate": 20.0})
     assert client.wait(60) == 0
-    ask("filmed/get/wait?step=1000;timeout_secs=25")
-    # A swarm that runs by itself returns at its last command: this one returns here.
+    send("filmed/get/wait?step=1000;timeout_secs=25")
+    # A running swarm is recovered at its last command, which is this one.
     command("filmed/cmd/pause", {})
     time.sleep(0.5)
     for name in ("film", "table"):
@@ -165,28 +165,28 @@ def fill(session: zenoh.Session, jostle: list[Any], out: Path) -> dict[str, Any]
 
     swarms = {}
     for name in ("school", "other", "led", "filmed"):
-        verified = ask(f"{name}/get/verify")
+        verified = send(f"{name}/get/verify")
         assert verified["result"]["differs_at"] is None, verified
         swarms[name] = {
-            "status": ask(f"{name}/get/status"),
-            "spec": ask(f"{name}/get/spec")["result"],
-            "journal": ask(f"{name}/get/journal?limit=1000")["result"]["entries"],
-            "controllers": ask(f"{name}/get/controllers")["result"],
+            "status": send(f"{name}/get/status"),
+            "spec": send(f"{name}/get/spec")["result"],
+            "journal": send(f"{name}/get/journal?limit=1000")["result"]["entries"],
+            "controllers": send(f"{name}/get/controllers")["result"],
         }
-    recordings = ask(f"{node}/get/recordings")["result"]
+    recordings = send(f"{node}/get/recordings")["result"]
     # The store persists a step a few milliseconds after its reply.
     time.sleep(1)
 
-    # An experiment of which half is done.
+    # An experiment that is half finished.
     command(f"{node}/cmd/experiment", {"submit": {"toml": EXPERIMENT}})
-    while ask(f"{node}/experiment/half/results")["finished"] < 3:
+    while send(f"{node}/experiment/half/results")["finished"] < 3:
         time.sleep(0.05)
     del token
     return {
         "requests": requests,
         "swarms": swarms,
         "recordings": recordings,
-        "experiment": ask(f"{node}/experiment/half/results"),
+        "experiment": send(f"{node}/experiment/half/results"),
         "snapshot": {"step": future["step"], "steps": 1200, "state_hash": future_hash},
     }
 

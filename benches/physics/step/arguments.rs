@@ -38,7 +38,7 @@ pub struct Arguments {
     /// Also draw the time against n at pi1 = 4
     #[arg(long, value_name = "FILE")]
     pub svg: Option<PathBuf>,
-    /// Update the tables and the figure of docs/performance.md
+    /// Update the tables of docs/performance.md, and the tables and the figure in docs/performance
     #[arg(long)]
     pub write_docs: bool,
     /// Python interpreter for daqp and piqp

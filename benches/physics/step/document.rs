@@ -1,13 +1,56 @@
-//! Updates the measured tables in `docs/performance.md`. The prose around them is written by hand.
+//! Updates the tables of a step in `docs/performance.md`, of the groups with pi1 = 4; the CSV files
+//! beside it have all rows. The prose around the tables is written by hand.
 
 use super::backend::Backend;
 use super::table::{self, Row, figures};
 
+/// The length over width of the groups in the tables of the page.
+const SHOWN_PI1: f64 = 4.0;
+
+const BACKENDS: [Backend; 6] = [
+    Backend::Exact,
+    Backend::Fallback,
+    Backend::Clarabel,
+    Backend::Rapier,
+    Backend::Daqp,
+    Backend::Piqp,
+];
+
 /// Returns the page with new tables between their marks.
 pub fn with_tables(page: &str, rows: &[Row]) -> String {
-    let page = replace(page, "table", &table::markdown(rows));
+    let times = by_backend(rows, &BACKENDS, |row| figures(row.step_us));
+    // The first two solve to the target.
+    let errors = by_backend(rows, &BACKENDS[2..], |row| {
+        let quality = &row.quality;
+        let (worst, mean) = (quality.worst_velocity_error, quality.mean_velocity_error);
+        format!("{worst:.1e}, {mean:.1e}")
+    });
+    let page = replace(page, "table", &times);
     let page = replace(&page, "faster", &faster(rows));
-    replace(&page, "errors", &table::errors_markdown(rows))
+    replace(&page, "errors", &errors)
+}
+
+/// Returns a table with a row for each n and a column for each backend.
+fn by_backend(rows: &[Row], backends: &[Backend], cell: impl Fn(&Row) -> String) -> String {
+    let shown: Vec<&Row> = rows.iter().filter(|row| row.pi1 == SHOWN_PI1).collect();
+    let mut counts: Vec<usize> = shown.iter().map(|row| row.n).collect();
+    counts.dedup();
+    let names: Vec<String> = backends.iter().map(|it| it.name()).collect();
+    let rule = "--:|".repeat(1 + backends.len());
+    let mut lines = vec![format!("| n | {} |", names.join(" | ")), format!("|{rule}")];
+    for n in counts {
+        let cells = backends.iter().map(|backend| {
+            let row = shown
+                .iter()
+                .find(|row| (row.n, row.backend) == (n, *backend));
+            row.map_or("-".to_owned(), |row| cell(row))
+        });
+        lines.push(format!(
+            "| {n} | {} |",
+            cells.collect::<Vec<_>>().join(" | ")
+        ));
+    }
+    lines.join("\n")
 }
 
 /// Replaces the text between `<!-- name -->` and `<!-- /name -->`.
@@ -43,7 +86,7 @@ fn faster(rows: &[Row]) -> String {
         }
     }
     if lines.is_empty() {
-        return "Nowhere in this table.".to_owned();
+        return "No other solver is faster in any row of the table.".to_owned();
     }
     lines.join("\n")
 }

@@ -3,8 +3,8 @@
 //! `cargo bench -p jostle-physics-benches --bench step -- --help` lists the options. For every
 //! length over width and size a settled group is computed once and cached below `target/`. 10 to
 //! 200 successive steps of it are recorded, and every backend solves the recorded programs, in
-//! alternating repetitions of which the quickest counts. `docs/performance.md` contains one table
-//! and explains it.
+//! alternating repetitions of which the quickest counts. `docs/performance.md` explains the tables
+//! in `docs/performance/`.
 
 mod arguments;
 mod backend;
@@ -61,7 +61,9 @@ fn main() {
         write(path, &picture::svg(&rows));
     }
     if arguments.write_docs {
-        write(&docs("performance.svg"), &picture::svg(&rows));
+        write(&docs("performance/step.svg"), &picture::svg(&rows));
+        write(&docs("performance/step.csv"), &table::csv(&rows));
+        write(&docs("performance/errors.csv"), &table::errors_csv(&rows));
         let path = docs("performance.md");
         let page = std::fs::read_to_string(&path).expect("docs/performance.md can be read");
         write(&path, &document::with_tables(&page, &rows));

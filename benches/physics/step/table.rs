@@ -1,4 +1,4 @@
-//! Formats the results as text, JSON and Markdown.
+//! Formats the results as text, JSON and CSV.
 
 use jostle_physics::model::State;
 use serde_json::json;
@@ -152,7 +152,7 @@ pub fn errors(rows: &[Row]) -> String {
 fn errors_of(rows: &[Row]) -> impl Iterator<Item = [String; 5]> {
     inexact(rows).flat_map(|row| {
         let name = row.backend.name();
-        let alone = row.alone.map(|quality| (format!("{name}, alone"), quality));
+        let alone = row.alone.map(|quality| (format!("{name} alone"), quality));
         let both = [Some((name, row.quality)), alone];
         both.into_iter().flatten().map(|(name, quality)| {
             [
@@ -172,24 +172,21 @@ pub fn inexact(rows: &[Row]) -> impl Iterator<Item = &Row> {
         .filter(|row| !matches!(row.backend, Backend::Exact | Backend::Fallback))
 }
 
-/// Returns the table as Markdown.
-pub fn markdown(rows: &[Row]) -> String {
-    let line = |cells: &[String]| format!("| {} |", cells.join(" | "));
-    let rule = COLUMNS.map(|(name, _)| if name == "backend" { ":--" } else { "--:" });
-    let mut lines = vec![
-        line(&COLUMNS.map(|(name, _)| name.replace("_us", ", µs").replace('_', " "))),
-        format!("|{}|", rule.join("|")),
-    ];
-    lines.extend(rows.iter().map(|row| line(&row.cells())));
-    lines.join("\n")
+/// Returns the table as CSV; a cell without a value is empty.
+pub fn csv(rows: &[Row]) -> String {
+    let mut lines = vec![COLUMNS.map(|(name, _)| name).join(",")];
+    lines.extend(rows.iter().map(|row| {
+        let cells = row.cells();
+        cells
+            .map(|cell| if cell == "-" { String::new() } else { cell })
+            .join(",")
+    }));
+    lines.join("\n") + "\n"
 }
 
-/// Returns the table of errors as Markdown.
-pub fn errors_markdown(rows: &[Row]) -> String {
-    let mut lines = vec![
-        "| pi1 | n | backend | worst error | mean error |".to_owned(),
-        "|--:|--:|:--|--:|--:|".to_owned(),
-    ];
-    lines.extend(errors_of(rows).map(|cells| format!("| {} |", cells.join(" | "))));
-    lines.join("\n")
+/// Returns the table of errors as CSV.
+pub fn errors_csv(rows: &[Row]) -> String {
+    let mut lines = vec!["pi1,n,backend,worst_error,mean_error".to_owned()];
+    lines.extend(errors_of(rows).map(|cells| cells.join(",")));
+    lines.join("\n") + "\n"
 }

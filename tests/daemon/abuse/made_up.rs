@@ -1,17 +1,17 @@
-//! Bad requests that are too long to be written down, or are no text.
+//! Bad requests that are too long for a table, or are not text.
 
 use jostle_proto::ErrorCode::{self, InvalidArgument, NotFound, ResourceExhausted};
 use jostle_proto::keys;
 
-use super::Bad;
+use crate::support::bad_requests::BadRequest;
 use crate::support::{NODE, PREFIX};
 
-fn bad(verb: &str, payload: impl Into<Vec<u8>>, field: Option<&str>) -> Bad {
+fn bad(verb: &str, payload: impl Into<Vec<u8>>, field: Option<&str>) -> BadRequest {
     let selector = match verb {
         "create" => keys::node_cmd(PREFIX, NODE, verb),
         _ => keys::cmd(PREFIX, "victim", verb),
     };
-    Bad {
+    BadRequest {
         selector,
         payload: Some(payload.into()),
         code: InvalidArgument,
@@ -19,8 +19,8 @@ fn bad(verb: &str, payload: impl Into<Vec<u8>>, field: Option<&str>) -> Bad {
     }
 }
 
-fn with(code: ErrorCode, bad: Bad) -> Bad {
-    Bad { code, ..bad }
+fn with(code: ErrorCode, bad: BadRequest) -> BadRequest {
+    BadRequest { code, ..bad }
 }
 
 /// A field's name as an error repeats it.
@@ -29,27 +29,27 @@ fn cut(name: &str) -> String {
     format!("{start}…")
 }
 
-/// All of them; the long ones have nearly `much` bytes.
-pub fn all(much: usize) -> Vec<Bad> {
+/// All of them; the long ones have almost `much` bytes.
+pub fn all(much: usize) -> Vec<BadRequest> {
     let mut all = no_text();
     all.extend(deep(much));
     all.extend(long(much));
     all
 }
 
-/// Those that have nearly `much` bytes, which is more than is read.
-pub fn too_long(much: usize) -> Vec<Bad> {
+/// Those that have almost `much` bytes, more than a handler reads.
+pub fn too_long(much: usize) -> Vec<BadRequest> {
     let long = deep(much).into_iter().chain(long(much));
     let long = long.filter(|bad| bad.payload.as_ref().is_some_and(|it| it.len() > much / 2));
-    let refused = long.map(|bad| Bad {
+    let rejected = long.map(|bad| BadRequest {
         code: ResourceExhausted,
         field: None,
         ..bad
     });
-    refused.collect()
+    rejected.collect()
 }
 
-fn no_text() -> Vec<Bad> {
+fn no_text() -> Vec<BadRequest> {
     let utf_16: Vec<u8> = "{\"steps\": 1}"
         .encode_utf16()
         .flat_map(u16::to_le_bytes)
@@ -75,11 +75,11 @@ fn no_text() -> Vec<Bad> {
         &[0xa0],
         &[0xa1, 0x65, b's', b't', b'e', b'p', b's', 0x01],
     ];
-    let mut all: Vec<Bad> = texts.iter().map(|text| bad("step", *text, None)).collect();
-    // Control characters as they are, which JSON does not take within a string.
+    let mut all: Vec<BadRequest> = texts.iter().map(|text| bad("step", *text, None)).collect();
+    // Raw control characters, which JSON does not permit within a string.
     all.push(bad("step", "{\"client\": \"a\u{0}b\"}", None));
     all.push(bad("step", "{\"client\": \"a\u{1b}[2Jb\"}", None));
-    // Letters and spaces that only look like others.
+    // Letters and spaces that look like others.
     all.push(bad("step", "{“steps”: 1}", None));
     all.push(bad("step", "{\"steps\": １}", None));
     all.push(bad("step", "{\"steps\":\u{a0}1}", None));
@@ -89,7 +89,7 @@ fn no_text() -> Vec<Bad> {
     all
 }
 
-fn deep(much: usize) -> Vec<Bad> {
+fn deep(much: usize) -> Vec<BadRequest> {
     // Deeper than any stack.
     let (many, fewer) = (much * 2 / 5, much / 7);
     let lists = format!("{}1{}", "[".repeat(many), "]".repeat(many));
@@ -134,8 +134,8 @@ fn deep(much: usize) -> Vec<Bad> {
     ]
 }
 
-fn long(much: usize) -> Vec<Bad> {
-    // What is around it takes a little too.
+fn long(much: usize) -> Vec<BadRequest> {
+    // The rest of the request needs a few bytes too.
     let much = much - 200;
     let letters = "x".repeat(much);
     let names: String = (0..much / 12).map(|k| format!("\"f{k}\":1,")).collect();
@@ -151,9 +151,9 @@ fn long(much: usize) -> Vec<Bad> {
         keys::get(PREFIX, "victim", &word),
         keys::node_cmd(PREFIX, NODE, &word),
     ];
-    let mut long: Vec<Bad> = unknown
+    let mut long: Vec<BadRequest> = unknown
         .into_iter()
-        .map(|selector| Bad {
+        .map(|selector| BadRequest {
             selector,
             payload: None,
             code: NotFound,

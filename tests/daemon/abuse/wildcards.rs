@@ -1,4 +1,4 @@
-//! Keys, encodings and payloads that mean something else, or too much: wildcards execute nothing.
+//! Wildcard keys, other encodings and payloads on gets: wildcards execute nothing.
 
 use jostle_proto::ErrorCode::InvalidArgument;
 use jostle_proto::keys;
@@ -8,7 +8,7 @@ use zenoh::bytes::Encoding;
 use crate::support::{Daemon, PREFIX};
 
 #[tokio::test(flavor = "multi_thread")]
-async fn other_encodings_than_json_are_refused() {
+async fn other_encodings_than_json_are_rejected() {
     let daemon = Daemon::start().await;
     let client = &daemon.client;
     client.create("a", json!({"n": 3})).await;
@@ -23,15 +23,15 @@ async fn other_encodings_than_json_are_refused() {
         Encoding::from("of my own"),
         Encoding::from("x".repeat(200)),
     ] {
-        let told = encoding.to_string();
+        let context = encoding.to_string();
         let query = client.session.get("jostle/a/cmd/step").payload("{}");
         let replies = query.encoding(encoding).await.unwrap();
         let reply = replies.recv_async().await.unwrap().into_result();
         let bytes = reply.unwrap_err().payload().to_bytes().into_owned();
         let error: jostle_proto::Error = serde_json::from_slice(&bytes).unwrap();
-        assert_eq!(error.code, InvalidArgument, "{told}");
-        assert!(error.message.contains("application/json"), "{told}");
-        assert!(error.message.len() < 1000, "{told}");
+        assert_eq!(error.code, InvalidArgument, "{context}");
+        assert!(error.message.contains("application/json"), "{context}");
+        assert!(error.message.len() < 1000, "{context}");
     }
     assert_eq!(client.get("a", "status").await["step"], 0);
     daemon.stop().await;
@@ -70,9 +70,9 @@ async fn a_wildcard_reads_everything_and_executes_nothing() {
         "jostle/@node/test/cmd/c$*",
         "jostle/@node/**",
     ] {
-        for answer in client.ask(selector, Some(b"{}")).await {
+        for answer in client.query_all(selector, Some(b"{}")).await {
             if let Err(error) = answer {
-                // Where it names gets too, these refuse the payload.
+                // A wildcard that also matches gets: they reject the payload.
                 let field = error.details.get("field").and_then(Value::as_str);
                 let named = error.message.contains("wildcard") || field == Some("payload");
                 assert_eq!(error.code, InvalidArgument, "{selector}: {error:?}");
@@ -89,17 +89,19 @@ async fn a_wildcard_reads_everything_and_executes_nothing() {
         }
     }
     assert_eq!(client.hash("a").await, hash);
-    let statuses = client.ask("jostle/*/get/status", None).await;
+    let statuses = client.query_all("jostle/*/get/status", None).await;
     assert_eq!(statuses.len(), 3);
     assert!(statuses.iter().all(Result::is_ok));
     let nouns = keys::SWARM_GETS.len() - 3;
     assert_eq!(
-        client.ask("jostle/a/get/*", None).await.len(),
+        client.query_all("jostle/a/get/*", None).await.len(),
         nouns,
         "all but wait, which needs to know what for, and snapshot and verify, which cost much"
     );
     for noun in ["wait", "snapshot", "verify"] {
-        let answers = client.ask(&format!("jostle/*/get/{noun}"), None).await;
+        let answers = client
+            .query_all(&format!("jostle/*/get/{noun}"), None)
+            .await;
         assert!(!answers.is_empty(), "{noun}: silence");
         for answer in answers {
             let error = answer.unwrap_err();
@@ -110,7 +112,7 @@ async fn a_wildcard_reads_everything_and_executes_nothing() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_payload_on_a_get_is_refused() {
+async fn a_payload_on_a_get_is_rejected() {
     let daemon = Daemon::start().await;
     let client = &daemon.client;
     client.create("a", json!({"n": 3})).await;
@@ -120,7 +122,7 @@ async fn a_payload_on_a_get_is_refused() {
     for payload in payloads {
         for noun in ["status", "spec", "parameters", "events", "journal"] {
             let key = keys::get(PREFIX, "a", noun);
-            let error = client.one(&key, Some(payload)).await.unwrap_err();
+            let error = client.query(&key, Some(payload)).await.unwrap_err();
             assert_eq!(error.code, InvalidArgument, "{noun}: {error:?}");
             assert_eq!(error.details["field"], "payload", "{noun}: {error:?}");
         }

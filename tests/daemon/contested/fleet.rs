@@ -14,9 +14,9 @@ use tempfile::TempDir;
 use zenoh::Session;
 
 use super::create;
-use crate::apart::{Process, jostled};
-use crate::crash::life::{Left, Life};
 use crate::support::Client;
+use crate::support::daemon_process::{DaemonProcess, StoreCopy};
+use crate::support::process::{Process, jostled};
 
 /// The environment variable with the endpoints that the router connects to.
 pub const ROUTER: &str = "JOSTLE_TEST_ROUTER_CONNECTS_TO";
@@ -49,7 +49,7 @@ pub struct Router(
 );
 
 impl Router {
-    pub fn to(endpoints: &[&str]) -> Self {
+    pub fn connected_to(endpoints: &[&str]) -> Self {
         let mut command = Command::new(std::env::current_exe().unwrap());
         command
             .args(["--exact", "contested::a_router_process", "--nocapture"])
@@ -66,27 +66,27 @@ impl Router {
 }
 
 /// The node name, endpoint and data folder of a daemon across restarts.
-pub struct Place {
+pub struct RestartableDaemon {
     pub node: &'static str,
     pub endpoint: String,
     pub folder: TempDir,
 }
 
-impl Place {
+impl RestartableDaemon {
     pub fn new(node: &'static str) -> Self {
         let port = TcpListener::bind("127.0.0.1:0")
             .unwrap()
             .local_addr()
             .unwrap()
             .port();
-        Place {
+        RestartableDaemon {
             node,
             endpoint: format!("tcp/127.0.0.1:{port}"),
             folder: tempfile::tempdir().unwrap(),
         }
     }
 
-    pub fn start(&self) -> Life {
+    pub fn start(&self) -> DaemonProcess {
         let log = self.folder.path().join("log");
         let log = File::options().create(true).append(true).open(log).unwrap();
         let mut command = jostled(&["serve", "--listen", &self.endpoint, "--node", self.node]);
@@ -94,24 +94,24 @@ impl Place {
             .arg("--data-dir")
             .arg(self.folder.path())
             .stderr(log);
-        Life::begin(&mut command).unwrap()
+        DaemonProcess::start(&mut command).unwrap()
     }
 
     /// Creates swarms that the next run recovers.
     pub async fn prepare(&self, swarms: &[&str]) {
-        let mut life = self.start();
+        let mut process = self.start();
         let client = Client::open(&self.endpoint).await;
         for swarm in swarms {
             create(&client, self.node, swarm).await.unwrap();
         }
         client.session.close().await.unwrap();
-        life.stop();
-        life.end();
+        process.stop();
+        process.end();
     }
 
     /// How often each of these is in the journal of a swarm, once the daemon has ended.
     pub fn executed(&self, swarm: &str, ids: &[String]) -> BTreeMap<String, usize> {
-        let rows = Left::on(self.folder.path()).rows(swarm, 0);
+        let rows = StoreCopy::of(self.folder.path()).rows(swarm, 0);
         // Text in CBOR: its length, if it is short, then its bytes.
         let count = |id: &String| {
             assert!(id.len() < 24, "{id}");
@@ -136,20 +136,20 @@ pub fn jostle(endpoint: &str, arguments: &[&str]) -> (Option<i32>, String) {
     (output.status.code(), String::from_utf8(text).unwrap())
 }
 
-pub fn signal(life: &Life, signal: &str) {
-    let id = life.child.id().to_string();
+pub fn signal(process: &DaemonProcess, signal: &str) {
+    let id = process.child.id().to_string();
     let sent = Command::new("kill").args([signal, &id]).status().unwrap();
     assert!(sent.success());
 }
 
 /// Forwards connections to a daemon until it is cut.
-pub struct Cut {
+pub struct CuttableProxy {
     pub endpoint: String,
     open: Arc<Mutex<Option<Vec<TcpStream>>>>,
 }
 
-impl Cut {
-    pub fn before(endpoint: &str) -> Self {
+impl CuttableProxy {
+    pub fn to(endpoint: &str) -> Self {
         let target: SocketAddr = endpoint.strip_prefix("tcp/").unwrap().parse().unwrap();
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let endpoint = format!("tcp/{}", listener.local_addr().unwrap());
@@ -172,7 +172,7 @@ impl Cut {
                 }
             }
         });
-        Cut { endpoint, open }
+        CuttableProxy { endpoint, open }
     }
 
     pub fn cut(&self) {

@@ -1,4 +1,4 @@
-//! The bounds that the schemas set are those the daemon keeps to.
+//! The bounds in the schemas are those that the daemon enforces.
 
 use std::collections::BTreeSet;
 
@@ -6,7 +6,8 @@ use jostle_proto::contract::schemas;
 use jostle_proto::{Error, ErrorCode, keys};
 use serde_json::{Value, json};
 
-use super::{fixtures, prepare_experiment, prepare_recording, send};
+use super::fixtures;
+use super::prepare::{prepare_experiment, prepare_recording, send};
 use crate::support::{Daemon, PREFIX};
 
 /// A field of a request with a value at one of its bounds and one just outside of it.
@@ -19,7 +20,7 @@ struct Bound {
     at: Value,
 }
 
-/// The bounds that `schema` sets to what is in `value`.
+/// The bounds of `schema` for the fields of `value`.
 fn bounds(schema: &Value, root: &Value, value: &Value, field: &str, place: &str) -> Vec<Bound> {
     if let Some(name) = schema["$ref"].as_str() {
         let definition = &root["$defs"][name.trim_start_matches("#/$defs/")];
@@ -41,11 +42,11 @@ fn bounds(schema: &Value, root: &Value, value: &Value, field: &str, place: &str)
         let limit = |name: &str| schema[name].as_f64();
         found.extend(limit("minimum").map(|it| bound(json!(it.next_down()), json!(it))));
         found.extend(limit("maximum").map(|it| bound(json!(it.next_up()), json!(it))));
-        // A tiny number is within, and large enough for a body to turn.
+        // A small number within the bound is large enough for a body to turn.
         found.extend(limit("exclusiveMinimum").map(|it| bound(json!(it), json!(it + 1e-6))));
     }
     if let Some(pattern) = schema["pattern"].as_str() {
-        // There are two: that of names, and that of labels, which takes nearly all.
+        // There are two patterns: of names, and of labels, which permit almost all characters.
         let (outside, at) = match pattern {
             keys::NAME_RULE => ("a/b", "a".repeat(64)),
             _ => ("a\u{7}b", "ü \u{2020} *".to_owned()),
@@ -69,7 +70,7 @@ fn bounds(schema: &Value, root: &Value, value: &Value, field: &str, place: &str)
             more.push(items[0].clone());
             found.push(bound(json!(more), json!(many(most))));
         }
-        // Of numbers the first stands for all: ids must differ.
+        // Of a list of numbers only the first is tested: ids must differ.
         let some = match items.first() {
             Some(Value::Number(_)) => &items[..1],
             _ => &items[..],
@@ -109,7 +110,7 @@ fn is_meant(variant: &Value, value: &Value) -> bool {
 
 /// Whether an error says that this field is wrong.
 fn is_about(error: &Error, field: &str) -> bool {
-    // A column is refused as a whole, and so is a change of a batch whose arguments came before
+    // A column is rejected as a whole, and so is a change of a batch whose arguments precede
     // its verb.
     let column = field.strip_suffix(']').and_then(|it| it.rsplit_once('['));
     let change = field.split_once(".args").map(|(change, _)| change);
@@ -122,7 +123,7 @@ fn is_about(error: &Error, field: &str) -> bool {
 /// The errors of requests whose value is within its bounds: the message, the field that is at a bound,
 /// and what is wrong beside it. Every other such request must succeed.
 const OTHER_ERRORS: [(&str, &str, ErrorCode); 31] = [
-    // Names of what is not there.
+    // Names of things that do not exist.
     ("advance.args", "controller", ErrorCode::NotFound),
     ("leave.args", "controller", ErrorCode::NotFound),
     ("discard.args", "name", ErrorCode::NotFound),
@@ -148,7 +149,7 @@ const OTHER_ERRORS: [(&str, &str, ErrorCode); 31] = [
         "spec.start.radius",
         ErrorCode::ResourceExhausted,
     ),
-    // The swarm is no replay.
+    // The swarm is not a playback.
     ("seek.args", "fraction", ErrorCode::IncorrectState),
     ("seek.args", "step", ErrorCode::IncorrectState),
     ("seek.args", "time", ErrorCode::IncorrectState),
@@ -193,7 +194,7 @@ async fn the_bounds_of_the_schemas_are_those_of_the_daemon() {
     let requests = schemas.iter().filter_map(|(message, schema)| {
         let verb = match *message {
             "request" => "inform",
-            // Nobody answers a put: `controllers` looks at what becomes of them.
+            // A put gets no reply; `controllers` tests its effect.
             "control.args" => return None,
             message => message.strip_suffix(".args")?,
         };
@@ -220,7 +221,7 @@ async fn the_bounds_of_the_schemas_are_those_of_the_daemon() {
                         _ => (),
                     }
                     if message != "request" {
-                        // What creates a swarm has the time that a busy disk takes, so that the name
+                        // A verb that creates a swarm has a timeout for a busy disk, so that the name
                         // is free again for the next request; `advance` waits for its controllers.
                         let creates = ["create", "fork", "restore"].contains(&verb);
                         let timeout_secs = if creates { 20.0 } else { 0.5 };
@@ -241,8 +242,10 @@ async fn the_bounds_of_the_schemas_are_those_of_the_daemon() {
                     }
                     let named = request["args"]["name"].as_str();
                     let name = named.filter(|it| keys::is_name(it)).unwrap_or(&swarm);
-                    // Where nothing was created nobody answers.
-                    client.ask(&keys::cmd(PREFIX, name, "delete"), None).await;
+                    // If nothing was created, no daemon replies.
+                    client
+                        .query_all(&keys::cmd(PREFIX, name, "delete"), None)
+                        .await;
                     if verb == "fork" && name != swarm {
                         client.ok(&swarm, "delete", json!({})).await;
                     }

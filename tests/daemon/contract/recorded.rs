@@ -6,27 +6,24 @@ mod documents;
 mod experiments;
 mod failing;
 mod fleet;
-mod lab;
+mod lifecycle;
+mod recording_client;
 mod recordings;
-mod story;
 mod swarms;
 
 use documents::Recorded;
 
-use crate::support::beside_others;
-
 #[tokio::test(flavor = "multi_thread")]
 async fn the_fixtures_of_what_a_daemon_sends_are_what_daemons_send() {
-    let _machine = beside_others().await;
     let recorded = Recorded::default();
     tokio::join!(
-        story::play(&recorded),
-        swarms::play(&recorded),
-        controlled::play(&recorded),
-        failing::play(&recorded),
-        experiments::play(&recorded),
-        recordings::play(&recorded),
-        fleet::play(&recorded),
+        lifecycle::record_fixtures(&recorded),
+        swarms::record_fixtures(&recorded),
+        controlled::record_fixtures(&recorded),
+        failing::record_fixtures(&recorded),
+        experiments::record_fixtures(&recorded),
+        recordings::record_fixtures(&recorded),
+        fleet::record_fixtures(&recorded),
     );
     recorded.compare();
 }

@@ -7,7 +7,7 @@ use super::{advance, join};
 use crate::support::Daemon;
 
 #[tokio::test(flavor = "multi_thread")]
-async fn who_is_driven_directly_moves_as_told_and_only_by_who_joined_for_it() {
+async fn only_controllers_that_joined_with_driving_set_turn_and_speed() {
     let daemon = Daemon::start().await;
     let client = &daemon.client;
     let start = json!({"kind": "given", "x": [0.0, 20.0, 40.0], "y": [0.0, 0.0, 0.0],
@@ -35,8 +35,8 @@ async fn who_is_driven_directly_moves_as_told_and_only_by_who_joined_for_it() {
         let [x, y] = ["x", "y"].map(|axis| state[axis][id].as_f64().unwrap());
         (x - 20.0 * id as f64).hypot(y)
     };
-    assert_eq!(state["alpha"][0], 1.5, "told not to turn");
-    assert_eq!(moved(0), 0.0, "told not to move");
+    assert_eq!(state["alpha"][0], 1.5, "it does not turn");
+    assert_eq!(moved(0), 0.0, "it does not move");
     assert!(
         (moved(1) - 0.5).abs() < 0.01,
         "half the speed for one time unit"

@@ -10,7 +10,7 @@ use super::{join, token, weights};
 use crate::support::{Daemon, PREFIX, until};
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_has_faulted_stays_so_whoever_is_late_or_gone() {
+async fn a_faulted_swarm_stays_faulted_when_controllers_are_late_or_leave() {
     let daemon = Daemon::start().await;
     let (client, other) = (&daemon.client, daemon.another_client().await);
     // Bodies that turn at a touch, in the longest step: two of them cross within a while.
@@ -44,9 +44,9 @@ async fn what_has_faulted_stays_so_whoever_is_late_or_gone() {
     daemon.stop().await;
 }
 
-/// Nobody is there any more who wants what the one who has left had asked for.
+/// The steps that a controller requested are dropped when it leaves.
 #[tokio::test(flavor = "multi_thread")]
-async fn what_only_they_wanted_who_have_left_is_not_gone_on_with() {
+async fn steps_that_only_a_controller_that_left_requested_are_not_taken() {
     let daemon = Daemon::start().await;
     let (client, swarm) = (&daemon.client, "left");
     client.create(swarm, json!({"n": 12})).await;
@@ -64,7 +64,9 @@ async fn what_only_they_wanted_who_have_left_is_not_gone_on_with() {
     let daemon = daemon.restart().await;
     let client = &daemon.client;
     assert_eq!(
-        client.reach(swarm, on["step"].as_u64().unwrap()).await["phase"],
+        client
+            .wait_for_step(swarm, on["step"].as_u64().unwrap())
+            .await["phase"],
         "paused"
     );
     assert_eq!(client.hash(swarm).await, hash);
@@ -72,7 +74,7 @@ async fn what_only_they_wanted_who_have_left_is_not_gone_on_with() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn steps_are_told_to_be_durable_also_where_deadlines_let_them_be_taken() {
+async fn steps_after_a_missed_deadline_become_durable() {
     let daemon = Daemon::start().await;
     let (client, swarm) = (&daemon.client, "late");
     client.create(swarm, json!({"n": 12})).await;

@@ -1,4 +1,4 @@
-//! The order of two controllers: in which they advance changes nothing, in which they join does.
+//! The order in which two controllers advance has no effect; the order in which they join has.
 
 use serde_json::{Value, json};
 
@@ -8,7 +8,7 @@ use crate::support::{Client, Daemon, until};
 /// Exchanges of a run.
 const STEPS: u64 = 40;
 
-/// What the controllers steer in an exchange: an individual each, and where to.
+/// The set-points of an exchange: an individual and a direction of each controller.
 type Targets = [(&'static str, u32, f64); 2];
 
 const ADA: (&str, u32, f64) = ("ada", 0, 0.0);
@@ -88,9 +88,9 @@ async fn the_order_in_which_controllers_advance_changes_no_bit() {
     daemon.stop().await;
 }
 
-/// Joins two controllers in this order, each with three individuals that are drawn, and has them
+/// Joins two controllers in this order, each with three individuals that are drawn, and lets them
 /// steer apart. Returns the ids of each and the hash.
-async fn drawn(daemon: Daemon, controllers: [&str; 2]) -> ([Value; 2], String) {
+async fn join_and_steer(daemon: Daemon, controllers: [&str; 2]) -> ([Value; 2], String) {
     let client = &daemon.client;
     client.create("a", json!({"n": 20, "seed": 3})).await;
     let mut ids = Vec::new();
@@ -125,9 +125,9 @@ async fn drawn(daemon: Daemon, controllers: [&str; 2]) -> ([Value; 2], String) {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn who_joins_first_draws_first_also_in_a_replay() {
-    let (ids, hash) = drawn(Daemon::start().await, ["ada", "bob"]).await;
-    let (reversed_ids, reversed) = drawn(Daemon::start().await, ["bob", "ada"]).await;
+async fn the_first_to_join_draws_first_in_a_replay_too() {
+    let (ids, hash) = join_and_steer(Daemon::start().await, ["ada", "bob"]).await;
+    let (reversed_ids, reversed) = join_and_steer(Daemon::start().await, ["bob", "ada"]).await;
     assert_ne!(ids[0], ids[1]);
     // The same draws in the same order, for the other controller.
     assert_eq!(ids, reversed_ids);

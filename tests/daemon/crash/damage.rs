@@ -1,4 +1,4 @@
-//! A damaged data folder: told, and never taken for what was written.
+//! A damaged data folder is reported, and never leads to a wrong state.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -7,9 +7,9 @@ use std::path::Path;
 use jostle_proto::{ErrorCode, keys};
 use serde_json::{Value, json};
 
-use crate::crash::life::{self, Left, Life};
-use crate::crash::twin::{Answers, Twin};
-use crate::support::{Client, PREFIX, alone, beside_others};
+use crate::support::daemon_process::{self, DaemonProcess, StoreCopy};
+use crate::support::reference_model::{Answers, ReferenceModel};
+use crate::support::{Client, PREFIX};
 
 const FILE: &str = "jostle.sqlite";
 
@@ -18,7 +18,7 @@ const FLIPS: usize = 40;
 
 const SWARMS: [(&str, u64); 3] = [("a", 5), ("b", 20), ("c", 40)];
 
-/// Creates swarms and gives them a past.
+/// Creates swarms and sends them commands.
 async fn fill(client: &Client) {
     for (name, n) in SWARMS {
         client.create(name, json!({"n": n, "seed": n})).await;
@@ -39,51 +39,51 @@ async fn fill(client: &Client) {
             }
         }
     }
-    // Safe, and all before it.
+    // Makes this command and all before it durable.
     for (name, _) in SWARMS {
         let request = json!({"client": "me", "request_id": format!("{name}-end")});
         client.ok(name, "pause", request).await;
     }
 }
 
-/// Every hash that the swarms ever had.
+/// Every hash that the swarms had.
 fn hashes(folder: &Path) -> Vec<(&'static str, BTreeSet<String>, String)> {
-    let left = Left::on(folder);
+    let left = StoreCopy::of(folder);
     SWARMS
         .iter()
         .map(|(name, n)| {
-            let mut twin = Twin::new(name, &json!({"n": n, "seed": n}));
-            twin.remember_all();
-            twin.tell(left.rows(name, 0), &Answers::new());
-            let last = twin.hash();
-            (*name, twin.passed(), last)
+            let mut model = ReferenceModel::new(name, &json!({"n": n, "seed": n}));
+            model.record_hashes();
+            model.replay(left.rows(name, 0), &Answers::new());
+            let last = model.hash();
+            (*name, model.recorded_hashes(), last)
         })
         .collect()
 }
 
-/// What came of a damaged folder.
+/// The outcomes of starts on damaged folders.
 #[derive(Debug, Default)]
-struct Tally {
-    refused: usize,
+struct StartOutcomes {
+    failed: usize,
     unharmed: usize,
     earlier: usize,
     left_out: usize,
     faulted: usize,
 }
 
-/// Starts a daemon on a damaged folder: it says what is wrong, and what it has is true.
-async fn judge(
+/// Starts a daemon on a damaged folder: it logs the damage, and every state that it serves existed.
+async fn check_start(
     folder: &Path,
     expected: &[(&str, BTreeSet<String>, String)],
-    must_tell: bool,
+    must_report: bool,
     what: &str,
-    tally: &mut Tally,
+    outcomes: &mut StartOutcomes,
 ) {
     let _ = fs::remove_file(folder.join("log"));
-    let life = match Life::begin(&mut life::daemon(folder)) {
-        Ok(life) => life,
+    let process = match DaemonProcess::start(&mut daemon_process::daemon(folder)) {
+        Ok(process) => process,
         Err(code) => {
-            let log = life::log(folder);
+            let log = daemon_process::log(folder);
             assert!(
                 code.is_some_and(|code| code != 101),
                 "{what}: {code:?}: {log}"
@@ -93,20 +93,22 @@ async fn judge(
                 "{what}: {log}"
             );
             assert!(log.contains(FILE), "{what}: {log}");
-            tally.refused += 1;
+            outcomes.failed += 1;
             return;
         }
     };
-    let client = Client::open(&life.endpoint).await;
-    let log = life::log(folder);
-    let is_told = log.contains("damaged") || log.contains("failed to recover");
+    let client = Client::open(&process.endpoint).await;
+    let log = daemon_process::log(folder);
+    let is_reported = log.contains("damaged") || log.contains("failed to recover");
     let (mut is_unharmed, mut is_faulted) = (true, false);
     for (name, passed, last) in expected {
-        let answers = client.ask(&keys::get(PREFIX, name, "status"), None).await;
+        let answers = client
+            .query_all(&keys::get(PREFIX, name, "status"), None)
+            .await;
         let Some(status) = answers.into_iter().next() else {
             let is_named = log.contains(&format!("swarm=\"{name}\""));
-            assert!(is_named || !must_tell, "{what}: {log}");
-            tally.left_out += 1;
+            assert!(is_named || !must_report, "{what}: {log}");
+            outcomes.left_out += 1;
             is_unharmed = false;
             continue;
         };
@@ -114,7 +116,7 @@ async fn judge(
         let hash = status["result"]["state_hash"].as_str().unwrap();
         if status["phase"] == "faulted" {
             is_faulted = true;
-            go_on(&client, name).await;
+            reset_and_step(&client, name).await;
         }
         if hash == last {
             continue;
@@ -122,17 +124,17 @@ async fn judge(
         is_unharmed = false;
         assert!(passed.contains(hash), "{what}: never was {status}");
         assert!(
-            is_told || !must_tell,
+            is_reported || !must_report,
             "{what}: taken back unsaid: {status} {log}"
         );
-        tally.earlier += 1;
+        outcomes.earlier += 1;
     }
-    tally.unharmed += usize::from(is_unharmed);
-    tally.faulted += usize::from(is_faulted);
+    outcomes.unharmed += usize::from(is_unharmed);
+    outcomes.faulted += usize::from(is_faulted);
 }
 
-/// A faulted swarm says why, and can be used again once it is reset.
-async fn go_on(client: &Client, name: &str) {
+/// A faulted swarm rejects commands, and accepts them after a reset.
+async fn reset_and_step(client: &Client, name: &str) {
     let (code, message) = client
         .err(
             name,
@@ -147,23 +149,22 @@ async fn go_on(client: &Client, name: &str) {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn whatever_byte_is_damaged_no_state_is_a_wrong_one() {
-    let _alone = alone().await;
+async fn no_damaged_byte_leads_to_a_wrong_state() {
     let is_long = std::env::var_os("JOSTLE_LONG").is_some();
     let (killed, moved) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
-    let mut life = Life::begin(&mut life::daemon(killed.path())).unwrap();
-    fill(&Client::open(&life.endpoint).await).await;
-    life.kill();
+    let mut process = DaemonProcess::start(&mut daemon_process::daemon(killed.path())).unwrap();
+    fill(&Client::open(&process.endpoint).await).await;
+    process.kill();
     // As the kill left it, but for the WAL, which is moved into the file.
-    life::copy(killed.path(), moved.path());
+    daemon_process::copy(killed.path(), moved.path());
     let database = rusqlite::Connection::open(moved.path().join(FILE)).unwrap();
     let moving = "PRAGMA wal_checkpoint(TRUNCATE)";
     database.query_row(moving, [], |_| Ok(())).unwrap();
     drop(database);
     let expected = hashes(killed.path());
 
-    // The WAL ends where it no longer fits together, as after a crash: that cannot be told.
-    for (from, file, must_tell) in [
+    // A damaged WAL ends at its first invalid frame, as after a crash: the two cannot be distinguished.
+    for (from, file, must_report) in [
         (moved.path(), FILE.to_owned(), true),
         (killed.path(), format!("{FILE}-wal"), false),
     ] {
@@ -174,32 +175,32 @@ async fn whatever_byte_is_damaged_no_state_is_a_wrong_one() {
         } else {
             places.len().div_ceil(FLIPS)
         };
-        let mut tally = Tally::default();
+        let mut outcomes = StartOutcomes::default();
         let places = places.into_iter().skip(every / 2).step_by(every);
         for place in places.clone() {
             let folder = tempfile::tempdir().unwrap();
-            life::copy(from, folder.path());
+            daemon_process::copy(from, folder.path());
             let mut flipped = bytes.clone();
             flipped[place] ^= 1 << (place / 64 % 8);
             fs::write(folder.path().join(&file), flipped).unwrap();
             let what = format!("{file}, byte {place}");
-            judge(folder.path(), &expected, must_tell, &what, &mut tally).await;
+            check_start(folder.path(), &expected, must_report, &what, &mut outcomes).await;
         }
         let count = places.count();
-        println!("{count} of {} bytes of {file}: {tally:?}", bytes.len());
-        // Most of the file is free, or of one swarm. The WAL counts up to its first damaged frame.
-        let Tally {
-            refused, left_out, ..
-        } = tally;
-        assert!(left_out <= count / 2, "{tally:?}");
-        if must_tell {
+        println!("{count} of {} bytes of {file}: {outcomes:?}", bytes.len());
+        // Most pages of the file are free, or of one swarm. The WAL is valid up to its first damaged frame.
+        let StartOutcomes {
+            failed, left_out, ..
+        } = outcomes;
+        assert!(left_out <= count / 2, "{outcomes:?}");
+        if must_report {
             assert!(
-                refused <= count / 8 && tally.unharmed >= count / 4,
-                "{tally:?}"
+                failed <= count / 8 && outcomes.unharmed >= count / 4,
+                "{outcomes:?}"
             );
-            assert!(tally.faulted > 0 && tally.earlier > 0, "{tally:?}");
+            assert!(outcomes.faulted > 0 && outcomes.earlier > 0, "{outcomes:?}");
         } else {
-            assert!(refused == 0 && tally.earlier >= count, "{tally:?}");
+            assert!(failed == 0 && outcomes.earlier >= count, "{outcomes:?}");
         }
     }
 }
@@ -234,11 +235,10 @@ fn numbers(folder: &Path, table: &str, swarm: &str) -> Vec<u64> {
 /// Damage to the journal or a checkpoint of a swarm costs at most that swarm.
 #[tokio::test(flavor = "multi_thread")]
 async fn damage_to_the_records_of_one_swarm_leaves_every_other_usable() {
-    let _machine = beside_others().await;
     let killed = tempfile::tempdir().unwrap();
-    let mut life = Life::begin(&mut life::daemon(killed.path())).unwrap();
-    fill(&Client::open(&life.endpoint).await).await;
-    life.kill();
+    let mut process = DaemonProcess::start(&mut daemon_process::daemon(killed.path())).unwrap();
+    fill(&Client::open(&process.endpoint).await).await;
+    process.kill();
     let expected = hashes(killed.path());
     let (mut faulted, mut left_out) = (0, 0);
     for (swarm, _) in SWARMS {
@@ -250,16 +250,18 @@ async fn damage_to_the_records_of_one_swarm_leaves_every_other_usable() {
         let checkpoints = checkpoints.into_iter().map(|number| ("checkpoint", number));
         for (table, number) in rows.chain(checkpoints) {
             let folder = tempfile::tempdir().unwrap();
-            life::copy(killed.path(), folder.path());
+            daemon_process::copy(killed.path(), folder.path());
             let of_swarm = format!("swarm = (SELECT id FROM swarm WHERE name = '{swarm}')");
             let condition = format!("{of_swarm} AND number = {number}");
             flip(folder.path(), table, "body", &condition);
             let what = format!("{table} {number} of {swarm}");
-            let begun = Life::begin(&mut life::daemon(folder.path()));
-            let life = begun.unwrap_or_else(|code| panic!("{what}: refused with {code:?}"));
-            let client = Client::open(&life.endpoint).await;
+            let started = DaemonProcess::start(&mut daemon_process::daemon(folder.path()));
+            let process = started.unwrap_or_else(|code| panic!("{what}: exited with {code:?}"));
+            let client = Client::open(&process.endpoint).await;
             for (name, passed, last) in &expected {
-                let answers = client.ask(&keys::get(PREFIX, name, "status"), None).await;
+                let answers = client
+                    .query_all(&keys::get(PREFIX, name, "status"), None)
+                    .await;
                 let status = answers.into_iter().next().map(Result::unwrap);
                 if *name == swarm {
                     match status {
@@ -284,7 +286,7 @@ async fn damage_to_the_records_of_one_swarm_leaves_every_other_usable() {
     // At least the last row of each swarm is read when the swarm is restored.
     assert!(faulted >= SWARMS.len(), "{faulted}");
 
-    // Which swarms there are must be known: damage to that is refused, and named.
+    // Damage to the list of swarms prevents the start, and is named.
     for (table, column, condition) in [
         ("swarm", "about", "name = 'b'"),
         (
@@ -294,13 +296,13 @@ async fn damage_to_the_records_of_one_swarm_leaves_every_other_usable() {
         ),
     ] {
         let folder = tempfile::tempdir().unwrap();
-        life::copy(killed.path(), folder.path());
+        daemon_process::copy(killed.path(), folder.path());
         flip(folder.path(), table, column, condition);
-        let begun = Life::begin(&mut life::daemon(folder.path()));
-        let Err(code) = begun else {
+        let started = DaemonProcess::start(&mut daemon_process::daemon(folder.path()));
+        let Err(code) = started else {
             panic!("{table}: the daemon starts");
         };
-        let log = life::log(folder.path());
+        let log = daemon_process::log(folder.path());
         assert_eq!(code, Some(1), "{table}: {log}");
         assert!(log.contains(FILE) && log.contains("swarm \"b\""), "{log}");
     }
@@ -308,11 +310,10 @@ async fn damage_to_the_records_of_one_swarm_leaves_every_other_usable() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_journal_damaged_in_the_middle_faults_its_swarm_which_goes_on_after_a_reset() {
-    let _machine = beside_others().await;
     let folder = tempfile::tempdir().unwrap();
-    let mut life = Life::begin(&mut life::daemon(folder.path())).unwrap();
-    fill(&Client::open(&life.endpoint).await).await;
-    life.kill();
+    let mut process = DaemonProcess::start(&mut daemon_process::daemon(folder.path())).unwrap();
+    fill(&Client::open(&process.endpoint).await).await;
+    process.kill();
     let expected = hashes(folder.path());
     let (_, passed, last) = &expected[1];
     let database = rusqlite::Connection::open(folder.path().join(FILE)).unwrap();
@@ -331,10 +332,10 @@ async fn a_journal_damaged_in_the_middle_faults_its_swarm_which_goes_on_after_a_
         json!(fields)
     };
     let mut before = None;
-    // Also after one more kill it has the same state, and says the same.
+    // After another kill the state and the reason are the same.
     for _ in 0..2 {
-        let mut life = Life::begin(&mut life::daemon(folder.path())).unwrap();
-        let client = Client::open(&life.endpoint).await;
+        let mut process = DaemonProcess::start(&mut daemon_process::daemon(folder.path())).unwrap();
+        let client = Client::open(&process.endpoint).await;
         let status = client.get("b", "status").await;
         assert_eq!(status["phase"], "faulted");
         let reason = status["result"]["reason"].as_str().unwrap();
@@ -344,27 +345,38 @@ async fn a_journal_damaged_in_the_middle_faults_its_swarm_which_goes_on_after_a_
         );
         let hash = status["result"]["state_hash"].as_str().unwrap();
         assert!(passed.contains(hash) && hash != last, "{status}");
+        // The first start has truncated the journal.
+        if before.is_none() {
+            let warnings = client.node("metrics").await["warnings"].to_string();
+            for part in [
+                "damaged or missing record",
+                "check the disk",
+                "jostle verify",
+            ] {
+                assert!(warnings.contains(part), "{part}: {warnings}");
+            }
+        }
         assert_eq!(*before.get_or_insert(place(&status)), place(&status));
-        // The others are what they were.
+        // The other swarms are unchanged.
         for (name, _, last) in [&expected[0], &expected[2]] {
             assert_eq!(client.hash(name).await, *last);
         }
-        life.kill();
+        process.kill();
     }
     assert!(
         folder.path().join("damaged-1.sqlite").exists(),
         "the copy of the damaged file"
     );
-    assert!(life::log(folder.path()).contains("damaged-1.sqlite"));
+    assert!(daemon_process::log(folder.path()).contains("damaged-1.sqlite"));
 
-    let mut life = Life::begin(&mut life::daemon(folder.path())).unwrap();
-    let client = Client::open(&life.endpoint).await;
-    go_on(&client, "b").await;
+    let mut process = DaemonProcess::start(&mut daemon_process::daemon(folder.path())).unwrap();
+    let client = Client::open(&process.endpoint).await;
+    reset_and_step(&client, "b").await;
     let stepped = client.ok("b", "inject", json!({"count": 2})).await;
     let hash = client.hash("b").await;
-    life.kill();
-    let life = Life::begin(&mut life::daemon(folder.path())).unwrap();
-    let client = Client::open(&life.endpoint).await;
+    process.kill();
+    let process = DaemonProcess::start(&mut daemon_process::daemon(folder.path())).unwrap();
+    let client = Client::open(&process.endpoint).await;
     let status = client.get("b", "status").await;
     assert_eq!(
         (&status["seq"], &status["phase"]),
@@ -372,7 +384,7 @@ async fn a_journal_damaged_in_the_middle_faults_its_swarm_which_goes_on_after_a_
     );
     assert_eq!(status["result"]["state_hash"], hash);
     let verified = client
-        .one(&keys::get(PREFIX, "b", "verify"), None)
+        .query(&keys::get(PREFIX, "b", "verify"), None)
         .await
         .unwrap();
     assert_eq!(verified["result"]["differs_at"], Value::Null, "{verified}");

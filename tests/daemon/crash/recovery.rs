@@ -1,67 +1,23 @@
-//! A hundred swarms are recovered, and the order of their commands is kept.
+//! Recovery after a kill: the order of commands, interrupted steps, creation and deletion.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
 
 use serde_json::{Value, json};
 
-use crate::crash::life::{self, Life};
-use crate::support::{Client, NODE, PREFIX, alone, beside_others, until};
+use crate::support::daemon_process::{self, DaemonProcess};
+use crate::support::{Client, NODE, PREFIX, until};
 
-/// How long a hundred swarms run before the kill; with `JOSTLE_LONG=1` the second.
-const RUN_SECS: [u64; 2] = [11, 30];
-
+/// Commands that wait for the same sync are committed together; a `step` among them is journaled
+/// when it is executed.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_hundred_swarms_of_a_hundred_are_back() {
-    const SWARMS: u64 = 100;
-    let _alone = alone().await;
+async fn commands_committed_together_with_a_step_are_recovered_in_order() {
     let folder = tempfile::tempdir().unwrap();
-    let mut empty = Life::begin(&mut life::daemon(folder.path())).unwrap();
-    let client = Client::open(&empty.endpoint).await;
-    for k in 0..SWARMS {
-        let name = format!("s{k}");
-        client
-            .create(&name, json!({"n": 100, "seed": k, "rate": 1}))
-            .await;
-        client
-            .ok(&name, "step", json!({"steps": 600, "return": "none"}))
-            .await;
-    }
-    for k in 0..SWARMS {
-        client.ok(&format!("s{k}"), "run", json!({})).await;
-    }
-    let run = RUN_SECS[usize::from(std::env::var_os("JOSTLE_LONG").is_some())];
-    tokio::time::sleep(Duration::from_secs(run)).await;
-    let mut steps = Vec::new();
-    for k in 0..SWARMS {
-        let inform = json!({"select": {"count": 3}, "direction": 1});
-        let reply = client.ok(&format!("s{k}"), "inform", inform).await;
-        steps.push(reply["step"].as_u64().unwrap());
-    }
-    empty.kill();
-
-    let life = Life::begin(&mut life::daemon(folder.path())).unwrap();
-    println!("back with {SWARMS} swarms after {run} s in {:?}", life.took);
-    let client = Client::open(&life.endpoint).await;
-    for (k, step) in steps.iter().enumerate() {
-        let status = client.get(&format!("s{k}"), "status").await;
-        assert!(status["step"].as_u64().unwrap() >= *step, "{status}");
-        assert_eq!(status["phase"], "running");
-        assert_eq!(status["result"]["informed"], 3);
-    }
-}
-
-/// Commands that wait for each other's sync are made safe together; a `step` among them is written
-/// down only when it is carried out.
-#[tokio::test(flavor = "multi_thread")]
-async fn commands_taken_together_with_a_step_come_back_in_their_order() {
-    let _machine = beside_others().await;
-    let folder = tempfile::tempdir().unwrap();
-    // Whoever comes meanwhile is taken together.
-    let mut command = life::daemon(folder.path());
+    // Commands that arrive meanwhile are committed together.
+    let mut command = daemon_process::daemon(folder.path());
     command.env("FAILPOINTS", "swarm-durable=sleep(150)");
-    let mut life = Life::begin(&mut command).unwrap();
-    let client = Client::open(&life.endpoint).await;
+    let mut process = DaemonProcess::start(&mut command).unwrap();
+    let client = Client::open(&process.endpoint).await;
     client.create("a", json!({"n": 20, "seed": 3})).await;
     let inform = json!({"select": {"count": 4}, "direction": 1});
     let mut replies = Vec::new();
@@ -97,9 +53,9 @@ async fn commands_taken_together_with_a_step_come_back_in_their_order() {
     })
     .await;
     let before = place(&client).await;
-    life.kill();
-    let life = Life::begin(&mut life::daemon(folder.path())).unwrap();
-    let client = Client::open(&life.endpoint).await;
+    process.kill();
+    let process = DaemonProcess::start(&mut daemon_process::daemon(folder.path())).unwrap();
+    let client = Client::open(&process.endpoint).await;
     until("it stands", async || {
         client.get("a", "status").await["phase"] == "paused"
     })
@@ -107,14 +63,13 @@ async fn commands_taken_together_with_a_step_come_back_in_their_order() {
     assert_eq!(place(&client).await, before);
 }
 
-/// A `step` is taken to its end by the next daemon; whoever asks meanwhile is answered then.
+/// The next daemon finishes a `step`; a retry meanwhile gets the reply then.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_step_that_a_crash_cut_short_is_done_once_and_answered_then() {
+async fn a_step_that_a_crash_interrupts_is_finished_once_after_recovery() {
     const STEPS: u64 = 40_000;
-    let _machine = beside_others().await;
     let folder = tempfile::tempdir().unwrap();
-    let mut life = Life::begin(&mut life::daemon(folder.path())).unwrap();
-    let client = Client::open(&life.endpoint).await;
+    let mut process = DaemonProcess::start(&mut daemon_process::daemon(folder.path())).unwrap();
+    let client = Client::open(&process.endpoint).await;
     client.create("a", json!({"n": 74, "seed": 3})).await;
     let step = json!({
         "client": "me", "request_id": "1", "timeout_secs": 60, "args": {"steps": STEPS},
@@ -122,7 +77,7 @@ async fn a_step_that_a_crash_cut_short_is_done_once_and_answered_then() {
     let key = jostle_proto::keys::cmd(PREFIX, "a", "step");
     let get = client.session.get(&key).payload(step.to_string());
     let unanswered = get.timeout(Duration::from_secs(20)).await.unwrap();
-    // Something safe that comes after it.
+    // A durable command after it.
     let inform = json!({"select": {"ids": [3]}, "direction": 1});
     until("it moves", async || {
         client.get("a", "status").await["phase"] == "running"
@@ -130,11 +85,11 @@ async fn a_step_that_a_crash_cut_short_is_done_once_and_answered_then() {
     .await;
     let informed = client.ok("a", "inform", inform).await;
     assert_eq!(informed["phase"], "running");
-    life.kill();
+    process.kill();
     drop(unanswered);
 
-    let life = Life::begin(&mut life::daemon(folder.path())).unwrap();
-    let client = Client::open(&life.endpoint).await;
+    let process = DaemonProcess::start(&mut daemon_process::daemon(folder.path())).unwrap();
+    let client = Client::open(&process.endpoint).await;
     let status = client.get("a", "status").await;
     assert_eq!(status["phase"], "running");
     assert!(status["step"].as_u64() >= informed["step"].as_u64());
@@ -152,10 +107,9 @@ async fn a_step_that_a_crash_cut_short_is_done_once_and_answered_then() {
     assert_eq!(client.get("a", "status").await["seq"], 2);
 }
 
-/// What was made safe and not answered is answered by the next daemon, and not done again.
+/// The next daemon replies to a durable command that got no reply, and does not execute it again.
 #[tokio::test(flavor = "multi_thread")]
 async fn creating_forking_and_deleting_are_done_once_across_a_crash() {
-    let _machine = beside_others().await;
     let folder = tempfile::tempdir().unwrap();
     let create = jostle_proto::keys::node_cmd(PREFIX, NODE, "create");
     let cmd = |verb| jostle_proto::keys::cmd(PREFIX, "a", verb);
@@ -171,30 +125,30 @@ async fn creating_forking_and_deleting_are_done_once_across_a_crash() {
     for (k, (key, point, args)) in requests.into_iter().enumerate() {
         let request = json!({"client": "me", "request_id": k.to_string(), "args": args});
         let payload = request.to_string();
-        let mut command = life::daemon(folder.path());
+        let mut command = daemon_process::daemon(folder.path());
         if !point.is_empty() {
             command.env("FAILPOINTS", point);
         }
-        let mut life = Life::begin(&mut command).unwrap();
-        let client = Client::open(&life.endpoint).await;
-        let answer = client.ask(&key, Some(payload.as_bytes())).await.pop();
+        let mut process = DaemonProcess::start(&mut command).unwrap();
+        let client = Client::open(&process.endpoint).await;
+        let answer = client.query_all(&key, Some(payload.as_bytes())).await.pop();
         match point {
-            // Answered, but perhaps nobody heard it.
+            // It got a reply, which the client may not have received.
             "" => {
                 answer.unwrap().unwrap();
-                life.kill();
+                process.kill();
             }
             _ => {
                 assert!(answer.is_none(), "{answer:?}");
-                assert_eq!(life.end(), None);
+                assert_eq!(process.end(), None);
             }
         }
-        let mut life = Life::begin(&mut life::daemon(folder.path())).unwrap();
-        let client = Client::open(&life.endpoint).await;
-        let again = client.one(&key, Some(payload.as_bytes())).await.unwrap();
+        let mut process = DaemonProcess::start(&mut daemon_process::daemon(folder.path())).unwrap();
+        let client = Client::open(&process.endpoint).await;
+        let again = client.query(&key, Some(payload.as_bytes())).await.unwrap();
         assert!(again["result"]["created"] != json!(false), "{again}");
         assert_eq!(
-            client.one(&key, Some(payload.as_bytes())).await.unwrap(),
+            client.query(&key, Some(payload.as_bytes())).await.unwrap(),
             again
         );
         let swarms = client.node("swarms").await["swarms"].take();
@@ -208,21 +162,20 @@ async fn creating_forking_and_deleting_are_done_once_across_a_crash() {
             json!(names),
             [json!(["a"]), json!(["a", "b"]), json!(["b"])][k]
         );
-        life.kill();
+        process.kill();
     }
 }
 
-/// What an answer said stays told, and a number of an event means one thing, however often the
-/// daemon is killed before what it had in hand is on the disk.
+/// No acknowledged command is lost and no event number is used twice, however often the daemon
+/// is killed before its queue is on the disk.
 #[tokio::test(flavor = "multi_thread")]
-async fn killed_again_and_again_nothing_is_left_out_and_no_number_is_given_twice() {
-    let _machine = beside_others().await;
+async fn repeated_kills_lose_no_command_and_reuse_no_event_number() {
     let folder = tempfile::tempdir().unwrap();
-    let (mut answered, mut told) = (Vec::new(), BTreeMap::new());
-    for life in 0..5_u64 {
-        let mut daemon = Life::begin(&mut life::daemon(folder.path())).unwrap();
+    let (mut answered, mut known) = (Vec::new(), BTreeMap::new());
+    for round in 0..5_u64 {
+        let mut daemon = DaemonProcess::start(&mut daemon_process::daemon(folder.path())).unwrap();
         let client = Client::open(&daemon.endpoint).await;
-        if life == 0 {
+        if round == 0 {
             client
                 .create("a", json!({"n": 20, "seed": 3, "rate": 1}))
                 .await;
@@ -230,7 +183,7 @@ async fn killed_again_and_again_nothing_is_left_out_and_no_number_is_given_twice
             answered.push(1);
         }
         for k in 0..3 {
-            let reply = client.ok("a", "set", json!({"pi3": 1 + k + life})).await;
+            let reply = client.ok("a", "set", json!({"pi3": 1 + k + round})).await;
             answered.push(reply["seq"].as_u64().unwrap());
         }
         let journal = client.get("a", "journal").await;
@@ -239,12 +192,12 @@ async fn killed_again_and_again_nothing_is_left_out_and_no_number_is_given_twice
 
         let entries = journal["result"]["entries"].as_array().unwrap().iter();
         let entries: Vec<_> = entries.map(|it| it["seq"].as_u64().unwrap()).collect();
-        assert_eq!(entries, answered, "life {life}");
+        assert_eq!(entries, answered, "round {round}");
         for event in events["result"]["events"].as_array().unwrap() {
             let number = event["number"].as_u64().unwrap();
             let about = json!([event["event"]["kind"], event["event"]["verb"], event["seq"]]);
-            let first = told.entry(number).or_insert_with(|| about.clone());
-            assert_eq!(*first, about, "event {number} in life {life}");
+            let first = known.entry(number).or_insert_with(|| about.clone());
+            assert_eq!(*first, about, "event {number} in round {round}");
         }
     }
 }

@@ -1,4 +1,4 @@
-//! Recordings fetched over the network: whole, piece by piece.
+//! Recordings fetched over the network, piece by piece.
 
 use std::fs;
 
@@ -8,31 +8,35 @@ use jostle_proto::{ErrorCode, RecordingPiece, keys};
 use jostle_results::recording::parts;
 use serde_json::{Value, json};
 
-use super::{begin, folder_of, has, life, ok, run, stop};
-use crate::support::{Answer, Client, NODE, PREFIX, beside_others};
+use crate::support::recording::{begin, folder_of, has, ok, run, start_daemon, stop};
+use crate::support::{Client, NODE, PREFIX, QueryResult};
 
-async fn ask(client: &Client, parameters: &str) -> Answer {
+async fn query_recording(client: &Client, parameters: &str) -> QueryResult {
     let key = keys::node_get(PREFIX, NODE, "recording");
-    client.one(&format!("{key}?{parameters}"), None).await
+    client.query(&format!("{key}?{parameters}"), None).await
 }
 
-async fn piece(client: &Client, name: &str, part: u64, offset: u64) -> (RecordingPiece, Vec<u8>) {
+async fn read_piece(
+    client: &Client,
+    name: &str,
+    part: u64,
+    offset: u64,
+) -> (RecordingPiece, Vec<u8>) {
     let parameters = format!("name={name};part={part};offset={offset}");
-    let answer: Value = ask(client, &parameters).await.unwrap()["result"].take();
+    let answer: Value = query_recording(client, &parameters).await.unwrap()["result"].take();
     let piece: RecordingPiece = serde_json::from_value(answer).unwrap();
     let bytes = STANDARD.decode(&piece.bytes).unwrap();
     (piece, bytes)
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_recording_is_read_piece_by_piece_while_it_goes_on_and_from_any_offset() {
-    let _machine = beside_others().await;
+async fn a_recording_is_read_piece_by_piece_while_it_runs_and_from_any_offset() {
     let data = tempfile::tempdir().unwrap();
-    let (_life, client) = life(data.path(), "recording-part=return(2000)").await;
+    let (_process, client) = start_daemon(data.path(), "recording-part=return(2000)").await;
     run(&client, "school", 400).await;
     begin(&client, "school", "take").await;
     has(&client, "take", "parts", 2).await;
-    let (first, _) = piece(&client, "take", 0, 0).await;
+    let (first, _) = read_piece(&client, "take", 0, 0).await;
     assert!(first.parts >= 2);
     let stopped = stop(&client, "take").await;
     let files = parts(&folder_of(data.path(), "take")).unwrap();
@@ -42,7 +46,7 @@ async fn a_recording_is_read_piece_by_piece_while_it_goes_on_and_from_any_offset
         let there = fs::read(file).unwrap();
         let mut fetched = Vec::new();
         while fetched.len() < there.len() {
-            let (piece, bytes) = piece(&client, "take", part, fetched.len() as u64).await;
+            let (piece, bytes) = read_piece(&client, "take", part, fetched.len() as u64).await;
             assert_eq!(piece.length, there.len() as u64);
             assert_eq!((piece.part, piece.offset), (part, fetched.len() as u64));
             assert!(!bytes.is_empty() && bytes.len() <= 512 * 1024);
@@ -51,10 +55,10 @@ async fn a_recording_is_read_piece_by_piece_while_it_goes_on_and_from_any_offset
         }
         assert_eq!(fetched, there);
         // From the middle, as after a lost connection, and at its very end.
-        let (_, tail) = piece(&client, "take", part, there.len() as u64 - 3).await;
+        let (_, tail) = read_piece(&client, "take", part, there.len() as u64 - 3).await;
         assert_eq!(tail, there[there.len() - 3..]);
         assert!(
-            piece(&client, "take", part, there.len() as u64)
+            read_piece(&client, "take", part, there.len() as u64)
                 .await
                 .1
                 .is_empty()
@@ -64,15 +68,14 @@ async fn a_recording_is_read_piece_by_piece_while_it_goes_on_and_from_any_offset
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_is_not_there_is_refused_with_what_is() {
-    let _machine = beside_others().await;
+async fn an_unknown_part_is_rejected_with_those_that_exist() {
     let data = tempfile::tempdir().unwrap();
-    let (_life, client) = life(data.path(), "").await;
+    let (_process, client) = start_daemon(data.path(), "").await;
     run(&client, "school", 5).await;
     begin(&client, "school", "take").await;
     has(&client, "take", "frames", 3).await;
-    // Nothing is whole yet.
-    let error = ask(&client, "name=take").await.unwrap_err();
+    // No part is finished yet.
+    let error = query_recording(&client, "name=take").await.unwrap_err();
     assert_eq!(error.code, ErrorCode::NotFound, "{error:?}");
     assert!(error.message.contains("0 finished parts"), "{error:?}");
     stop(&client, "take").await;
@@ -96,16 +99,16 @@ async fn what_is_not_there_is_refused_with_what_is() {
         ("name=take;name=take", ErrorCode::InvalidArgument, "name"),
         ("name=take;length=5", ErrorCode::InvalidArgument, "length"),
     ] {
-        let error = ask(&client, parameters).await.unwrap_err();
+        let error = query_recording(&client, parameters).await.unwrap_err();
         assert_eq!(error.code, code, "{parameters}: {error:?}");
         assert!(error.message.contains(word), "{parameters}: {error:?}");
     }
-    // A wildcard names every get, and a recording is none of what all of them answer.
+    // A wildcard matches every get; `recording` does not reply to it.
     let key = keys::node_get(PREFIX, NODE, "*");
-    let answers = client.ask(&key, None).await;
+    let answers = client.query_all(&key, None).await;
     assert_eq!(answers.len(), keys::NODE_GETS.len() - 1);
     assert!(answers.iter().all(Result::is_ok));
     ok(&client, json!({"delete": {"recording": "take"}})).await;
-    let error = ask(&client, "name=take").await.unwrap_err();
+    let error = query_recording(&client, "name=take").await.unwrap_err();
     assert_eq!(error.code, ErrorCode::NotFound);
 }

@@ -11,12 +11,14 @@ use jostled::convert::commands::create;
 use jostled::swarm::registry::Limits;
 use serde_json::{Value, json};
 
-use super::{assert_holds, folder_of, has, life, ok, run, standing, stop};
-use crate::crash::disk::Small;
-use crate::support::{Client, alone, beside_others, until};
+use crate::support::recording::{
+    assert_holds, error_of, folder_of, has, ok, recording_status, start_daemon, stop,
+};
+use crate::support::small_disk::SmallDisk;
+use crate::support::{Client, until};
 
-/// The states of a recording in MCAP and what it says of itself, by a reader that refuses a file
-/// which is not whole.
+/// The states and the metadata of a recording in MCAP, by a reader that rejects an incomplete
+/// file.
 fn states(data: &Path, recording: &str) -> (Vec<State>, About) {
     let (mut states, mut about) = (Vec::new(), About::new());
     for part in recording::parts(&folder_of(data, recording)).unwrap() {
@@ -41,15 +43,15 @@ async fn begin(client: &Client, args: Value) -> Value {
     ok(client, json!({"begin": args})).await
 }
 
-async fn ended(client: &Client, recording: &str) -> Value {
+async fn wait_until_ended(client: &Client, recording: &str) -> Value {
     until(&format!("{recording} has ended"), async || {
-        standing(client, recording).await["phase"] != "recording"
+        recording_status(client, recording).await["phase"] != "recording"
     })
     .await;
-    standing(client, recording).await
+    recording_status(client, recording).await
 }
 
-/// The same swarm, stepped here by nothing but its simulation.
+/// The same swarm as a simulation alone.
 fn simulation(spec: &Value) -> Simulation {
     let args: CreateArgs = serde_json::from_value(json!({"name": "twin", "spec": spec})).unwrap();
     let limits = Limits {
@@ -62,7 +64,7 @@ fn simulation(spec: &Value) -> Simulation {
     Simulation::new(&recipe).unwrap()
 }
 
-/// The hash that a recorded state has with all that a recording does not hold, which is the same.
+/// The hash of a recorded state, completed with the parts that are not recorded and do not change.
 fn hash(state: &State, of: &Simulation) -> [u8; 32] {
     let mut rebuilt = of.state.clone();
     let configuration = &mut rebuilt.configuration;
@@ -77,9 +79,8 @@ fn hash(state: &State, of: &Simulation) -> [u8; 32] {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn at_rate_max_every_kth_state_is_recorded_to_the_bit_for_each_recording() {
-    let _machine = beside_others().await;
     let data = tempfile::tempdir().unwrap();
-    let (_life, client) = life(data.path(), "").await;
+    let (_process, client) = start_daemon(data.path(), "").await;
     let spec = json!({"n": 10, "seed": 3, "rate": null, "publish_every": 40});
     client.create("school", spec.clone()).await;
     for (name, every) in [
@@ -95,7 +96,7 @@ async fn at_rate_max_every_kth_state_is_recorded_to_the_bit_for_each_recording()
     }
     let until_step = json!({"until_step": 2000});
     client.ok("school", "run", until_step).await;
-    client.reach("school", 2000).await;
+    client.wait_for_step("school", 2000).await;
     for (name, every) in [("all", 1), ("some", 7), ("shown", 40)] {
         let stopped = stop(&client, name).await;
         assert_eq!(stopped["missed"], 0, "{stopped}");
@@ -109,13 +110,17 @@ async fn at_rate_max_every_kth_state_is_recorded_to_the_bit_for_each_recording()
         assert_eq!(about["every"], every.to_string());
         let numbers: Vec<u64> = states.iter().map(|state| state.frame).collect();
         assert!(numbers.iter().copied().eq(1..=wanted.len() as u64));
-        let mut twin = simulation(&spec);
+        let mut reference = simulation(&spec);
         let mut recorded = states.iter().peekable();
         for step in 0..=2000 {
             if let Some(state) = recorded.next_if(|state| state.step == step) {
-                assert_eq!(hash(state, &twin), twin.state.hash(), "{name}, step {step}");
+                assert_eq!(
+                    hash(state, &reference),
+                    reference.state.hash(),
+                    "{name}, step {step}"
+                );
             }
-            twin.step().unwrap();
+            reference.step().unwrap();
         }
         assert!(recorded.next().is_none());
     }
@@ -123,9 +128,8 @@ async fn at_rate_max_every_kth_state_is_recorded_to_the_bit_for_each_recording()
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_recording_that_begins_between_two_multiples_keeps_to_multiples_over_a_reset() {
-    let _machine = beside_others().await;
     let data = tempfile::tempdir().unwrap();
-    let (_life, client) = life(data.path(), "").await;
+    let (_process, client) = start_daemon(data.path(), "").await;
     client.create("school", json!({"n": 5, "rate": null})).await;
     client.ok("school", "step", json!({"steps": 7})).await;
     begin(
@@ -152,15 +156,14 @@ async fn a_recording_that_begins_between_two_multiples_keeps_to_multiples_over_a
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_recording_of_so_many_steps_ends_with_the_last_of_them() {
-    let _machine = beside_others().await;
     let data = tempfile::tempdir().unwrap();
-    let (_life, client) = life(data.path(), "").await;
+    let (_process, client) = start_daemon(data.path(), "").await;
     client.create("school", json!({"n": 5, "rate": null})).await;
     client.ok("school", "step", json!({"steps": 3})).await;
     let args = json!({"swarm": "school", "recording": "take", "every": 1, "steps": 100});
     begin(&client, args).await;
     client.ok("school", "step", json!({"steps": 1000})).await;
-    let ended = ended(&client, "take").await;
+    let ended = wait_until_ended(&client, "take").await;
     assert_eq!(ended["phase"], "ended", "{ended}");
     assert_eq!(ended["reason"], "all its steps are recorded");
     let steps = steps_of(&states(data.path(), "take").0);
@@ -169,9 +172,8 @@ async fn a_recording_of_so_many_steps_ends_with_the_last_of_them() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_swarm_waits_for_a_slow_disk_and_answers_commands_meanwhile() {
-    let _alone = alone().await;
     let data = tempfile::tempdir().unwrap();
-    let (_life, client) = life(data.path(), "recording-frame=sleep(20)").await;
+    let (_process, client) = start_daemon(data.path(), "recording-frame=sleep(20)").await;
     client.create("school", json!({"n": 5, "rate": null})).await;
     begin(
         &client,
@@ -180,7 +182,7 @@ async fn a_swarm_waits_for_a_slow_disk_and_answers_commands_meanwhile() {
     .await;
     let began = Instant::now();
     client.ok("school", "run", json!({"until_step": 250})).await;
-    // The queue is full soon: 250 states take 5 s to write, and the swarm takes them in a moment.
+    // The queue is soon full: 250 states take 5 s to write, and a moment to step.
     tokio::time::sleep(Duration::from_secs(1)).await;
     let step = client.get("school", "status").await["step"]
         .as_u64()
@@ -194,7 +196,7 @@ async fn a_swarm_waits_for_a_slow_disk_and_answers_commands_meanwhile() {
         };
         client.ok("school", verb, args).await;
     }
-    client.reach("school", 250).await;
+    client.wait_for_step("school", 250).await;
     let took = began.elapsed();
     assert!(took > Duration::from_secs(3), "it did not wait: {took:?}");
     let stopped = stop(&client, "take").await;
@@ -205,9 +207,9 @@ async fn a_swarm_waits_for_a_slow_disk_and_answers_commands_meanwhile() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn stopping_a_recording_that_holds_its_swarm_up_lets_it_step_on() {
-    let _alone = alone().await;
     let data = tempfile::tempdir().unwrap();
-    let (_life, client) = life(data.path(), "recording-frame=3*off->sleep(600000)").await;
+    let (_process, client) =
+        start_daemon(data.path(), "recording-frame=3*off->sleep(600000)").await;
     for swarm in ["school", "other"] {
         client.create(swarm, json!({"n": 5, "rate": null})).await;
     }
@@ -242,48 +244,17 @@ async fn stopping_a_recording_that_holds_its_swarm_up_lets_it_step_on() {
     let step = client.get("other", "status").await["step"]
         .as_u64()
         .unwrap();
-    client.reach("other", step + 1000).await;
+    client.wait_for_step("other", step + 1000).await;
     // The writer thread is blocked on the disk, so `stop` fails as `busy`; the swarm continues.
-    let (code, message) = super::refused(&client, json!({"stop": {"recording": "take"}})).await;
+    let (code, message) = error_of(&client, json!({"stop": {"recording": "take"}})).await;
     assert_eq!(code, jostle_proto::ErrorCode::Busy, "{message}");
-    client.reach("school", last + 1000).await;
-}
-
-#[tokio::test(flavor = "multi_thread")]
-async fn a_recording_that_drops_when_behind_counts_what_it_leaves_out_and_no_swarm_waits() {
-    let _alone = alone().await;
-    let data = tempfile::tempdir().unwrap();
-    let (_life, client) = life(data.path(), "recording-frame=sleep(250)").await;
-    // A daemon without a recording shows how fast the swarm can step on this machine.
-    let other = tempfile::tempdir().unwrap();
-    let (_other, free) = life(other.path(), "").await;
-    for client in [&client, &free] {
-        run(client, "school", 10).await;
-    }
-    let step = async |client: &Client| {
-        client.get("school", "status").await["step"]
-            .as_u64()
-            .unwrap()
-    };
-    let args =
-        json!({"swarm": "school", "recording": "take", "every": 1, "drop_when_behind": true});
-    let begun = begin(&client, args).await;
-    assert_eq!(begun["drop_when_behind"], true, "{begun}");
-    let first = [step(&client).await, step(&free).await];
-    let taken = has(&client, "take", "missed", 200).await;
-    assert!(taken["frames"].as_u64() >= Some(4), "{taken}");
-    let steps = [step(&client).await - first[0], step(&free).await - first[1]];
-    assert!(
-        steps[0] * 20 > steps[1] * 19,
-        "{steps:?} with and without the recording"
-    );
+    client.wait_for_step("school", last + 1000).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn what_was_recorded_and_what_was_left_out_are_all_the_steps() {
-    let _alone = alone().await;
     let data = tempfile::tempdir().unwrap();
-    let (_life, client) = life(data.path(), "recording-frame=sleep(5)").await;
+    let (_process, client) = start_daemon(data.path(), "recording-frame=sleep(5)").await;
     client.create("school", json!({"n": 5, "rate": null})).await;
     let args =
         json!({"swarm": "school", "recording": "take", "every": 1, "drop_when_behind": true});
@@ -299,30 +270,28 @@ async fn what_was_recorded_and_what_was_left_out_are_all_the_steps() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn the_count_of_missed_states_survives_a_restart() {
-    let _alone = alone().await;
     let data = tempfile::tempdir().unwrap();
-    let (mut alive, client) = life(data.path(), "recording-frame=sleep(5)").await;
+    let (mut process, client) = start_daemon(data.path(), "recording-frame=sleep(5)").await;
     client.create("school", json!({"n": 5, "rate": null})).await;
     let args =
         json!({"swarm": "school", "recording": "take", "every": 1, "drop_when_behind": true});
     begin(&client, args).await;
     client.ok("school", "step", json!({"steps": 2000})).await;
-    let before = standing(&client, "take").await["missed"].as_u64();
+    let before = recording_status(&client, "take").await["missed"].as_u64();
     assert!(before > Some(0), "{before:?}");
-    alive.stop();
-    assert_eq!(alive.end(), Some(0));
-    let (_alive, client) = life(data.path(), "").await;
+    process.stop();
+    assert_eq!(process.end(), Some(0));
+    let (_process, client) = start_daemon(data.path(), "").await;
     let stopped = stop(&client, "take").await;
     assert_eq!(stopped["missed"].as_u64(), before, "{stopped}");
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_full_disk_ends_a_lossless_recording_and_its_swarm_steps_on() {
-    let _alone = alone().await;
-    let Some(disk) = Small::mount(16) else {
+    let Some(disk) = SmallDisk::mount(16) else {
         return;
     };
-    let (_life, client) = life(disk.path(), "").await;
+    let (_process, client) = start_daemon(disk.path(), "").await;
     client
         .create("school", json!({"n": 200, "rate": null}))
         .await;
@@ -332,7 +301,7 @@ async fn a_full_disk_ends_a_lossless_recording_and_its_swarm_steps_on() {
     )
     .await;
     client.ok("school", "run", json!({})).await;
-    let failed = ended(&client, "take").await;
+    let failed = wait_until_ended(&client, "take").await;
     assert_eq!(failed["phase"], "failed", "{failed}");
     let reason = failed["reason"].as_str().unwrap();
     assert!(reason.contains("the disk is full"), "{failed}");
@@ -345,17 +314,16 @@ async fn a_full_disk_ends_a_lossless_recording_and_its_swarm_steps_on() {
     let step = client.get("school", "status").await["step"]
         .as_u64()
         .unwrap();
-    client.reach("school", step + 100).await;
+    client.wait_for_step("school", step + 100).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_recording_ends_at_its_size_and_all_of_them_at_the_quota() {
-    let _machine = beside_others().await;
     let data = tempfile::tempdir().unwrap();
-    let mut command = crate::crash::life::daemon(data.path());
+    let mut command = crate::support::daemon_process::daemon(data.path());
     command.args(["--recordings-quota-mb", "4"]);
-    let alive = crate::crash::life::Life::begin(&mut command).unwrap();
-    let client = Client::open(&alive.endpoint).await;
+    let process = crate::support::daemon_process::DaemonProcess::start(&mut command).unwrap();
+    let client = Client::open(&process.endpoint).await;
     client
         .create("school", json!({"n": 100, "rate": null}))
         .await;
@@ -363,7 +331,7 @@ async fn a_recording_ends_at_its_size_and_all_of_them_at_the_quota() {
     let begun = begin(&client, args).await;
     assert_eq!(begun["max_bytes"], 2_000_000);
     client.ok("school", "run", json!({})).await;
-    let small = ended(&client, "small").await;
+    let small = wait_until_ended(&client, "small").await;
     assert_eq!(small["phase"], "ended", "{small}");
     assert!(
         small["reason"]
@@ -379,7 +347,7 @@ async fn a_recording_ends_at_its_size_and_all_of_them_at_the_quota() {
     let args = json!({"swarm": "school", "recording": "large", "every": 1});
     let begun = begin(&client, args).await;
     assert_eq!(begun["max_bytes"], 1_u64 << 30);
-    let large = ended(&client, "large").await;
+    let large = wait_until_ended(&client, "large").await;
     assert_eq!(large["phase"], "ended", "{large}");
     assert!(
         large["reason"]
@@ -392,9 +360,9 @@ async fn a_recording_ends_at_its_size_and_all_of_them_at_the_quota() {
     let step = client.get("school", "status").await["step"]
         .as_u64()
         .unwrap();
-    client.reach("school", step + 100).await;
+    client.wait_for_step("school", step + 100).await;
     let begin_another = json!({"begin": {"swarm": "school"}});
-    let (code, message) = super::refused(&client, begin_another.clone()).await;
+    let (code, message) = error_of(&client, begin_another.clone()).await;
     assert_eq!(
         code,
         jostle_proto::ErrorCode::ResourceExhausted,
@@ -407,10 +375,9 @@ async fn a_recording_ends_at_its_size_and_all_of_them_at_the_quota() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn after_a_kill_the_steps_are_evenly_spaced_in_each_epoch() {
-    let _machine = beside_others().await;
     let data = tempfile::tempdir().unwrap();
     let points = "recording-part=return(200)";
-    let (mut alive, client) = life(data.path(), points).await;
+    let (mut process, client) = start_daemon(data.path(), points).await;
     client
         .create("school", json!({"n": 10, "rate": null}))
         .await;
@@ -418,9 +385,11 @@ async fn after_a_kill_the_steps_are_evenly_spaced_in_each_epoch() {
     begin(&client, args).await;
     client.ok("school", "run", json!({})).await;
     has(&client, "take", "parts", 2).await;
-    alive.kill();
-    let (_alive, client) = life(data.path(), points).await;
-    let before = standing(&client, "take").await["parts"].as_u64().unwrap();
+    process.kill();
+    let (_process, client) = start_daemon(data.path(), points).await;
+    let before = recording_status(&client, "take").await["parts"]
+        .as_u64()
+        .unwrap();
     has(&client, "take", "parts", before + 2).await;
     let stopped = stop(&client, "take").await;
     assert_eq!(

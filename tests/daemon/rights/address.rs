@@ -1,4 +1,4 @@
-//! Where a daemon is reached: what `jostled auth init` and `auth address` make of it.
+//! The addresses that `jostled auth init` and `auth address` write.
 
 use std::fs::{self, File};
 use std::net::{SocketAddr, TcpListener};
@@ -10,11 +10,11 @@ use jostled::auth::folder::Folder;
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
-use super::secrets::https_by;
-use crate::apart::{Process, jostled};
+use crate::support::process::{Process, jostled};
+use crate::support::tls::https_by;
 use crate::support::{NODE, PREFIX, until};
 
-/// Runs `jostled auth`, with nothing in the environment that says where to listen.
+/// Runs `jostled auth` without an address in the environment.
 fn auth(folder: &Path, arguments: &[&str]) -> Output {
     let mut command = jostled(&["auth"]);
     command
@@ -40,16 +40,16 @@ fn free(address: &str) -> u16 {
     listener.local_addr().unwrap().port()
 }
 
-struct Lab {
+struct AuthFolder {
     folder: Folder,
     base: TempDir,
 }
 
-impl Lab {
+impl AuthFolder {
     fn new() -> Self {
         let base = tempfile::tempdir().unwrap();
-        Lab {
-            folder: Folder::at(base.path().join("auth")),
+        AuthFolder {
+            folder: Folder::new(base.path().join("auth")),
             base,
         }
     }
@@ -73,8 +73,8 @@ impl Lab {
     }
 
     /// Whether a client with nothing but `zenoh.json5` reaches the daemon, and a browser the page.
-    async fn reach(&self, person: &str, host: &'static str) -> [bool; 2] {
-        let config = self.folder.of(person).join("zenoh.json5");
+    async fn reachable_by(&self, person: &str, host: &'static str) -> [bool; 2] {
+        let config = self.folder.person_folder(person).join("zenoh.json5");
         let config = zenoh::Config::from_file(config).unwrap();
         let is_reached = match zenoh::open(config).await {
             Ok(session) => {
@@ -102,16 +102,16 @@ impl Lab {
         self.folder.credentials(person).unwrap()
     }
 
-    fn shown(&self) -> Value {
-        let told = done(self.folder.path(), &["address", "--json"]);
-        serde_json::from_str(&told).unwrap()
+    fn addresses(&self) -> Value {
+        let output = done(self.folder.path(), &["address", "--json"]);
+        serde_json::from_str(&output).unwrap()
     }
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn addresses_that_init_is_given_are_those_of_the_daemon_and_of_people() {
-    let lab = Lab::new();
-    let path = lab.folder.path();
+    let daemon = AuthFolder::new();
+    let path = daemon.folder.path();
     let [first, second] = ["127.0.0.2", "127.0.0.3"];
     let ports = [first, first, second, second].map(free);
     let listen = format!("tls/{first}:{}", ports[0]);
@@ -121,39 +121,39 @@ async fn addresses_that_init_is_given_are_those_of_the_daemon_and_of_people() {
         path,
         &[&["init", "--listen", &listen, "--http", &http], &people[..]].concat(),
     );
-    let before = lab.credentials("olga");
+    let before = daemon.credentials("olga");
     assert_eq!(
         (&before.endpoint, before.page.as_ref()),
         (&listen, Some(&http))
     );
     assert_eq!(
-        lab.shown(),
+        daemon.addresses(),
         json!({"endpoint": listen, "page": http, "hosts": []})
     );
-    let mut process = lab.serve().await;
-    assert_eq!(lab.reach("olga", first).await, [true, true]);
+    let mut process = daemon.serve().await;
+    assert_eq!(daemon.reachable_by("olga", first).await, [true, true]);
     process.signal("-TERM");
     process.end();
 
-    // What a person has written into the settings stays there.
-    let settings = lab.folder.settings_file();
+    // Edits of the settings are kept.
+    let settings = daemon.folder.settings_file();
     let written = fs::read_to_string(&settings).unwrap() + "# As agreed.\nmax_swarms = 7\n";
     fs::write(&settings, written).unwrap();
-    fs::remove_dir_all(lab.folder.of("vera")).unwrap();
+    fs::remove_dir_all(daemon.folder.person_folder("vera")).unwrap();
     let moved = format!("tls/{second}:{}", ports[2]);
     let page = format!("https://{second}:{}", ports[3]);
-    let told = done(path, &["address", "--listen", &moved, "--http", &page]);
+    let output = done(path, &["address", "--listen", &moved, "--http", &page]);
     for expected in [
         "restart the daemon",
         &moved,
         &page,
-        lab.folder.of("olga").to_str().unwrap(),
+        daemon.folder.person_folder("olga").to_str().unwrap(),
         "the folders of vera",
         "JOSTLE_ENDPOINT",
     ] {
-        assert!(told.contains(expected), "{expected}: {told}");
+        assert!(output.contains(expected), "{expected}: {output}");
     }
-    let after = lab.credentials("olga");
+    let after = daemon.credentials("olga");
     assert_eq!(
         (&after.endpoint, after.page.as_ref()),
         (&moved, Some(&page))
@@ -167,15 +167,15 @@ async fn addresses_that_init_is_given_are_those_of_the_daemon_and_of_people() {
         written.contains("# As agreed.\nmax_swarms = 7\n"),
         "{written}"
     );
-    let mut process = lab.serve().await;
-    assert_eq!(lab.reach("olga", second).await, [true, true]);
-    // Who is added afterwards is told the same.
+    let mut process = daemon.serve().await;
+    assert_eq!(daemon.reachable_by("olga", second).await, [true, true]);
+    // A person added later gets the same address.
     done(path, &["add", "nora=viewer"]);
-    assert_eq!(lab.credentials("nora").endpoint, moved);
+    assert_eq!(daemon.credentials("nora").endpoint, moved);
     process.signal("-TERM");
     process.end();
     // `init` of an existing folder changes the address, too, and prints the change.
-    let told = done(
+    let output = done(
         path,
         &[
             "init",
@@ -185,22 +185,22 @@ async fn addresses_that_init_is_given_are_those_of_the_daemon_and_of_people() {
             "carl=controller",
         ],
     );
-    let carl = lab.folder.of("carl");
+    let carl = daemon.folder.person_folder("carl");
     for expected in [
         "restart the daemon",
         &listen,
         "hand each folder",
         carl.to_str().unwrap(),
     ] {
-        assert!(told.contains(expected), "{expected}: {told}");
+        assert!(output.contains(expected), "{expected}: {output}");
     }
-    assert_eq!(lab.credentials("olga").endpoint, listen);
+    assert_eq!(daemon.credentials("olga").endpoint, listen);
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn one_address_changes_and_the_others_stay() {
-    let lab = Lab::new();
-    let path = lab.folder.path();
+    let daemon = AuthFolder::new();
+    let path = daemon.folder.path();
     let init = [
         "init",
         "--host",
@@ -210,55 +210,61 @@ async fn one_address_changes_and_the_others_stay() {
         "olga=operator",
     ];
     done(path, &init);
-    let people = |lab: &Lab| {
-        let credentials = lab.credentials("olga");
+    let people = |daemon: &AuthFolder| {
+        let credentials = daemon.credentials("olga");
         (credentials.endpoint, credentials.page.unwrap_or_default())
     };
     let local = "http://127.0.0.1:8080".to_owned();
-    assert_eq!(people(&lab), ("tls/lab.example:7448".into(), local.clone()));
+    assert_eq!(
+        people(&daemon),
+        ("tls/lab.example:7448".into(), local.clone())
+    );
     // HTTP alone.
     done(path, &["address", "--http", "https://0.0.0.0:8444"]);
     let page = "https://lab.example:8444".to_owned();
-    assert_eq!(people(&lab), ("tls/lab.example:7448".into(), page.clone()));
-    // Names alone: the first one is what people use.
-    let told = done(
+    assert_eq!(
+        people(&daemon),
+        ("tls/lab.example:7448".into(), page.clone())
+    );
+    // Names alone: people use the first one.
+    let output = done(
         path,
         &["address", "--host", "10.0.0.5", "--host", "lab.example"],
     );
     assert!(
-        told.contains("certificate: localhost, 127.0.0.1, ::1, 10.0.0.5, lab.example"),
-        "{told}"
+        output.contains("certificate: localhost, 127.0.0.1, ::1, 10.0.0.5, lab.example"),
+        "{output}"
     );
     assert_eq!(
-        people(&lab),
+        people(&daemon),
         ("tls/10.0.0.5:7448".into(), "https://10.0.0.5:8444".into())
     );
-    // Endpoints alone; one within the machine is not what people use.
+    // Endpoints alone: people do not use one within the machine.
     done(
         path,
         &["address", "--listen", "tcp/127.0.0.1:7447,tls/[::]:7449"],
     );
     assert_eq!(
-        people(&lab),
+        people(&daemon),
         ("tls/10.0.0.5:7449".into(), "https://10.0.0.5:8444".into())
     );
-    let settings = fs::read_to_string(lab.folder.settings_file()).unwrap();
+    let settings = fs::read_to_string(daemon.folder.settings_file()).unwrap();
     let settings: toml::Table = settings.parse().unwrap();
     assert_eq!(settings["listen"].as_array().unwrap().len(), 2);
     assert_eq!(settings["http"].as_str(), Some("https://0.0.0.0:8444"));
     // No HTTP.
     done(path, &["address", "--http", ""]);
-    assert_eq!(people(&lab).1, "");
+    assert_eq!(people(&daemon).1, "");
     // Names, while the daemon listens within its own machine alone.
     done(path, &["address", "--listen", "tls/127.0.0.1:7447"]);
-    let told = done(path, &["address", "--host", "lab.example"]);
-    assert!(told.contains("--listen tls/0.0.0.0:7447"), "{told}");
+    let output = done(path, &["address", "--host", "lab.example"]);
+    assert!(output.contains("--listen tls/0.0.0.0:7447"), "{output}");
 }
 
 #[test]
-fn an_address_that_people_could_not_use_is_refused_and_changes_nothing() {
-    let lab = Lab::new();
-    let path = lab.folder.path();
+fn an_address_that_people_could_not_use_is_rejected_and_changes_nothing() {
+    let daemon = AuthFolder::new();
+    let path = daemon.folder.path();
     let everywhere = ["--listen", "tls/0.0.0.0:7447"];
     let ended = auth(
         path,
@@ -275,7 +281,7 @@ fn an_address_that_people_could_not_use_is_refused_and_changes_nothing() {
     ];
     let read = || files.map(|file| fs::read_to_string(path.join(file)).unwrap());
     let before = read();
-    for (arguments, told) in [
+    for (arguments, expected) in [
         (&everywhere[..], "--host lab.example"),
         (&["--http", "https://[::]:8443"], "--host lab.example"),
         (&["--listen", "tls/127.0.0.1:0"], "give a port"),
@@ -291,21 +297,21 @@ fn an_address_that_people_could_not_use_is_refused_and_changes_nothing() {
         ),
     ] {
         let ended = auth(path, &[&["address"], arguments].concat());
-        let said = String::from_utf8(ended.stderr).unwrap();
+        let text = String::from_utf8(ended.stderr).unwrap();
         assert!(
             matches!(ended.status.code(), Some(1 | 2)),
-            "{arguments:?}: {said}"
+            "{arguments:?}: {text}"
         );
-        assert!(said.contains(told), "{arguments:?}: {said}");
+        assert!(text.contains(expected), "{arguments:?}: {text}");
         assert!(read() == before, "{arguments:?}");
     }
     // The authority's key may be elsewhere.
-    let [_, key] = lab.folder.authority();
-    let aside = lab.base.path().join("key");
+    let [_, key] = daemon.folder.authority();
+    let aside = daemon.base.path().join("key");
     fs::rename(&key, &aside).unwrap();
     let ended = auth(path, &["address", "--listen", "tls/127.0.0.1:7448"]);
-    let said = String::from_utf8(ended.stderr).unwrap();
-    assert!(said.contains("put it back"), "{said}");
+    let text = String::from_utf8(ended.stderr).unwrap();
+    assert!(text.contains("put it back"), "{text}");
     fs::rename(aside, key).unwrap();
     assert!(read() == before);
 
@@ -316,16 +322,16 @@ fn an_address_that_people_could_not_use_is_refused_and_changes_nothing() {
         fields.remove("hosts");
         fields.remove("page");
         fields.insert("endpoint".into(), json!(endpoint));
-        fs::write(lab.folder.people_file(), people.to_string()).unwrap();
+        fs::write(daemon.folder.people_file(), people.to_string()).unwrap();
     };
     forget("tls/lab.example:7447");
     let ended = auth(path, &["address", "--listen", "tls/0.0.0.0:7448"]);
-    let said = String::from_utf8(ended.stderr).unwrap();
+    let text = String::from_utf8(ended.stderr).unwrap();
     assert!(
-        said.contains("give all of them, --host lab.example"),
-        "{said}"
+        text.contains("give all of them, --host lab.example"),
+        "{text}"
     );
-    assert_eq!(lab.shown()["hosts"], Value::Null);
+    assert_eq!(daemon.addresses()["hosts"], Value::Null);
     let both = [
         "address",
         "--host",
@@ -334,8 +340,8 @@ fn an_address_that_people_could_not_use_is_refused_and_changes_nothing() {
         "tls/0.0.0.0:7448",
     ];
     done(path, &both);
-    assert_eq!(lab.credentials("olga").endpoint, "tls/lab.example:7448");
+    assert_eq!(daemon.credentials("olga").endpoint, "tls/lab.example:7448");
     forget("tls/127.0.0.1:7447");
     done(path, &["address", "--listen", "tls/127.0.0.1:7450"]);
-    assert_eq!(lab.credentials("olga").endpoint, "tls/127.0.0.1:7450");
+    assert_eq!(daemon.credentials("olga").endpoint, "tls/127.0.0.1:7450");
 }

@@ -5,20 +5,21 @@ use std::io::{BufRead, BufReader};
 use std::process::Stdio;
 use std::time::{Duration, Instant};
 
+use jostle_proto::keys;
 use jostled::auth::folder::Folder;
 use jostled::auth::issue;
 use serde_json::{Value, json};
 use tokio::time::sleep;
 
-use super::{PEOPLE, Proof, Visitor};
-use crate::apart::{Process, jostled};
-use crate::health::send;
-use crate::support::{NODE, alone, until};
+use super::{PEOPLE, SessionCredentials, UserSession};
+use crate::support::http::send;
+use crate::support::process::{Process, jostled};
+use crate::support::{NODE, PREFIX, until};
 
 /// Subscriptions that take zenoh some seconds to remove: a time that grows with their cube.
 const SUBSCRIPTIONS: u32 = 1500;
 
-/// How long the block may last, and be waited for, on a machine that others use.
+/// The maximum time of the block, and until it begins, on a busy machine.
 const LONGEST: Duration = Duration::from_secs(120);
 
 /// Distinct keys that all match `jostle/a/state`: `$*` matches nothing, too.
@@ -54,10 +55,9 @@ fn metric(text: &str, name: &str) -> f64 {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn while_commands_are_blocked_health_says_so_and_then_the_log_says_by_whom() {
-    let _alone = alone().await;
+async fn blocked_commands_turn_health_red_and_the_log_names_the_session() {
     let base = tempfile::tempdir().unwrap();
-    let folder = Folder::at(base.path().join("auth"));
+    let folder = Folder::new(base.path().join("auth"));
     let people = PEOPLE.map(|(name, role)| (name.to_owned(), role));
     issue::init(&folder, &[], &people).unwrap();
     let log = base.path().join("log");
@@ -77,8 +77,11 @@ async fn while_commands_are_blocked_health_says_so_and_then_the_log_says_by_whom
     };
     let endpoint = after("listening on ");
     let http = after("http on http://");
-    let open = async |name: &str| Visitor {
-        session: Proof::of(&folder, name).open(&endpoint).await.unwrap(),
+    let open = async |name: &str| UserSession {
+        session: SessionCredentials::of(&folder, name)
+            .open(&endpoint)
+            .await
+            .unwrap(),
         token: Some(folder.credentials(name).unwrap().token),
     };
     let olga = open("olga").await;
@@ -98,7 +101,7 @@ async fn while_commands_are_blocked_health_says_so_and_then_the_log_says_by_whom
         let subscriber = vera.session.declare_subscriber(key(k)).callback(|_| {});
         subscribers.push(subscriber.await.unwrap());
     }
-    // All of them are there once a query behind them is answered.
+    // All of them are declared once a later query gets a reply.
     olga.cmd("a", "set", json!({"args": {"pi2": 0.7}})).await;
     sleep(Duration::from_secs(1)).await;
     let closing = tokio::spawn(async move { vera.session.close().await.unwrap() });
@@ -106,11 +109,18 @@ async fn while_commands_are_blocked_health_says_so_and_then_the_log_says_by_whom
     let asking = tokio::spawn(async move {
         sleep(Duration::from_millis(300)).await;
         let asked = Instant::now();
-        olga.cmd("a", "set", json!({"args": {"pi2": 0.8}})).await;
+        let key = keys::cmd(PREFIX, "a", "set");
+        // On a busy machine the block outlasts the lease of the connection, and the query ends
+        // without a reply.
+        let set = json!({"args": {"pi2": 0.8}});
+        while !matches!(olga.query_all(&key, Some(&set)).await[..], [Ok(_)]) {
+            assert!(asked.elapsed() < LONGEST, "commands are still blocked");
+            sleep(Duration::from_millis(50)).await;
+        }
         (olga, asked.elapsed())
     });
 
-    // While it lasts, over HTTP.
+    // During the block, over HTTP.
     let mut seen = Value::Null;
     while seen.is_null() {
         assert!(began.elapsed() < LONGEST, "it was never unhealthy");
@@ -121,8 +131,8 @@ async fn while_commands_are_blocked_health_says_so_and_then_the_log_says_by_whom
             "{:?}",
             asked.elapsed()
         );
-        let told: Value = serde_json::from_str(&body).unwrap();
-        let reasons = told["reasons"].as_array().unwrap().iter();
+        let report: Value = serde_json::from_str(&body).unwrap();
+        let reasons = report["reasons"].as_array().unwrap().iter();
         let mut found = reasons.filter(|reason| reason["code"] == "bus_blocked");
         seen = found.next().cloned().unwrap_or_default();
         sleep(Duration::from_millis(50)).await;
@@ -160,10 +170,10 @@ async fn while_commands_are_blocked_health_says_so_and_then_the_log_says_by_whom
     olga.session.close().await.unwrap();
 }
 
-/// Whether what is wrong ends by itself.
+/// Returns false; fails unless every reason is one that ends by itself.
 fn panic_unless_passing(body: &str) -> bool {
-    let told: Value = serde_json::from_str(body).unwrap();
-    for reason in told["reasons"].as_array().unwrap() {
+    let report: Value = serde_json::from_str(body).unwrap();
+    for reason in report["reasons"].as_array().unwrap() {
         let code = reason["code"].as_str().unwrap();
         assert!(["bus_blocked", "thread_stuck"].contains(&code), "{body}");
     }

@@ -1,4 +1,4 @@
-//! What only a daemon may say never arrives when somebody else says it.
+//! Messages that only a daemon may send never arrive when a client sends them.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex};
@@ -14,10 +14,10 @@ use zenoh::sample::{Sample, SampleKind};
 use zenoh::{Session, Wait};
 
 use super::table::{COLUMNS, cells};
-use super::{Lab, Proof, Visitor};
-use crate::support::{NODE, PATIENCE, PREFIX, until};
+use super::{AuthDaemon, SessionCredentials, UserSession};
+use crate::support::{NODE, PREFIX, TIMEOUT, until};
 
-/// What a client sends or declares that only the daemon may, and what shows that it arrived.
+/// A message or declaration of a client that only the daemon may make, and how its arrival shows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Forgery {
     /// A subscriber receives the put.
@@ -32,7 +32,7 @@ enum Forgery {
     Token,
 }
 
-/// What arrived, of which kind and by which key.
+/// The forgeries that arrived, by kind and key.
 type Arrived = Arc<Mutex<BTreeSet<(Forgery, String)>>>;
 
 /// How many samples arrived, by key.
@@ -82,7 +82,7 @@ fn tokens(is_operator: bool) -> Vec<String> {
 }
 
 /// Everything that [`forge`] does.
-fn everything(is_operator: bool) -> BTreeSet<(Forgery, String)> {
+fn all_forgeries(is_operator: bool) -> BTreeSet<(Forgery, String)> {
     let mut everything = BTreeSet::new();
     for key in published() {
         everything.insert((Forgery::Put, key.clone()));
@@ -97,7 +97,7 @@ fn everything(is_operator: bool) -> BTreeSet<(Forgery, String)> {
     everything
 }
 
-/// What a forger has declared, until it is dropped.
+/// The declarations of a forger, until it is dropped.
 type Declared = (Vec<Queryable<()>>, Vec<LivelinessToken>);
 
 /// Sends and declares everything from a session. Its queryables note what they receive.
@@ -110,7 +110,7 @@ async fn forge(forger: &Session, is_operator: bool, arrived: &Arrived) -> Declar
     for key in answered() {
         let (declared, arrived) = (key.clone(), arrived.clone());
         let queryable = forger.declare_queryable(&key).callback(move |query| {
-            note(&arrived, Forgery::Query, &declared);
+            record_arrival(&arrived, Forgery::Query, &declared);
             let key = query.key_expr().clone();
             let _ = query.reply(key, format!("{FORGED}{declared}")).wait();
         });
@@ -123,14 +123,14 @@ async fn forge(forger: &Session, is_operator: bool, arrived: &Arrived) -> Declar
     (queryables, held)
 }
 
-/// The beginning of each payload that is forged.
+/// The beginning of each forged payload.
 const FORGED: &str = "forged ";
 
-fn note(arrived: &Arrived, forgery: Forgery, key: &str) {
+fn record_arrival(arrived: &Arrived, forgery: Forgery, key: &str) {
     arrived.lock().unwrap().insert((forgery, key.to_owned()));
 }
 
-/// A client that looks for what is forged, and counts what the daemon publishes, by key.
+/// A client that looks for forgeries, and counts what the daemon publishes, by key.
 struct Witness {
     arrived: Arrived,
     genuine: Counts,
@@ -148,8 +148,8 @@ impl Witness {
                 let is_forged = sample.payload().to_bytes().starts_with(FORGED.as_bytes());
                 // The daemon deletes nothing.
                 match sample.kind() {
-                    SampleKind::Delete => note(&arrived, Forgery::Delete, key),
-                    SampleKind::Put if is_forged => note(&arrived, Forgery::Put, key),
+                    SampleKind::Delete => record_arrival(&arrived, Forgery::Delete, key),
+                    SampleKind::Put if is_forged => record_arrival(&arrived, Forgery::Put, key),
                     SampleKind::Put => {
                         let mut genuine = genuine.lock().unwrap();
                         *genuine.entry(key.to_owned()).or_default() += 1;
@@ -178,23 +178,23 @@ impl Witness {
         for key in answered().iter().filter(|key| !key.contains('*')) {
             let query = session.get(key).target(QueryTarget::All);
             let query = query.consolidation(ConsolidationMode::None);
-            let replies = query.timeout(2 * PATIENCE).await.unwrap();
+            let replies = query.timeout(2 * TIMEOUT).await.unwrap();
             let mut count = 0;
             while let Ok(reply) = replies.recv_async().await {
                 let text = reply.result().map(|sample| sample.payload().to_bytes());
                 let text = text.map(|bytes| String::from_utf8_lossy(&bytes).into_owned());
                 match text.as_ref().map(|text| text.strip_prefix(FORGED)) {
-                    Ok(Some(declared)) => note(&self.arrived, Forgery::Reply, declared),
+                    Ok(Some(declared)) => record_arrival(&self.arrived, Forgery::Reply, declared),
                     _ => count += 1,
                 }
             }
             counts.push(count);
         }
         for key in tokens(is_operator) {
-            let tokens = session.liveliness().get(&key).timeout(PATIENCE);
+            let tokens = session.liveliness().get(&key).timeout(TIMEOUT);
             let tokens = tokens.await.unwrap();
             while tokens.recv_async().await.is_ok() {
-                note(&self.arrived, Forgery::Token, &key);
+                record_arrival(&self.arrived, Forgery::Token, &key);
             }
         }
         counts
@@ -223,7 +223,7 @@ async fn without_access_control_every_forgery_arrives() {
     let mut replies = Vec::new();
     until("every forgery arrives", async || {
         replies = witness.query(&session, false).await;
-        *witness.arrived.lock().unwrap() == everything(false)
+        *witness.arrived.lock().unwrap() == all_forgeries(false)
     })
     .await;
     assert_eq!(replies, [0; 5]);
@@ -233,7 +233,7 @@ async fn without_access_control_every_forgery_arrives() {
     }
 }
 
-/// A session of zenoh without access control, which finds nothing by itself.
+/// A zenoh session without access control and without scouting.
 async fn open_bare(mode: &str, kind: &str, endpoint: &str) -> Session {
     let mut config = zenoh::Config::default();
     for (key, value) in [
@@ -250,15 +250,15 @@ async fn open_bare(mode: &str, kind: &str, endpoint: &str) -> Session {
     zenoh::open(config).await.unwrap()
 }
 
-/// Every message that only the daemon sends is tried by everybody who may least to most.
+/// People of every role, from the least to the most, send every message that only the daemon may send.
 #[tokio::test(flavor = "multi_thread")]
 async fn forged_states_answers_and_tokens_never_arrive() {
-    let lab = Lab::open().await;
-    let victor = lab.enter("victor").await;
-    let olga = lab.enter("olga").await;
+    let daemon = AuthDaemon::start().await;
+    let victor = daemon.open_session("victor").await;
+    let olga = daemon.open_session("olga").await;
     // An operator's session, so that its queries of commands pass; without a token, so that the
     // daemon rejects them.
-    let asker = lab.enter_with("olga", None).await;
+    let asker = daemon.open_session_with("olga", None).await;
     olga.create("s").await;
     let witness = Witness::of(&victor.session).await;
     let whoami = keys::node_get(PREFIX, NODE, "whoami");
@@ -268,17 +268,17 @@ async fn forged_states_answers_and_tokens_never_arrive() {
     olga.node_cmd("experiment", json!({"submit": {"toml": toml}}))
         .await;
     let progress = keys::experiment(PREFIX, NODE, "e", "progress");
-    hears(&witness, &olga, &[&progress]).await;
+    expect_published(&witness, &olga, &[&progress]).await;
     for name in ["vera", "cleo", "olga"] {
         let is_operator = name == "olga";
-        let forger = lab.enter(name).await;
+        let forger = daemon.open_session(name).await;
         let declared = forge(&forger.session, is_operator, &witness.arrived).await;
-        // What a session sends arrives in order: all of it before this query is answered.
+        // The messages of a session arrive in order: all of them before the reply to this query.
         forger.ok(&whoami, None).await;
         let replies = witness.query(&asker.session, is_operator).await;
         assert_eq!(replies, [1; 5], "the daemon replies to each query once");
-        // What the daemon publishes after all that arrives, over the same subscriptions.
-        hears(&witness, &olga, &[]).await;
+        // What the daemon publishes later arrives, over the same subscriptions.
+        expect_published(&witness, &olga, &[]).await;
         let arrived = witness.arrived.lock().unwrap().clone();
         assert_eq!(arrived, BTreeSet::new(), "forged by {name}");
         drop(declared);
@@ -287,12 +287,12 @@ async fn forged_states_answers_and_tokens_never_arrive() {
     let alive = keys::alive(PREFIX, "s", NODE);
     let tokens = victor.session.liveliness().get(&alive).await.unwrap();
     assert!(tokens.recv_async().await.is_ok(), "the daemon's own token");
-    lab.close(vec![victor, olga, asker]).await;
+    daemon.close(vec![victor, olga, asker]).await;
 }
 
 /// Waits until a witness has received a new state, order and event of a swarm that steps, and
 /// something on each of `others`.
-async fn hears(witness: &Witness, olga: &Visitor, others: &[&str]) {
+async fn expect_published(witness: &Witness, olga: &UserSession, others: &[&str]) {
     let keys = [keys::state, keys::order, keys::event].map(|key| key(PREFIX, "s"));
     let before = keys.each_ref().map(|key| witness.count(key));
     olga.cmd("s", "set", json!({"pi3": 1.1})).await;
@@ -305,8 +305,8 @@ async fn hears(witness: &Witness, olga: &Visitor, others: &[&str]) {
     .await;
 }
 
-/// Who sends set-points of the controller `cleo`, or holds its token, and whether they may by the
-/// table.
+/// The people who send set-points of the controller `cleo` or hold its token, and whether the table
+/// permits it.
 fn steering(key: &str) -> Vec<(&'static str, bool)> {
     let cells = cells(key);
     // A controller with another name.
@@ -317,9 +317,12 @@ fn steering(key: &str) -> Vec<(&'static str, bool)> {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn set_points_are_taken_from_whom_the_controller_is() {
-    let lab = Lab::open().await;
-    let (cleo, olga) = (lab.enter("cleo").await, lab.enter("olga").await);
+async fn set_points_are_accepted_only_from_the_owner_of_the_controller() {
+    let daemon = AuthDaemon::start().await;
+    let (cleo, olga) = (
+        daemon.open_session("cleo").await,
+        daemon.open_session("olga").await,
+    );
     olga.create("s").await;
     let join = json!({"controller": "cleo", "select": {"ids": [1]}, "mode": "free_running",
         "deadline_secs": 10.0});
@@ -327,74 +330,77 @@ async fn set_points_are_taken_from_whom_the_controller_is() {
     olga.cmd("s", "run", json!({"rate": 1.0})).await;
     let key = keys::ctl(PREFIX, "s", "cleo");
     let taken = async || {
-        let told = olga.ok(&keys::get(PREFIX, "s", "controllers"), None).await;
-        let puts = told["result"]["controllers"][0]["puts"].clone();
+        let reply = olga.ok(&keys::get(PREFIX, "s", "controllers"), None).await;
+        let puts = reply["result"]["controllers"][0]["puts"].clone();
         let counts = puts.as_object().unwrap().values();
         counts.map(|count| count.as_u64().unwrap()).sum::<u64>()
     };
-    let mut visitors = vec![cleo];
+    let mut users = vec![cleo];
     let (mut sequence, mut expected) = (0, 0);
     for (person, may) in steering("{swarm}/ctl/{controller}") {
-        let visitor = lab.enter(person).await;
+        let user = daemon.open_session(person).await;
         sequence += 1;
         let set = json!({"ids": [1], "direction": [0.5], "weight": [1.0]});
         let payload = json!({"sequence": sequence, "set": set}).to_string();
-        let put = visitor.session.put(&key, payload);
+        let put = user.session.put(&key, payload);
         put.encoding(Encoding::APPLICATION_JSON).await.unwrap();
-        // What a session sends arrives in order.
+        // The messages of a session arrive in order.
         let whoami = keys::node_get(PREFIX, NODE, "whoami");
-        visitor.ok(&whoami, None).await;
+        user.ok(&whoami, None).await;
         expected += u64::from(may);
         until("the permitted set-points are taken", async || {
             taken().await >= expected
         })
         .await;
         assert_eq!(taken().await, expected, "{person}");
-        visitors.push(visitor);
+        users.push(user);
     }
     assert_eq!(expected, 2);
-    visitors.push(olga);
-    lab.close(visitors).await;
+    users.push(olga);
+    daemon.close(users).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_controllers_token_is_held_by_whom_it_is() {
-    let lab = Lab::open().await;
-    let (victor, olga) = (lab.enter("victor").await, lab.enter("olga").await);
+async fn a_controllers_token_is_accepted_only_from_its_owner() {
+    let daemon = AuthDaemon::start().await;
+    let (victor, olga) = (
+        daemon.open_session("victor").await,
+        daemon.open_session("olga").await,
+    );
     olga.create("s").await;
     let key = keys::ctl_alive(PREFIX, "s", "cleo-2");
     let is_held = async || {
         let tokens = victor.session.liveliness().get(&key).await.unwrap();
         tokens.recv_async().await.is_ok()
     };
-    let mut visitors = Vec::new();
+    let mut users = Vec::new();
     for (person, may) in steering("{swarm}/ctl/{controller}/alive") {
-        let visitor = lab.enter(person).await;
-        let token = visitor.session.liveliness().declare_token(&key);
+        let user = daemon.open_session(person).await;
+        let token = user.session.liveliness().declare_token(&key);
         let token = token.await.unwrap();
         let whoami = keys::node_get(PREFIX, NODE, "whoami");
-        visitor.ok(&whoami, None).await;
+        user.ok(&whoami, None).await;
         if may {
             until("the token is there", async || is_held().await).await;
         }
         assert_eq!(is_held().await, may, "{person}");
         token.undeclare().await.unwrap();
         until("the token is gone", async || !is_held().await).await;
-        visitors.push(visitor);
+        users.push(user);
     }
-    visitors.extend([victor, olga]);
-    lab.close(visitors).await;
+    users.extend([victor, olga]);
+    daemon.close(users).await;
 }
 
-/// Set-points bring the token of their sender along, which alone lets its bearer command over HTTP.
+/// Set-points carry the token of their sender, which suffices to send commands over HTTP.
 #[tokio::test(flavor = "multi_thread")]
 async fn only_operators_receive_set_points() {
-    let lab = Lab::open().await;
-    let cleo = lab.enter("cleo").await;
-    let mut visitors = Vec::new();
-    let mut heard = Vec::new();
+    let daemon = AuthDaemon::start().await;
+    let cleo = daemon.open_session("cleo").await;
+    let mut users = Vec::new();
+    let mut receivers = Vec::new();
     for person in ["vera", "carl", "olga"] {
-        let visitor = lab.enter(person).await;
+        let user = daemon.open_session(person).await;
         let counts = Counts::default();
         let mut subscribers = Vec::new();
         for key in ["jostle/**", "jostle/*/ctl/*"] {
@@ -403,15 +409,15 @@ async fn only_operators_receive_set_points() {
                 let mut counts = counts.lock().unwrap();
                 *counts.entry(sample.key_expr().to_string()).or_default() += 1;
             };
-            let subscriber = visitor.session.declare_subscriber(key).callback(receive);
+            let subscriber = user.session.declare_subscriber(key).callback(receive);
             subscribers.push(subscriber.await.unwrap());
         }
         let whoami = keys::node_get(PREFIX, NODE, "whoami");
-        visitor.ok(&whoami, None).await;
-        heard.push((person, counts, subscribers));
-        visitors.push(visitor);
+        user.ok(&whoami, None).await;
+        receivers.push((person, counts, subscribers));
+        users.push(user);
     }
-    let olga = visitors.last().unwrap();
+    let olga = users.last().unwrap();
     olga.create("s").await;
     let (ctl, event) = (keys::ctl(PREFIX, "s", "cleo"), keys::event(PREFIX, "s"));
     let token = cleo.token.clone().unwrap();
@@ -421,34 +427,37 @@ async fn only_operators_receive_set_points() {
         .await
         .unwrap();
     let count = |counts: &Counts, key: &str| counts.lock().unwrap().get(key).copied();
-    let (_, operator, _) = heard.last().unwrap();
+    let (_, operator, _) = receivers.last().unwrap();
     until("the operator receives the set-point", async || {
         count(operator, &ctl).is_some()
     })
     .await;
     // What the daemon publishes later arrives later.
     olga.cmd("s", "set", json!({"pi3": 1.1})).await;
-    for (person, counts, _) in &heard {
+    for (person, counts, _) in &receivers {
         until("the event arrives", async || {
             count(counts, &event).is_some()
         })
         .await;
         assert_eq!(count(counts, &ctl).is_some(), *person == "olga", "{person}");
     }
-    drop(heard);
-    visitors.push(cleo);
-    lab.close(visitors).await;
+    drop(receivers);
+    users.push(cleo);
+    daemon.close(users).await;
 }
 
-/// A router brings the claims of other daemons, and a client can connect as a router.
+/// A router forwards the claims of other daemons, and a client can connect as a router.
 #[tokio::test(flavor = "multi_thread")]
 async fn only_a_router_of_an_operator_brings_claims() {
-    let lab = Lab::open().await;
-    let olga = lab.enter("olga").await;
+    let daemon = AuthDaemon::start().await;
+    let olga = daemon.open_session("olga").await;
     olga.create("s").await;
     for name in ["vera", "cleo", "olga"] {
-        let proof = Proof::of(&lab.folder, name);
-        let router = proof.open_as("router", lab.endpoint("tls")).await.unwrap();
+        let credentials = SessionCredentials::of(&daemon.folder, name);
+        let router = credentials
+            .open_as("router", daemon.endpoint("tls"))
+            .await
+            .unwrap();
         let mut tokens = Vec::new();
         for key in [
             keys::claim(PREFIX, "s", "another", "0", "changed"),
@@ -460,7 +469,7 @@ async fn only_a_router_of_an_operator_brings_claims() {
         let key = keys::node_get(PREFIX, NODE, "metrics");
         let mut contested = 0;
         for _ in 0..100 {
-            for answer in olga.ask(&key, None).await {
+            for answer in olga.query_all(&key, None).await {
                 match answer {
                     Ok(reply) => contested += reply["result"]["contested"].as_u64().unwrap(),
                     Err(error) => {
@@ -477,5 +486,5 @@ async fn only_a_router_of_an_operator_brings_claims() {
         }
         router.close().await.unwrap();
     }
-    lab.close(vec![olga]).await;
+    daemon.close(vec![olga]).await;
 }

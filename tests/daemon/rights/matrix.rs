@@ -1,18 +1,18 @@
-//! Roles, verbs and keys: whoever may is answered, whoever may not changes nothing. What each may is
-//! in `table.rs`, and nothing here asks the program for it.
+//! Roles, verbs and keys: permitted requests get a reply, others change nothing. The permissions are
+//! in `table.rs`, independent of the program.
 
 use std::collections::BTreeMap;
 
 use jostle_proto::{ErrorCode, keys};
 use serde_json::{Value, json};
 
-use super::requests::{RECORDING, Request, SWARM, furnish, record};
+use super::requests::{RECORDING, Request, SWARM, prepare, record};
 use super::secrets::http;
 use super::table::{COLUMNS, TABLE, cells, least, may};
-use super::{Lab, Visitor};
-use crate::support::{Answer, NODE, PREFIX};
+use super::{AuthDaemon, UserSession};
+use crate::support::{NODE, PREFIX, QueryResult};
 
-/// Who sends a request over zenoh: the person of the session, and whose token they send.
+/// The sender of a request over zenoh: the person of the session, and of the token.
 const SENDERS: [(&str, Token); 8] = [
     ("vera", Token::Of("vera")),
     ("cleo", Token::Of("cleo")),
@@ -26,7 +26,7 @@ const SENDERS: [(&str, Token); 8] = [
     ("olga", Token::Forged),
 ];
 
-/// Whose token is sent over HTTP, where it is all that says who sends.
+/// The person whose token is sent over HTTP, where it alone identifies the sender.
 const HTTP_SENDERS: [Token; 5] = [
     Token::Of("vera"),
     Token::Of("cleo"),
@@ -52,29 +52,29 @@ impl Token {
         }
     }
 
-    fn text(self, lab: &Lab) -> Option<String> {
+    fn text(self, daemon: &AuthDaemon) -> Option<String> {
         match self {
-            Token::Of(name) => Some(lab.credentials(name).token),
+            Token::Of(name) => Some(daemon.credentials(name).token),
             Token::Forged => Some(FORGED.to_owned()),
             Token::None => None,
         }
     }
 }
 
-/// What becomes of a request.
+/// The fate of a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Fate {
-    /// It is carried out and answered.
+    /// It is executed and gets a reply.
     Carried,
-    /// zenoh's access control drops it: no answer.
+    /// zenoh's access control drops it: no reply.
     Dropped,
     /// The daemon rejects it: `permission_denied`, and over HTTP the status 403.
     Denied,
-    /// HTTP rejects whoever sends no valid token: `permission_denied` and the status 401.
+    /// HTTP rejects a request without a valid token: `permission_denied` and the status 401.
     Unknown,
 }
 
-/// What must become of a request over zenoh.
+/// The expected fate of a request over zenoh.
 fn fate_by_zenoh(cells: [&str; 3], session: &str, token: Token) -> Fate {
     let takes_token = cells.contains(&"no");
     if !may(cells, Some(session)) {
@@ -86,7 +86,7 @@ fn fate_by_zenoh(cells: [&str; 3], session: &str, token: Token) -> Fate {
     }
 }
 
-/// What must become of a request over HTTP.
+/// The expected fate of a request over HTTP.
 fn fate_by_http(cells: [&str; 3], token: Token) -> Fate {
     match token.person() {
         None => Fate::Unknown,
@@ -95,8 +95,8 @@ fn fate_by_http(cells: [&str; 3], token: Token) -> Fate {
     }
 }
 
-/// What became of a request, by its answers over zenoh.
-fn fate_of(answers: &[Answer], cells: [&str; 3]) -> Fate {
+/// The fate of a request, from its replies over zenoh.
+fn fate_of(answers: &[QueryResult], cells: [&str; 3]) -> Fate {
     match answers {
         [] => Fate::Dropped,
         [Ok(_)] => Fate::Carried,
@@ -109,7 +109,7 @@ fn fate_of(answers: &[Answer], cells: [&str; 3]) -> Fate {
     }
 }
 
-/// What became of a request, by its answer over HTTP.
+/// The fate of a request, from its response over HTTP.
 fn fate_of_http(answer: (u16, Option<String>)) -> Fate {
     let (status, code) = answer;
     match (status, code.as_deref()) {
@@ -120,18 +120,18 @@ fn fate_of_http(answer: (u16, Option<String>)) -> Fate {
     }
 }
 
-/// The requests of one row, each made ready once it is needed.
+/// The requests of one row, each prepared when it is needed.
 struct Row<'a> {
     key: &'static str,
-    olga: &'a Visitor,
+    olga: &'a UserSession,
     made: usize,
-    /// Made ready, and not carried out yet.
+    /// Prepared, and not executed yet.
     ready: Option<Request>,
 }
 
 impl Row<'_> {
-    /// Sends a request; fails unless its fate is `expected`, and it changes something just if it is
-    /// a command that is carried out.
+    /// Sends a request. Fails unless its fate is `expected` and it changes something exactly if it is
+    /// a command that is executed.
     async fn send(
         &mut self,
         expected: Fate,
@@ -147,19 +147,19 @@ impl Row<'_> {
                 Request::of(self.key, &name, self.olga).await
             }
         };
-        let told = format!("{} by {sender}", self.key);
+        let context = format!("{} by {sender}", self.key);
         if request.args.is_none() {
-            assert_eq!(send(&request).await, expected, "{told}");
+            assert_eq!(send(&request).await, expected, "{context}");
             self.ready = Some(request);
             return;
         }
         let before = request.effect(self.olga).await;
-        assert_eq!(send(&request).await, expected, "{told}");
+        assert_eq!(send(&request).await, expected, "{context}");
         let after = request.effect(self.olga).await;
         if expected == Fate::Carried {
-            assert_ne!(after, before, "{told} has no effect");
+            assert_ne!(after, before, "{context} has no effect");
         } else {
-            assert_eq!(after, before, "{told} has an effect");
+            assert_eq!(after, before, "{context} has an effect");
             self.ready = Some(request);
         }
     }
@@ -167,19 +167,19 @@ impl Row<'_> {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn every_role_may_what_it_may_and_nothing_else() {
-    let lab = Lab::open().await;
-    let olga = lab.enter("olga").await;
-    furnish(&olga).await;
-    let address = lab.server.http().unwrap().to_string();
-    let mut visitors = Vec::new();
+    let daemon = AuthDaemon::start().await;
+    let olga = daemon.open_session("olga").await;
+    prepare(&olga).await;
+    let address = daemon.server.http().unwrap().to_string();
+    let mut users = Vec::new();
     for (session, token) in SENDERS {
-        let token = token.text(&lab);
-        visitors.push(lab.enter_with(session, token.as_deref()).await);
+        let token = token.text(&daemon);
+        users.push(daemon.open_session_with(session, token.as_deref()).await);
     }
     let whoami = keys::node_get(PREFIX, NODE, "whoami");
     let mut fates = BTreeMap::<Fate, usize>::new();
     for (key, cells) in TABLE {
-        // Set-points and tokens are no requests with an answer: `forgery.rs` judges them.
+        // Set-points and tokens get no reply: `forgery.rs` tests them.
         if key.contains("/ctl/") {
             continue;
         }
@@ -189,13 +189,15 @@ async fn every_role_may_what_it_may_and_nothing_else() {
             made: 0,
             ready: None,
         };
-        for ((session, token), visitor) in SENDERS.into_iter().zip(&visitors) {
+        for ((session, token), user) in SENDERS.into_iter().zip(&users) {
             let expected = fate_by_zenoh(cells, session, token);
             let sender = format!("the session of {session} with the token {token:?}");
             row.send(expected, &sender, async |request| {
-                let answers = visitor.ask(&request.selector, request.args.as_ref()).await;
-                // What a session sends arrives in order: a dropped request has no effect after this.
-                visitor.ok(&whoami, None).await;
+                let answers = user
+                    .query_all(&request.selector, request.args.as_ref())
+                    .await;
+                // The messages of a session arrive in order: a dropped request has no effect after this.
+                user.ok(&whoami, None).await;
                 fate_of(&answers, cells)
             })
             .await;
@@ -204,7 +206,7 @@ async fn every_role_may_what_it_may_and_nothing_else() {
         for token in HTTP_SENDERS {
             let expected = fate_by_http(cells, token);
             let sender = format!("HTTP with the token {token:?}");
-            let text = token.text(&lab);
+            let text = token.text(&daemon);
             row.send(expected, &sender, async |request| {
                 fate_of_http(request.send(&address, text.as_deref()))
             })
@@ -221,66 +223,69 @@ async fn every_role_may_what_it_may_and_nothing_else() {
         (Fate::Unknown, 90),
     ];
     assert_eq!(fates, BTreeMap::from(expected));
-    visitors.push(olga);
-    lab.close(visitors).await;
+    users.push(olga);
+    daemon.close(users).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn recordings_are_fetched_by_operators_alone() {
-    let lab = Lab::open().await;
+    let daemon = AuthDaemon::start().await;
     let (vera, cleo, olga) = (
-        lab.enter("vera").await,
-        lab.enter("cleo").await,
-        lab.enter("olga").await,
+        daemon.open_session("vera").await,
+        daemon.open_session("cleo").await,
+        daemon.open_session("olga").await,
     );
     record(&olga, RECORDING).await;
     let key = keys::node_get(PREFIX, NODE, "recording");
     let film = format!("{key}?name={RECORDING}");
     let piece = olga.ok(&film, None).await["result"].take();
     assert!(piece["length"].as_u64() > Some(1000), "{piece}");
-    // zenoh stops the sessions of others, whatever token comes along.
-    let stolen = lab
-        .enter_with("vera", Some(&lab.credentials("olga").token))
+    // zenoh drops the requests of other sessions, with any token.
+    let stolen = daemon
+        .open_session_with("vera", Some(&daemon.credentials("olga").token))
         .await;
     for who in [&vera, &cleo, &stolen] {
-        let answers = who.ask(&film, None).await;
+        let answers = who.query_all(&film, None).await;
         assert!(answers.is_empty(), "{answers:?}");
     }
-    // The daemon stops what comes over an operator's session with another's token, or none.
-    let vera_token = lab.credentials("vera").token;
-    let lent = lab.enter_with("olga", Some(&vera_token)).await;
-    let silent = lab.enter_with("olga", None).await;
+    // The daemon rejects requests over an operator's session with another's token, or none.
+    let vera_token = daemon.credentials("vera").token;
+    let lent = daemon.open_session_with("olga", Some(&vera_token)).await;
+    let silent = daemon.open_session_with("olga", None).await;
     for who in [&lent, &silent] {
-        let answers = who.ask(&film, None).await;
+        let answers = who.query_all(&film, None).await;
         let [Err(error)] = &answers[..] else {
             panic!("{answers:?}");
         };
         assert_eq!(error.code, ErrorCode::PermissionDenied, "{error:?}");
         assert!(error.message.contains("takes an operator"), "{error:?}");
     }
-    // A wildcard does not reach it for anybody.
+    // A wildcard does not match it for any role.
     for who in [&vera, &stolen, &olga] {
         for wild in ["*", "recording$*", "**"] {
             let key = keys::node_get(PREFIX, NODE, wild);
-            let answers = who.ask(&format!("{key}?name={RECORDING}"), None).await;
-            let told = answers.iter().flatten();
+            let answers = who
+                .query_all(&format!("{key}?name={RECORDING}"), None)
+                .await;
+            let replies = answers.iter().flatten();
             let has_piece = |answer: &Value| answer["result"].get("length").is_some();
-            assert!(!told.into_iter().any(has_piece), "{wild}: {answers:?}");
+            assert!(!replies.into_iter().any(has_piece), "{wild}: {answers:?}");
         }
     }
-    lab.close(vec![vera, cleo, olga, stolen, lent, silent])
+    daemon
+        .close(vec![vera, cleo, olga, stolen, lent, silent])
         .await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_wildcard_executes_nothing_whoever_sends_it() {
-    let lab = Lab::open().await;
-    let mut everybody = Vec::new();
+async fn a_wildcard_executes_nothing_for_any_role() {
+    let daemon = AuthDaemon::start().await;
+    let mut users = Vec::new();
     for (_, person) in COLUMNS {
-        everybody.push(lab.enter(person).await);
+        users.push(daemon.open_session(person).await);
     }
-    everybody.push(lab.enter_with("olga", None).await);
-    let olga = &everybody[2];
+    users.push(daemon.open_session_with("olga", None).await);
+    let olga = &users[2];
     olga.create(SWARM).await;
     let state = async || {
         let status = olga.ok(&keys::get(PREFIX, SWARM, "status"), None).await;
@@ -295,28 +300,28 @@ async fn a_wildcard_executes_nothing_whoever_sends_it() {
         "jostle/source/cmd/r$*",
         "jostle/@node/*/cmd/*",
     ] {
-        for who in &everybody {
-            who.ask(key, Some(&json!({}))).await;
+        for who in &users {
+            who.query_all(key, Some(&json!({}))).await;
             assert_eq!(state().await, before, "{key}");
         }
     }
-    // A query of every swarm's status is answered for each.
-    for who in &everybody {
-        let answers = who.ask(&keys::get(PREFIX, "*", "status"), None).await;
+    // A query of every swarm's status gets a reply for each.
+    for who in &users {
+        let answers = who.query_all(&keys::get(PREFIX, "*", "status"), None).await;
         assert!(matches!(answers[..], [Ok(_)]), "{answers:?}");
     }
     // By its own key the command is executed.
     olga.cmd(SWARM, "delete", json!({})).await;
-    lab.close(everybody).await;
+    daemon.close(users).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_controller_speaks_for_its_own_and_the_journal_says_who() {
-    let lab = Lab::open().await;
+    let daemon = AuthDaemon::start().await;
     let (cleo, carl, olga) = (
-        lab.enter("cleo").await,
-        lab.enter("carl").await,
-        lab.enter("olga").await,
+        daemon.open_session("cleo").await,
+        daemon.open_session("carl").await,
+        daemon.open_session("olga").await,
     );
     olga.create("s").await;
     let join = |name: &str| json!({"controller": name, "select": {"count": 1}});
@@ -327,7 +332,7 @@ async fn a_controller_speaks_for_its_own_and_the_journal_says_who() {
         (&carl, "cleo-arm"),
         (&carl, "olga"),
     ] {
-        let answers = who.ask(&key, Some(&join(name))).await;
+        let answers = who.query_all(&key, Some(&join(name))).await;
         let [Err(error)] = &answers[..] else {
             panic!("{name}: {answers:?}");
         };
@@ -340,10 +345,10 @@ async fn a_controller_speaks_for_its_own_and_the_journal_says_who() {
     cleo.ok(&key, Some(&join("cleo-arm"))).await;
     let leave = keys::cmd(PREFIX, "s", "leave");
     let not_his = json!({"controller": "cleo-arm"});
-    assert!(carl.ask(&leave, Some(&not_his)).await[0].is_err());
+    assert!(carl.query_all(&leave, Some(&not_his)).await[0].is_err());
     let claimed = json!({"client": "olga", "args": {"controller": "cleo-arm"}});
     cleo.ok(&leave, Some(&claimed)).await;
-    // Operators may speak for anybody.
+    // Operators may send in the name of any client.
     olga.ok(&key, Some(&join("carl"))).await;
 
     let journal = carl.ok(&keys::get(PREFIX, "s", "journal"), None).await;
@@ -352,15 +357,15 @@ async fn a_controller_speaks_for_its_own_and_the_journal_says_who() {
         .map(|entry| entry["client"].as_str().unwrap().to_owned())
         .collect();
     assert_eq!(who, ["cleo", "cleo:olga", "olga"]);
-    lab.close(vec![cleo, carl, olga]).await;
+    daemon.close(vec![cleo, carl, olga]).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn whoever_asks_is_told_who_they_are_and_what_they_may() {
-    let lab = Lab::open().await;
+async fn whoami_returns_the_person_and_the_permissions() {
+    let daemon = AuthDaemon::start().await;
     let key = keys::node_get(PREFIX, NODE, "whoami");
-    let address = lab.server.http().unwrap().to_string();
-    let mut visitors = Vec::new();
+    let address = daemon.server.http().unwrap().to_string();
+    let mut users = Vec::new();
     for (role, person) in COLUMNS {
         let may = |kind: &str, verbs: &[&str]| -> Vec<String> {
             let verbs = verbs.iter().filter(|verb| {
@@ -375,19 +380,19 @@ async fn whoever_asks_is_told_who_they_are_and_what_they_may() {
             "verbs": may("{swarm}", &keys::SWARM_VERBS),
             "node_verbs": may("@node/{node}", &keys::NODE_VERBS),
         });
-        let visitor = lab.enter(person).await;
-        assert_eq!(visitor.ok(&key, None).await["result"], expected);
+        let user = daemon.open_session(person).await;
+        assert_eq!(user.ok(&key, None).await["result"], expected);
         let get = "GET /api/get/@node/get/whoami";
-        let (status, answer) = http(&address, get, visitor.token.as_deref(), "");
+        let (status, answer) = http(&address, get, user.token.as_deref(), "");
         assert_eq!((status, &answer["result"]), (200, &expected));
-        visitors.push(visitor);
+        users.push(user);
     }
-    let nobody = lab.enter_with("vera", Some("no token")).await;
-    let told = nobody.ok(&key, None).await["result"].take();
+    let stranger = daemon.open_session_with("vera", Some("no token")).await;
+    let whoami = stranger.ok(&key, None).await["result"].take();
     assert_eq!(
-        told,
+        whoami,
         json!({"person": null, "role": null, "verbs": [], "node_verbs": []})
     );
-    visitors.push(nobody);
-    lab.close(visitors).await;
+    users.push(stranger);
+    daemon.close(users).await;
 }

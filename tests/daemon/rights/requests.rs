@@ -1,4 +1,4 @@
-//! Requests that are ready to succeed, one for each row of the table, and what a command changes.
+//! Requests that succeed if they are permitted, one for each row of the table, and their effects.
 
 use std::io::{Read, Write};
 use std::net::{Shutdown, TcpStream};
@@ -8,8 +8,8 @@ use base64::engine::general_purpose::STANDARD;
 use jostle_proto::{Reply, Snapshot, keys};
 use serde_json::{Value, json};
 
-use super::Visitor;
-use crate::support::{NODE, PATIENCE, PREFIX, until};
+use super::UserSession;
+use crate::support::{NODE, PREFIX, TIMEOUT, until};
 
 /// The swarm, the recording and the experiment that queries are about.
 pub const SWARM: &str = "source";
@@ -32,7 +32,7 @@ pub struct Request {
 }
 
 /// Creates what the queries are about.
-pub async fn furnish(olga: &Visitor) {
+pub async fn prepare(olga: &UserSession) {
     olga.create(SWARM).await;
     record(olga, RECORDING).await;
     olga.node_cmd("experiment", json!({"submit": {"toml": TOML}}))
@@ -45,7 +45,7 @@ pub async fn furnish(olga: &Visitor) {
 }
 
 /// Records 20 steps of a swarm.
-pub async fn record(olga: &Visitor, recording: &str) {
+pub async fn record(olga: &UserSession, recording: &str) {
     let swarm = "filmed";
     olga.create(swarm).await;
     let begin = json!({"begin": {"swarm": swarm, "recording": recording}});
@@ -64,7 +64,7 @@ pub async fn record(olga: &Visitor, recording: &str) {
 }
 
 /// A snapshot as `restore` takes it.
-async fn snapshot(olga: &Visitor) -> String {
+async fn snapshot(olga: &UserSession) -> String {
     let query = olga.session.get(keys::get(PREFIX, SWARM, "snapshot"));
     let reply = query.await.unwrap().recv_async().await.unwrap();
     let sample = reply.into_result().unwrap();
@@ -73,9 +73,9 @@ async fn snapshot(olga: &Visitor) -> String {
 }
 
 impl Request {
-    /// The request of a row of the table. What a command is about is made for it, with names that
+    /// The request of a row of the table. Swarms and files of a command are created for it, with names that
     /// begin with `name`.
-    pub async fn of(row: &str, name: &str, olga: &Visitor) -> Self {
+    pub async fn of(row: &str, name: &str, olga: &UserSession) -> Self {
         match row.split_once("/cmd/") {
             Some(("{swarm}", verb)) => Self::command(verb, name, olga).await,
             Some((_, verb)) => Self::node_command(verb, name, olga).await,
@@ -100,7 +100,7 @@ impl Request {
         }
     }
 
-    async fn command(verb: &str, name: &str, olga: &Visitor) -> Self {
+    async fn command(verb: &str, name: &str, olga: &UserSession) -> Self {
         let one = json!({"select": {"count": 1}});
         let changes = json!({"commands": [{"verb": "set", "args": {"pi3": 1.2}}]});
         let args = match verb {
@@ -146,7 +146,7 @@ impl Request {
         }
     }
 
-    async fn node_command(verb: &str, name: &str, olga: &Visitor) -> Self {
+    async fn node_command(verb: &str, name: &str, olga: &UserSession) -> Self {
         let args = match verb {
             "create" => json!({"name": name, "spec": {"n": 3}}),
             "restore" => json!({"name": name, "snapshot": snapshot(olga).await}),
@@ -170,9 +170,9 @@ impl Request {
         }
     }
 
-    /// Everything that the command could change: the state of its swarm, and which swarms,
-    /// recordings and experiments there are.
-    pub async fn effect(&self, olga: &Visitor) -> Value {
+    /// Everything that the command could change: the state of its swarm, and the list of swarms,
+    /// recordings and experiments.
+    pub async fn effect(&self, olga: &UserSession) -> Value {
         let mut effect = json!({});
         for (noun, name) in [
             ("swarms", "swarm"),
@@ -188,10 +188,12 @@ impl Request {
             effect[noun] = json!(names);
         }
         if let Some(swarm) = &self.swarm {
-            let status = olga.ask(&keys::get(PREFIX, swarm, "status"), None).await;
+            let status = olga
+                .query_all(&keys::get(PREFIX, swarm, "status"), None)
+                .await;
             let mut status = status.into_iter().find_map(Result::ok).unwrap_or_default();
             if let Some(result) = status.get_mut("result").and_then(Value::as_object_mut) {
-                // What differs from one moment to the next.
+                // Values that change with time.
                 for field in ["real_time_factor", "waiting_for", "history_from"] {
                     assert!(result.remove(field).is_some(), "{field}");
                 }
@@ -201,7 +203,7 @@ impl Request {
         effect
     }
 
-    /// Sends the request over HTTP; the status, and the code of the error if it is one.
+    /// Sends the request over HTTP. Returns the status, and the code of an error.
     pub fn send(&self, address: &str, token: Option<&str>) -> (u16, Option<String>) {
         let body = self.args.as_ref().map_or(String::new(), Value::to_string);
         let token = token.map(|token| format!("Authorization: Bearer {token}\r\n"));
@@ -212,7 +214,7 @@ impl Request {
             body.len()
         );
         let mut stream = TcpStream::connect(address).unwrap();
-        stream.set_read_timeout(Some(PATIENCE)).unwrap();
+        stream.set_read_timeout(Some(TIMEOUT)).unwrap();
         // The body of a rejected request is not read.
         let _ = stream.write_all((head + &body).as_bytes());
         let mut answer = Vec::new();

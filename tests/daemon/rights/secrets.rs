@@ -1,29 +1,25 @@
-//! No secret stands in any log, however much is logged; and whom HTTP lets do what.
+//! No secret is in any log or reply, and the permissions over HTTP.
 
 use std::fs::{self, File};
-use std::net::{SocketAddr, TcpListener};
+use std::net::TcpListener;
 
 use futures_util::StreamExt;
 use jostle_proto::{Credentials, keys};
 use jostled::auth::folder::Folder;
 use jostled::auth::issue;
-use rustls_pki_types::pem::PemObject;
-use rustls_pki_types::{CertificateDer, ServerName};
 use serde_json::{Value, json};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
-use tokio_rustls::TlsConnector;
-use tokio_rustls::client::TlsStream;
-use tokio_rustls::rustls::{self, RootCertStore};
 use tokio_tungstenite::client_async;
 use tokio_tungstenite::tungstenite::client::IntoClientRequest;
 
-use super::{Lab, PEOPLE, Proof, Visitor};
-use crate::apart::{Process, jostled};
-use crate::health::send;
+use super::{AuthDaemon, PEOPLE, SessionCredentials, UserSession};
+use crate::support::http::send;
+use crate::support::process::{Process, jostled};
+use crate::support::tls::https;
 use crate::support::{NODE, PREFIX, until};
 
-/// Asks over HTTP with a token, or without.
+/// Sends a request over HTTP with a token, or without.
 pub fn http(address: &str, request: &str, token: Option<&str>, body: &str) -> (u16, Value) {
     let token = token.map(|token| format!("Authorization: Bearer {token}\r\n"));
     let (status, _, body) = send(
@@ -38,7 +34,7 @@ pub fn http(address: &str, request: &str, token: Option<&str>, body: &str) -> (u
     (status, serde_json::from_str(&body).unwrap_or_default())
 }
 
-/// Opens a tab's socket with a token; says whether it is let in.
+/// Opens a tab's socket with a token. Returns whether it is accepted.
 async fn tab(address: &str, token: Option<&str>) -> bool {
     let mut request = format!("ws://{address}/api/ws")
         .into_client_request()
@@ -57,25 +53,25 @@ async fn tab(address: &str, token: Option<&str>) -> bool {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn over_http_everybody_shows_their_own_token() {
-    let lab = Lab::open().await;
-    let address = lab.server.http().unwrap().to_string();
-    assert_eq!(lab.server.page(), None);
-    let tokens = ["vera", "cleo", "olga"].map(|name| lab.credentials(name).token);
+async fn over_http_each_person_uses_their_own_token() {
+    let daemon = AuthDaemon::start().await;
+    let address = daemon.server.http().unwrap().to_string();
+    assert_eq!(daemon.server.page(), None);
+    let tokens = ["vera", "cleo", "olga"].map(|name| daemon.credentials(name).token);
     let [vera, cleo, olga] = tokens.each_ref().map(|token| Some(token.as_str()));
-    let nobody = [None, Some("0123456789abcdef0123456789abcdef"), Some("")];
+    let unknown = [None, Some("0123456789abcdef0123456789abcdef"), Some("")];
     let spec = r#"{"name": "s", "spec": {"n": 3}}"#;
     let steps = r#"{"steps": 2}"#;
 
     for (token, status) in [(vera, 403), (cleo, 403), (olga, 200)] {
-        let (told, answer) = http(&address, "POST /api/node/create", token, spec);
-        assert_eq!(told, status, "{answer}");
+        let (actual, answer) = http(&address, "POST /api/node/create", token, spec);
+        assert_eq!(actual, status, "{answer}");
     }
     for (token, status) in [(vera, 403), (cleo, 403), (olga, 200)] {
-        let (told, answer) = http(&address, "POST /api/cmd/s/step", token, steps);
-        assert_eq!(told, status, "{answer}");
+        let (actual, answer) = http(&address, "POST /api/cmd/s/step", token, steps);
+        assert_eq!(actual, status, "{answer}");
     }
-    for token in nobody {
+    for token in unknown {
         for request in [
             "POST /api/node/create",
             "POST /api/cmd/s/delete",
@@ -116,73 +112,31 @@ async fn over_http_everybody_shows_their_own_token() {
         assert_eq!(http(&address, "GET /metrics", token, "").0, 200);
         assert!(tab(&address, token).await);
         let (_, hello) = http(&address, "GET /api/hello", token, "");
-        let told = (&hello["person"], &hello["may_watch"], &hello["may_command"]);
-        assert_eq!(told, (&json!(name), &json!(true), &json!(may)));
+        let actual = (&hello["person"], &hello["may_watch"], &hello["may_command"]);
+        assert_eq!(actual, (&json!(name), &json!(true), &json!(may)));
     }
-    // What was done over HTTP says whose token it was.
+    // The journal has the person of the token as the client.
     let (_, journal) = http(&address, "GET /api/get/s/get/journal", olga, "");
     let entries = journal["result"]["entries"].as_array().unwrap();
     assert!(
         entries.iter().all(|entry| entry["client"] == "olga"),
         "{journal}"
     );
-    lab.close(Vec::new()).await;
-}
-
-/// A connection over TLS, by the name `localhost`; nothing if the other side is not trusted.
-pub async fn connect_tls(address: SocketAddr, trusted: &Folder) -> Option<TlsStream<TcpStream>> {
-    connect_tls_by("localhost", address, trusted).await
-}
-
-/// A connection over TLS, by this name; nothing if the other side is not trusted.
-async fn connect_tls_by(
-    name: &'static str,
-    address: SocketAddr,
-    trusted: &Folder,
-) -> Option<TlsStream<TcpStream>> {
-    let mut roots = RootCertStore::empty();
-    let [authority, _] = trusted.authority();
-    roots
-        .add(CertificateDer::from_pem_file(authority).unwrap())
-        .unwrap();
-    let provider = std::sync::Arc::new(rustls::crypto::ring::default_provider());
-    let config = rustls::ClientConfig::builder_with_provider(provider)
-        .with_safe_default_protocol_versions()
-        .unwrap()
-        .with_root_certificates(roots)
-        .with_no_client_auth();
-    let connector = TlsConnector::from(std::sync::Arc::new(config));
-    let stream = TcpStream::connect(address).await.unwrap();
-    let name = ServerName::try_from(name).unwrap();
-    connector.connect(name, stream).await.ok()
-}
-
-/// Asks over TLS, by the name `localhost`; nothing if the other side is not trusted.
-pub async fn https(address: SocketAddr, trusted: &Folder, request: &str) -> Option<String> {
-    https_by("localhost", address, trusted, request).await
-}
-
-/// Asks over TLS, by this name; nothing if the other side is not trusted.
-pub async fn https_by(
-    name: &'static str,
-    address: SocketAddr,
-    trusted: &Folder,
-    request: &str,
-) -> Option<String> {
-    let mut stream = connect_tls_by(name, address, trusted).await?;
-    stream.write_all(request.as_bytes()).await.unwrap();
-    let mut answer = String::new();
-    // Whether it says goodbye is of no interest.
-    let _ = stream.read_to_string(&mut answer).await;
-    Some(answer)
+    daemon.close(Vec::new()).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn over_tls_http_is_for_other_machines_too() {
-    let lab = Lab::serving("https://127.0.0.1:0").await;
-    assert!(lab.server.url().unwrap().starts_with("https://127.0.0.1:"));
-    let address = lab.server.http().unwrap();
-    let token = lab.credentials("vera").token;
+    let daemon = AuthDaemon::start_with_http("https://127.0.0.1:0").await;
+    assert!(
+        daemon
+            .server
+            .url()
+            .unwrap()
+            .starts_with("https://127.0.0.1:")
+    );
+    let address = daemon.server.http().unwrap();
+    let token = daemon.credentials("vera").token;
     let head = |path: &str, origin: &str, token: &str| {
         format!(
             "GET {path} HTTP/1.1\r\nHost: lab.example:8443\r\nOrigin: {origin}\r\n\
@@ -197,21 +151,21 @@ async fn over_tls_http_is_for_other_machines_too() {
         (head(swarms, own, "nobody's"), "401"),
         (head(swarms, "https://evil.example", &token), "403"),
     ] {
-        let answer = https(address, &lab.folder, &request).await.unwrap();
+        let answer = https(address, &daemon.folder, &request).await.unwrap();
         assert!(
             answer.starts_with(&format!("HTTP/1.1 {status} ")),
             "{answer}"
         );
     }
-    // Connections that stay silent hold up nobody.
+    // Silent connections delay no other client.
     let mut silent = Vec::new();
     for _ in 0..50 {
         silent.push(TcpStream::connect(address).await.unwrap());
     }
-    let answer = https(address, &lab.folder, &head("/healthz", own, "")).await;
+    let answer = https(address, &daemon.folder, &head("/healthz", own, "")).await;
     assert!(answer.unwrap().starts_with("HTTP/1.1 200 "));
-    // Nobody takes another daemon for this one, and nobody speaks in the clear.
-    let stranger = Folder::at(lab.base.path().join("stranger"));
+    // A client rejects another daemon's certificate, and an unencrypted connection fails.
+    let stranger = Folder::new(daemon.base.path().join("stranger"));
     issue::init(&stranger, &[], &[]).unwrap();
     assert_eq!(
         https(address, &stranger, &head("/", own, &token)).await,
@@ -226,10 +180,10 @@ async fn over_tls_http_is_for_other_machines_too() {
     let _ = clear.read_to_end(&mut answer).await;
     assert!(!answer.starts_with(b"HTTP"));
     drop(silent);
-    lab.close(Vec::new()).await;
+    daemon.close(Vec::new()).await;
 }
 
-/// What nobody but its owner may read anywhere.
+/// The secrets of each person.
 fn secrets(folder: &Folder) -> Vec<String> {
     let mut secrets = Vec::new();
     for (name, _) in PEOPLE {
@@ -237,7 +191,9 @@ fn secrets(folder: &Folder) -> Vec<String> {
             token, password, ..
         } = folder.credentials(name).unwrap();
         secrets.extend([token, password]);
-        let key = folder.of(name).join(Credentials::CERTIFICATES[2]);
+        let key = folder
+            .person_folder(name)
+            .join(Credentials::CERTIFICATES[2]);
         secrets.push(second_line(&fs::read_to_string(key).unwrap()));
     }
     for [_, key] in [folder.authority(), folder.daemon()] {
@@ -253,7 +209,7 @@ fn second_line(text: &str) -> String {
 #[tokio::test(flavor = "multi_thread")]
 async fn no_secret_is_in_any_log_nor_among_what_is_kept() {
     let base = tempfile::tempdir().unwrap();
-    let folder = Folder::at(base.path().join("auth"));
+    let folder = Folder::new(base.path().join("auth"));
     let people = PEOPLE.map(|(name, role)| (name.to_owned(), role));
     issue::init(&folder, &[], &people).unwrap();
     let port = || {
@@ -280,28 +236,27 @@ async fn no_secret_is_in_any_log_nor_among_what_is_kept() {
     })
     .await;
     for (name, _) in PEOPLE {
-        let visitor = Visitor {
-            session: Proof::of(&folder, name).open(&endpoint).await.unwrap(),
+        let user = UserSession {
+            session: SessionCredentials::of(&folder, name)
+                .open(&endpoint)
+                .await
+                .unwrap(),
             token: Some(folder.credentials(name).unwrap().token),
         };
         let create = json!({"name": "s", "spec": {"n": 3}, "exist_ok": true});
-        visitor
-            .ask(&keys::node_cmd(PREFIX, NODE, "create"), Some(&create))
+        user.query_all(&keys::node_cmd(PREFIX, NODE, "create"), Some(&create))
             .await;
-        visitor
-            .ask(&keys::cmd(PREFIX, "s", "set"), Some(&json!({"pi3": 1.1})))
+        user.query_all(&keys::cmd(PREFIX, "s", "set"), Some(&json!({"pi3": 1.1})))
             .await;
-        visitor
-            .ok(&keys::node_get(PREFIX, NODE, "whoami"), None)
-            .await;
-        let token = visitor.token.as_deref();
+        user.ok(&keys::node_get(PREFIX, NODE, "whoami"), None).await;
+        let token = user.token.as_deref();
         http(&address, "POST /api/cmd/s/pause", token, "{}");
         http(&address, "GET /api/get/s/get/status", token, "");
         assert!(tab(&address, token).await);
-        visitor.session.close().await.unwrap();
+        user.session.close().await.unwrap();
     }
-    // Whoever is not let in has a secret too.
-    let mut wrong = Proof::of(&folder, "vera");
+    // A rejected client sends a secret too.
+    let mut wrong = SessionCredentials::of(&folder, "vera");
     let password = folder.credentials("olga").unwrap().password;
     wrong.user = Some(("vera".into(), password));
     assert!(wrong.open(&endpoint).await.is_err());

@@ -1,4 +1,4 @@
-//! Who gets a session at all, and what does not start.
+//! Who gets a session, and configurations that do not start.
 
 use std::process::Stdio;
 use std::time::{Duration, Instant};
@@ -8,37 +8,37 @@ use jostled::auth::folder::Folder;
 use jostled::auth::issue;
 use jostled::health::probe::Probe;
 
-use super::{Lab, PEOPLE, Proof};
-use crate::apart::jostled;
+use super::{AuthDaemon, PEOPLE, SessionCredentials};
+use crate::support::process::jostled;
 use crate::support::{NODE, PREFIX};
 
-/// How soon whoever is not let in knows it.
-const SOON: Duration = Duration::from_secs(3);
+/// The time within which a rejected client gets an error.
+const SHORT_TIMEOUT: Duration = Duration::from_secs(3);
 
 #[tokio::test(flavor = "multi_thread")]
 async fn only_people_with_their_own_proof_get_a_session() {
-    let lab = Lab::open().await;
-    let stranger = Folder::at(lab.base.path().join("elsewhere"));
+    let daemon = AuthDaemon::start().await;
+    let stranger = Folder::new(daemon.base.path().join("elsewhere"));
     let people = PEOPLE.map(|(name, role)| (name.to_owned(), role));
     issue::init(&stranger, &[], &people).unwrap();
-    let own = |name| Proof::of(&lab.folder, name);
-    let password = |user: &str, password: &str| Proof {
+    let own = |name| SessionCredentials::of(&daemon.folder, name);
+    let password = |user: &str, password: &str| SessionCredentials {
         user: Some((user.to_owned(), password.to_owned())),
         ..own("olga")
     };
-    let foreign = Proof {
+    let foreign = SessionCredentials {
         user: own("olga").user,
         authority: own("olga").authority,
-        certificate: Proof::of(&stranger, "olga").certificate,
+        certificate: SessionCredentials::of(&stranger, "olga").certificate,
     };
-    let trusting = Proof {
-        authority: Proof::of(&stranger, "olga").authority,
+    let trusting = SessionCredentials {
+        authority: SessionCredentials::of(&stranger, "olga").authority,
         ..own("olga")
     };
-    let refused = [
+    let rejected = [
         (
             "no name",
-            Proof {
+            SessionCredentials {
                 user: None,
                 ..own("olga")
             },
@@ -47,13 +47,13 @@ async fn only_people_with_their_own_proof_get_a_session() {
         ("nobody's name", password("nobody", "guess")),
         (
             "another's password",
-            password("vera", &lab.credentials("olga").password),
+            password("vera", &daemon.credentials("olga").password),
         ),
     ];
-    let refused_by_tls = [
+    let rejected_by_tls = [
         (
             "no certificate",
-            Proof {
+            SessionCredentials {
                 certificate: None,
                 ..own("olga")
             },
@@ -62,13 +62,16 @@ async fn only_people_with_their_own_proof_get_a_session() {
         ("trust in another authority", trusting),
     ];
     for protocol in ["tls", "tcp"] {
-        let endpoint = lab.endpoint(protocol);
-        let by_tls = refused_by_tls.iter().filter(|_| protocol == "tls");
-        for (what, proof) in refused.iter().chain(by_tls) {
+        let endpoint = daemon.endpoint(protocol);
+        let by_tls = rejected_by_tls.iter().filter(|_| protocol == "tls");
+        for (what, credentials) in rejected.iter().chain(by_tls) {
             let began = Instant::now();
-            assert!(proof.open(endpoint).await.is_err(), "{what} by {protocol}");
             assert!(
-                began.elapsed() < SOON,
+                credentials.open(endpoint).await.is_err(),
+                "{what} by {protocol}"
+            );
+            assert!(
+                began.elapsed() < SHORT_TIMEOUT,
                 "{what} by {protocol}: {:?}",
                 began.elapsed()
             );
@@ -84,36 +87,36 @@ async fn only_people_with_their_own_proof_get_a_session() {
         );
         session.close().await.unwrap();
     }
-    // The daemon tries its own doors, and hears an answer at each.
-    for endpoint in &lab.server.endpoints {
+    // The daemon probes its own listeners, and each replies.
+    for endpoint in &daemon.server.endpoints {
         let probe = Probe::of(endpoint).unwrap();
         probe.try_once().unwrap_or_else(|deaf| panic!("{deaf}"));
     }
-    // A session with one person's name and another's certificate may nothing.
-    let mixed = Proof {
+    // A session with one person's name and another's certificate has no permissions.
+    let mixed = SessionCredentials {
         certificate: own("olga").certificate,
         ..own("vera")
     };
-    let session = mixed.open(lab.endpoint("tls")).await.unwrap();
+    let session = mixed.open(daemon.endpoint("tls")).await.unwrap();
     let hello = session
         .get(keys::node_get(PREFIX, NODE, "hello"))
         .await
         .unwrap();
     assert!(hello.recv_async().await.is_err());
     session.close().await.unwrap();
-    lab.close(Vec::new()).await;
+    daemon.close(Vec::new()).await;
 }
 
 #[test]
 fn what_others_could_reach_unasked_does_not_start() {
     let base = tempfile::tempdir().unwrap();
     let auth = base.path().join("auth");
-    let folder = Folder::at(auth.clone());
+    let folder = Folder::new(auth.clone());
     issue::init(&folder, &[], &[("anna".into(), PEOPLE[0].1)]).unwrap();
     let (auth, data) = (auth.to_str().unwrap(), base.path().join("data"));
     let data = data.to_str().unwrap();
     let nowhere = base.path().join("nowhere");
-    for (flags, told) in [
+    for (flags, expected) in [
         (&["--listen", "tcp/0.0.0.0:0"][..], "is not encrypted"),
         (
             &["--listen", "tcp/0.0.0.0:0", "--auth-dir", auth],
@@ -154,8 +157,8 @@ fn what_others_could_reach_unasked_does_not_start() {
             command.args(["--listen", "tcp/127.0.0.1:0"]);
         }
         let ended = command.args(flags).stderr(Stdio::piped()).output().unwrap();
-        let said = String::from_utf8(ended.stderr).unwrap();
-        assert_eq!(ended.status.code(), Some(2), "{flags:?}: {said}");
-        assert!(said.contains(told), "{flags:?}: {said}");
+        let text = String::from_utf8(ended.stderr).unwrap();
+        assert_eq!(ended.status.code(), Some(2), "{flags:?}: {text}");
+        assert!(text.contains(expected), "{flags:?}: {text}");
     }
 }

@@ -1,4 +1,4 @@
-//! What each role may request, as a literal. The tests of rights judge the daemon by it and by no
+//! The permissions of each role, as a literal. The tests compare the daemon with it and with no
 //! function of the program.
 
 use std::collections::BTreeSet;
@@ -7,7 +7,7 @@ use std::fs;
 use jostle_proto::contract::{CHANNELS, ChannelKind};
 use jostle_proto::keys;
 
-/// The roles of the columns, each with a person of the lab who has it.
+/// The roles of the columns, each with a person who has it.
 pub const COLUMNS: [(&str, &str); 3] = [
     ("viewer", "vera"),
     ("controller", "cleo"),
@@ -19,7 +19,7 @@ const THEIR_CONTROLLERS: [&str; 3] = ["no", "own", "yes"];
 const CONTROLLERS_TOO: [&str; 3] = ["no", "yes", "yes"];
 const EVERYBODY: [&str; 3] = ["yes", "yes", "yes"];
 
-/// Every request of a client, and whether a viewer, a controller and an operator may send it; `own`
+/// Every request, and whether a viewer, a controller and an operator may send it; `own`
 /// is for controllers named after the person alone.
 pub const TABLE: [(&str, [&str; 3]); 47] = [
     ("{swarm}/cmd/delete", NOBODY_BUT_OPERATORS),
@@ -71,7 +71,7 @@ pub const TABLE: [(&str, [&str; 3]); 47] = [
     ("@node/{node}/experiment/{experiment}/order", EVERYBODY),
 ];
 
-/// Whether the person of a column, or somebody without a token, may send a request; as themselves
+/// Whether the person of a column, or a client without a token, may send a request; as themselves
 /// where the table says `own`.
 pub fn may(cells: [&str; 3], person: Option<&str>) -> bool {
     let column = COLUMNS.iter().position(|(_, it)| Some(*it) == person);
@@ -94,7 +94,7 @@ pub fn least(cells: [&str; 3]) -> &'static str {
 }
 
 /// The table that `docs/security.md` shows.
-fn shown() -> Vec<(String, Vec<String>)> {
+fn documented_table() -> Vec<(String, Vec<String>)> {
     let page = concat!(env!("CARGO_MANIFEST_DIR"), "/docs/security.md");
     let page = fs::read_to_string(page).unwrap();
     let mut lines = page.lines();
@@ -113,7 +113,7 @@ fn shown() -> Vec<(String, Vec<String>)> {
 #[test]
 fn the_page_shows_this_table() {
     let table = TABLE.map(|(key, cells)| (key.to_owned(), cells.map(str::to_owned).to_vec()));
-    assert_eq!(shown(), table);
+    assert_eq!(documented_table(), table);
 }
 
 #[test]
@@ -121,7 +121,7 @@ fn the_table_has_every_request_of_the_contract() {
     let mut expected: BTreeSet<String> = CHANNELS
         .iter()
         .filter(|channel| match channel.kind {
-            ChannelKind::Kept(_)
+            ChannelKind::PublishedAndQueried(_)
             | ChannelKind::Get(_)
             | ChannelKind::Command(..)
             | ChannelKind::Put(_)

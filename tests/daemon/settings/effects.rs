@@ -1,4 +1,4 @@
-//! What one observes of a daemon by which one sees that a setting acts.
+//! Observations of a daemon that show the effect of a setting.
 
 use std::fs;
 use std::time::{Duration, Instant};
@@ -8,13 +8,13 @@ use jostled::auth::folder::Folder;
 use serde_json::{Value, json};
 
 use super::Running;
-use crate::health;
-use crate::support::{Answer, Client, NODE, PATIENCE, PREFIX};
+use crate::support::http;
+use crate::support::{Client, NODE, PREFIX, QueryResult, TIMEOUT};
 
-/// How long an effect may take that comes a moment after its cause, and is expected not to come.
+/// How long the absence of an effect is observed.
 const MOMENT: Duration = Duration::from_millis(500);
 
-/// Has the setting `name` act, and says how. What takes time is awaited until it is `expected`.
+/// Provokes the effect of the setting `name` and describes it, waiting until it is `expected`.
 pub async fn observe(name: &str, daemon: &Running, expected: &str) -> String {
     match name {
         "listen" => listen(daemon).await,
@@ -54,29 +54,29 @@ impl Running {
 }
 
 /// `ok`, or the code of the error.
-fn code(answer: &Answer) -> String {
+fn code(answer: &QueryResult) -> String {
     match answer {
         Ok(_) => "ok".to_owned(),
         Err(error) => json!(error.code).as_str().unwrap().to_owned(),
     }
 }
 
-async fn hello(client: &Client) -> Answer {
+async fn hello(client: &Client) -> QueryResult {
     client
-        .one(&keys::node_get(PREFIX, NODE, "hello"), None)
+        .query(&keys::node_get(PREFIX, NODE, "hello"), None)
         .await
 }
 
-async fn create(client: &Client, name: &str, n: u64) -> Answer {
+async fn create(client: &Client, name: &str, n: u64) -> QueryResult {
     let request = json!({"name": name, "spec": {"n": n}}).to_string();
     let key = keys::node_cmd(PREFIX, NODE, "create");
-    client.one(&key, Some(request.as_bytes())).await
+    client.query(&key, Some(request.as_bytes())).await
 }
 
 /// The `result` of a command to the daemon.
 async fn node_cmd(client: &Client, verb: &str, args: Value) -> Value {
     let key = keys::node_cmd(PREFIX, NODE, verb);
-    let answer = client.one(&key, Some(args.to_string().as_bytes())).await;
+    let answer = client.query(&key, Some(args.to_string().as_bytes())).await;
     answer.unwrap_or_else(|error| panic!("{verb} {args}: {error:?}"))["result"].take()
 }
 
@@ -99,14 +99,19 @@ async fn http(client: &Client) -> String {
     };
     let address = url.strip_prefix("http://").unwrap().to_owned();
     let (host, _) = address.rsplit_once(':').unwrap();
-    format!("{host} answers {}", health::get(&address, "/healthz").0)
+    format!("{host} answers {}", http::get(&address, "/healthz").0)
 }
 
-/// Which of these names something answers under, at the key that `key` makes of it.
+/// The names for which the key of `key` gets a reply.
 async fn which(client: &Client, names: [&str; 2], key: impl Fn(&str) -> String) -> String {
     let mut answering = Vec::new();
     for name in names {
-        if client.ask(&key(name), None).await.iter().any(Result::is_ok) {
+        if client
+            .query_all(&key(name), None)
+            .await
+            .iter()
+            .any(Result::is_ok)
+        {
             answering.push(name);
         }
     }
@@ -161,7 +166,7 @@ async fn max_swarms(client: &Client) -> String {
     codes.join(", ")
 }
 
-/// Creates equal swarms until one is refused, at most eight.
+/// Creates equal swarms until one is rejected, at most eight.
 async fn max_memory_mb(client: &Client) -> String {
     for count in 0..8 {
         let answer = create(client, &format!("s{count}"), 2).await;
@@ -200,10 +205,10 @@ async fn max_hz(client: &Client) -> String {
     let mut seen = Vec::new();
     while seen.len() < 6 {
         let sample = states.recv_async();
-        let sample = tokio::time::timeout(PATIENCE, sample).await;
+        let sample = tokio::time::timeout(TIMEOUT, sample).await;
         let sample = sample.expect("a state").unwrap();
         let state = State::from_cbor(&sample.payload().to_bytes()).unwrap();
-        // The first one that is published may come soon after the state at rest.
+        // The first published state may follow soon after that of the paused swarm.
         if state.step > 1 {
             seen.push((state.step, state.frame));
         }
@@ -222,8 +227,9 @@ async fn auth_dir(daemon: &Running) -> String {
         Ok(client) => code(&hello(&client).await),
         Err(_) => "no".to_owned(),
     };
-    let folder = Folder::at(daemon.path("auth"));
-    let mut config = zenoh::Config::from_file(folder.of("olga").join("zenoh.json5")).unwrap();
+    let folder = Folder::new(daemon.path("auth"));
+    let mut config =
+        zenoh::Config::from_file(folder.person_folder("olga").join("zenoh.json5")).unwrap();
     let endpoints = json!([daemon.endpoint]).to_string();
     config
         .insert_json5("connect/endpoints", &endpoints)
@@ -255,7 +261,7 @@ async fn quota_mb(client: &Client, expected: &str) -> String {
     let began = Instant::now();
     let patience = match expected {
         "history from step 0" => MOMENT,
-        _ => PATIENCE,
+        _ => TIMEOUT,
     };
     while began.elapsed() < patience {
         let status = client.get("a", "status").await["result"].take();
@@ -273,7 +279,7 @@ async fn recordings_quota_mb(client: &Client) -> String {
     node_cmd(client, "record", begin).await;
     client.ok("a", "run", json!({})).await;
     let began = Instant::now();
-    while began.elapsed() < PATIENCE {
+    while began.elapsed() < TIMEOUT {
         let take = client.node("recordings").await["recordings"][0].take();
         let bytes = take["bytes"].as_u64().unwrap();
         let is_ended = take["phase"] != "recording";
@@ -291,16 +297,16 @@ async fn recordings_quota_mb(client: &Client) -> String {
     "neither ends nor goes on".to_owned()
 }
 
-/// The most runs that are under way at once, of an experiment with eight runs that do not end.
+/// The maximum number of concurrent runs, of an experiment with eight runs that do not end.
 async fn experiment_threads(client: &Client, expected: &str) -> String {
     let toml = "name = 'long'\nreplicates = 8\nduration = 1e6\n[[grid]]\nn = 20\n";
     node_cmd(client, "experiment", json!({"submit": {"toml": toml}})).await;
     let key = keys::experiment(PREFIX, NODE, "long", "progress");
     let (began, mut most) = (Instant::now(), 0);
     let mut reached = None;
-    // All threads are started at once: what follows the expected ones is not far behind.
-    while began.elapsed() < PATIENCE && reached.is_none_or(|at: Instant| at.elapsed() < MOMENT) {
-        let progress = client.one(&key, None).await.unwrap();
+    // All threads start at once: one more than expected would start soon.
+    while began.elapsed() < TIMEOUT && reached.is_none_or(|at: Instant| at.elapsed() < MOMENT) {
+        let progress = client.query(&key, None).await.unwrap();
         most = usize::max(most, progress["running"].as_array().map_or(0, Vec::len));
         if most.to_string() == expected {
             reached.get_or_insert_with(Instant::now);

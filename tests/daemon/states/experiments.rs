@@ -1,19 +1,19 @@
-//! Experiments: what a change of state does to each thing that can be observed of them.
+//! Experiments: the effect of each change of state on everything that can be observed.
 
 use std::collections::BTreeSet;
 use std::time::Duration;
 
 use serde_json::{Map, Value, json};
 
-use super::{End, Look, Served, Table};
-use crate::experiments::{ok, progress, reach, rows, submit};
-use crate::support::{Client, beside_others, until};
+use super::{End, Observation, Served, Table};
+use crate::experiments::{ok, progress, rows, submit, wait_for_phase};
+use crate::support::{Client, until};
 
 fn many() -> String {
     "name = \"many\"\nseed = 3\nreplicates = 2000\nduration = 60\n[[grid]]\nn = [3, 4]\n".to_owned()
 }
 
-async fn look(client: &Client) -> Look {
+async fn observe(client: &Client) -> Observation {
     let rows = rows(client, "many", 1000).await;
     let progress = progress(client, "many").await;
     let name = |row: &Value| row["run"].as_str().unwrap().to_owned();
@@ -22,7 +22,7 @@ async fn look(client: &Client) -> Look {
     let is_still = progress["phase"] != "running";
     let without = is_still.then(|| progress["finished"].as_u64().unwrap() - rows.len() as u64);
     let results: Map<String, Value> = rows.iter().map(|row| (name(row), row.clone())).collect();
-    Look::from([
+    Observation::from([
         ("phase", progress["phase"].clone()),
         ("runs", progress["runs"].clone()),
         ("finished", progress["finished"].clone()),
@@ -40,7 +40,7 @@ async fn look(client: &Client) -> Look {
 }
 
 /// Waits until some more runs are finished.
-async fn goes_on(client: &Client, before: &Look) {
+async fn assert_continues(client: &Client, before: &Observation) {
     let finished = before["finished"].as_u64().unwrap();
     until("it goes on", async || {
         progress(client, "many").await["finished"].as_u64() >= Some(finished + 3)
@@ -51,16 +51,15 @@ async fn goes_on(client: &Client, before: &Look) {
 /// Waits until the step that each run is at is finished.
 async fn stands_still(client: &Client) {
     until("its runs stand still", async || {
-        let before = look(client).await;
+        let before = observe(client).await;
         tokio::time::sleep(Duration::from_millis(50)).await;
-        before == look(client).await
+        before == observe(client).await
     })
     .await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn after_each_change_of_an_experiment_what_starts_over_does_and_what_goes_on_does() {
-    let _machine = beside_others().await;
+async fn each_change_of_an_experiment_restarts_and_continues_the_values_in_the_table() {
     let mut table = Table::of("experiments");
     for change in [
         "pause",
@@ -79,7 +78,7 @@ async fn after_each_change_of_an_experiment_what_starts_over_does_and_what_goes_
         let name = json!({"name": "many"});
         let act = async |what: &str| ok(client, json!({what: name})).await;
         let made = json!({"finished": 0, "results": {}, "share": 0, "elapsed_secs": 0});
-        let made: Look = ["finished", "results", "share", "elapsed_secs"]
+        let made: Observation = ["finished", "results", "share", "elapsed_secs"]
             .map(|row| (row, made[row].clone()))
             .into();
         submit(client, &many()).await;
@@ -91,7 +90,7 @@ async fn after_each_change_of_an_experiment_what_starts_over_does_and_what_goes_
             act("pause").await;
             stands_still(client).await;
         }
-        let before = look(client).await;
+        let before = observe(client).await;
         match change {
             "pause" => {
                 act("pause").await;
@@ -101,15 +100,15 @@ async fn after_each_change_of_an_experiment_what_starts_over_does_and_what_goes_
             "pause, resume" | "cancel, resume" => {
                 act(change.split(',').next().unwrap()).await;
                 act("resume").await;
-                reach(client, "many", "running").await;
-                goes_on(client, &before).await;
+                wait_for_phase(client, "many", "running").await;
+                assert_continues(client, &before).await;
             }
             "deleted, submitted again" => {
                 act("cancel").await;
                 act("delete").await;
                 let mut submitted = submit(client, &many()).await;
                 assert_eq!(submitted["created"], true);
-                let mut after = Look::new();
+                let mut after = Observation::new();
                 for row in [
                     "phase",
                     "runs",
@@ -134,12 +133,12 @@ async fn after_each_change_of_an_experiment_what_starts_over_does_and_what_goes_
                 });
                 daemon = Served::on(data.path(), "").await;
                 if !change.starts_with("paused") {
-                    reach(&daemon.client, "many", "running").await;
-                    goes_on(&daemon.client, &before).await;
+                    wait_for_phase(&daemon.client, "many", "running").await;
+                    assert_continues(&daemon.client, &before).await;
                 }
             }
         }
-        let after = look(&daemon.client).await;
+        let after = observe(&daemon.client).await;
         table.judge(change, &made, &before, &after);
     }
     table.finish();

@@ -1,5 +1,5 @@
-//! What starts over and what goes on after a change of state: a table for each kind of thing, whose
-//! cells are what the documentation promises and not what the daemon does.
+//! Which values start over and which continue after a change of state: a table for each kind of thing,
+//! whose cells are what the documentation promises.
 
 mod experiments;
 mod page;
@@ -16,11 +16,11 @@ use std::time::Instant;
 
 use serde_json::Value;
 
-use crate::apart::jostled;
-use crate::support::{Client, NODE, PATIENCE};
+use crate::support::process::jostled;
+use crate::support::{Client, NODE, TIMEOUT};
 
-/// What was observed of one thing at one time, by the names of the table's rows.
-pub type Look = BTreeMap<&'static str, Value>;
+/// The observations of one thing at one time, by the names of the table's rows.
+pub type Observation = BTreeMap<&'static str, Value>;
 
 /// A literal table. The cells of a row are:
 ///
@@ -34,7 +34,7 @@ pub type Look = BTreeMap<&'static str, Value>;
 /// - `agrees`: a map that has under the names that it had before what it had, or nothing
 /// - `starts over`: a number that is 0 or 1, and was greater
 /// - `absent`: `null`, and was something
-/// - `refused CODE`: what was answered before is refused with this code
+/// - `refused CODE`: what was answered before is rejected with this code
 /// - `n/a N`: not applicable, for the reason in note N
 pub struct Table {
     changes: Vec<&'static str>,
@@ -114,7 +114,13 @@ impl Table {
     }
 
     /// Compares what was observed around a change with its column.
-    pub fn judge(&mut self, change: &'static str, made: &Look, before: &Look, after: &Look) {
+    pub fn judge(
+        &mut self,
+        change: &'static str,
+        made: &Observation,
+        before: &Observation,
+        after: &Observation,
+    ) {
         assert!(self.judged.insert(change), "{change} is judged once");
         let rows: BTreeSet<&str> = self.rows.iter().map(|(name, _)| *name).collect();
         for look in [made, before, after] {
@@ -157,7 +163,7 @@ fn same(a: &Value, b: &Value) -> bool {
     }
 }
 
-/// Checks one cell. A cell that would hold whatever the daemon did is a problem too.
+/// Checks one cell. A cell that would hold for every behaviour of the daemon is a problem too.
 fn holds(cell: &str, made: &Value, before: &Value, after: &Value) -> Result<(), &'static str> {
     let literal = |text: &str| -> Value {
         serde_json::from_str(text).unwrap_or_else(|_| panic!("no such cell: `{cell}`"))
@@ -192,8 +198,8 @@ fn holds(cell: &str, made: &Value, before: &Value, after: &Value) -> Result<(), 
         }
         cell => {
             if let Some(code) = cell.strip_prefix("refused ") {
-                let refused = Value::String(format!("refused {code}"));
-                shows(before != &refused).and(is(after == &refused))
+                let rejected = Value::String(format!("refused {code}"));
+                shows(before != &rejected).and(is(after == &rejected))
             } else if let Some(more) = cell.strip_prefix('+') {
                 let more: f64 = more.parse().unwrap();
                 is(after.as_f64() == before.as_f64().map(|it| it + more))
@@ -248,14 +254,14 @@ impl Served {
         self.child.wait().unwrap();
     }
 
-    /// Stops it in an orderly way.
+    /// Stops it with SIGTERM.
     pub fn stop(&mut self) {
         let pid = self.child.id().to_string();
         let signalled = Command::new("kill").args(["-TERM", &pid]).status();
         assert!(signalled.unwrap().success());
         let began = Instant::now();
         while self.child.try_wait().unwrap().is_none() {
-            assert!(began.elapsed() < PATIENCE, "it does not end");
+            assert!(began.elapsed() < TIMEOUT, "it does not end");
             std::thread::sleep(std::time::Duration::from_millis(2));
         }
         assert_eq!(self.child.wait().unwrap().code(), Some(0));

@@ -1,4 +1,4 @@
-//! The table in `docs/guarantees.md` says what the table of swarms says.
+//! The table in `docs/guarantees.md` equals the table of swarms.
 
 use super::{Table, text_of};
 
@@ -11,7 +11,7 @@ fn rows() -> Vec<Vec<&'static str>> {
     lines.skip(2).map(cells).collect()
 }
 
-/// How the page says what a cell says.
+/// The wording of a cell on the page.
 fn in_words(cell: &'static str) -> &'static str {
     match cell {
         "as made" => "as created",
@@ -27,7 +27,7 @@ fn in_words(cell: &'static str) -> &'static str {
 }
 
 #[test]
-fn the_page_says_what_the_table_says() {
+fn the_page_equals_the_table() {
     let table = Table::of("swarms");
     let columns = [
         &["reset"][..],

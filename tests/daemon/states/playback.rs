@@ -1,32 +1,40 @@
-//! Recordings that are shown: what a change of state does to each thing that can be observed.
+//! Playbacks: the effect of each change of state on everything that can be observed.
 
 use jostle_proto::keys;
 use serde_json::{Value, json};
 use tokio::task::JoinHandle;
 
-use super::{Look, Served, Table};
-use crate::replay::{show, take};
-use crate::streams::subscribe;
-use crate::support::{Answer, Client, PREFIX, beside_others, until};
+use super::{Observation, Served, Table};
+use crate::support::playback::{recorded_file, upload_and_open};
+use crate::support::streams::subscribe;
+use crate::support::{Client, PREFIX, QueryResult, until};
 
-async fn look(client: &Client) -> Look {
+async fn observe(client: &Client) -> Observation {
     let listed = client.node("swarms").await;
     let mut listed = listed["swarms"].as_array().unwrap().iter();
     let listed = listed.any(|it| it["swarm"] == "tape");
-    let first = |answers: Vec<Answer>| match answers.into_iter().next() {
+    let first = |answers: Vec<QueryResult>| match answers.into_iter().next() {
         Some(answer) => answer.unwrap(),
         None => Value::Null,
     };
-    let status = first(client.ask(&keys::get(PREFIX, "tape", "status"), None).await);
-    let events = first(client.ask(&keys::get(PREFIX, "tape", "events"), None).await);
+    let status = first(
+        client
+            .query_all(&keys::get(PREFIX, "tape", "status"), None)
+            .await,
+    );
+    let events = first(
+        client
+            .query_all(&keys::get(PREFIX, "tape", "events"), None)
+            .await,
+    );
     let state = format!("{}?format=json", keys::state(PREFIX, "tape"));
-    let state = first(client.ask(&state, None).await);
+    let state = first(client.query_all(&state, None).await);
     let result = &status["result"];
     let phase = match &status["phase"] {
         Value::Null => Value::Null,
         phase => json!([phase, result["reason"]]),
     };
-    Look::from([
+    Observation::from([
         ("phase", phase),
         ("frame shown", result["replay"]["frame"].clone()),
         ("position", result["replay"]["position"].clone()),
@@ -41,8 +49,8 @@ async fn look(client: &Client) -> Look {
     ])
 }
 
-/// What became of a query that waits.
-async fn waited(waiter: JoinHandle<Vec<Answer>>, has_ended: bool) -> Value {
+/// The result of a query that waits.
+async fn waited(waiter: JoinHandle<Vec<QueryResult>>, has_ended: bool) -> Value {
     if !has_ended && !waiter.is_finished() {
         return json!("waits");
     }
@@ -53,8 +61,7 @@ async fn waited(waiter: JoinHandle<Vec<Answer>>, has_ended: bool) -> Value {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn after_each_change_of_a_playback_what_starts_over_does_and_what_goes_on_does() {
-    let _machine = beside_others().await;
+async fn each_change_of_a_playback_restarts_and_continues_the_values_in_the_table() {
     let mut table = Table::of("playback");
     for change in [
         "pause",
@@ -69,10 +76,10 @@ async fn after_each_change_of_a_playback_what_starts_over_does_and_what_goes_on_
         let data = tempfile::tempdir().unwrap();
         let mut daemon = Served::on(data.path(), "").await;
         let client = &daemon.client;
-        let file = take(client).await;
-        show(client, "tape", &file).await.unwrap();
+        let file = recorded_file(client).await;
+        upload_and_open(client, "tape", &file).await.unwrap();
         let _states = subscribe(client, keys::state(PREFIX, "tape")).await;
-        let made = look(client).await;
+        let made = observe(client).await;
         client.ok("tape", "seek", json!({"step": 10})).await;
         let ends = async || {
             client
@@ -86,15 +93,15 @@ async fn after_each_change_of_a_playback_what_starts_over_does_and_what_goes_on_
         let run = json!({"rate": 0.001, "until_step": 190});
         client.ok("tape", "run", run).await;
         until("the frames are published", async || {
-            look(client).await["published frames"].as_u64() > Some(2)
+            observe(client).await["published frames"].as_u64() > Some(2)
         })
         .await;
         let key = keys::get(PREFIX, "tape", "wait?phase=faulted;timeout_secs=30");
         let asking = Client {
             session: client.session.clone(),
         };
-        let waiter = tokio::spawn(async move { asking.ask(&key, None).await });
-        let mut before = look(client).await;
+        let waiter = tokio::spawn(async move { asking.query_all(&key, None).await });
+        let mut before = observe(client).await;
         before.insert("get/wait for a fault", json!("waits"));
 
         if change.starts_with("pause") {
@@ -123,7 +130,7 @@ async fn after_each_change_of_a_playback_what_starts_over_does_and_what_goes_on_
             }
             _ => {}
         }
-        let mut after = look(&daemon.client).await;
+        let mut after = observe(&daemon.client).await;
         let has_ended = change == "daemon stops, starts";
         after.insert("get/wait for a fault", waited(waiter, has_ended).await);
         table.judge(change, &made, &before, &after);

@@ -1,4 +1,4 @@
-//! Recordings by the daemon: what a change of state does to each thing that can be observed of them.
+//! Recordings by the daemon: the effect of each change of state on everything that can be observed.
 
 use std::fs;
 use std::path::Path;
@@ -7,15 +7,15 @@ use jostle_proto::State;
 use jostle_results::recording::{parts, read};
 use serde_json::{Value, json};
 
-use super::{End, Look, Served, Table};
-use crate::crash::disk::Small;
-use crate::recording::{folder_of, has, ok, standing, stop};
-use crate::support::{Client, beside_others, until};
+use super::{End, Observation, Served, Table};
+use crate::support::recording::{folder_of, has, ok, recording_status, stop};
+use crate::support::small_disk::SmallDisk;
+use crate::support::{Client, until};
 
 /// Steps between two recorded states.
 const EVERY: u64 = 5;
 
-/// The whole parts with what they hold.
+/// The complete parts with their content.
 fn whole(data: &Path) -> Value {
     let parts = parts(&folder_of(data, "take")).unwrap().into_iter();
     parts
@@ -31,23 +31,23 @@ fn whole(data: &Path) -> Value {
         .collect()
 }
 
-async fn look(client: &Client, data: &Path) -> Look {
+async fn observe(client: &Client, data: &Path) -> Observation {
     let parts = whole(data);
     let list = client.node("recordings").await;
-    let standing = standing(client, "take").await;
+    let status = recording_status(client, "take").await;
     let full = |reason: &str| reason.contains("the disk is full");
-    let reason = match standing["reason"].as_str() {
+    let reason = match status["reason"].as_str() {
         Some(reason) if full(reason) => json!("the disk is full"),
-        _ => standing["reason"].clone(),
+        _ => status["reason"].clone(),
     };
-    Look::from([
-        ("phase", standing["phase"].clone()),
+    Observation::from([
+        ("phase", status["phase"].clone()),
         ("reason", reason),
-        ("frames", standing["frames"].clone()),
-        ("bytes", standing["bytes"].clone()),
+        ("frames", status["frames"].clone()),
+        ("bytes", status["bytes"].clone()),
         ("whole parts", parts),
-        ("missed", standing["missed"].clone()),
-        ("began_unix_secs", standing["began_unix_secs"].clone()),
+        ("missed", status["missed"].clone()),
+        ("began_unix_secs", status["began_unix_secs"].clone()),
         (
             "recordings",
             json!(list["recordings"].as_array().unwrap().len()),
@@ -55,7 +55,7 @@ async fn look(client: &Client, data: &Path) -> Look {
     ])
 }
 
-/// What is in the files of a recording that is over.
+/// The content of the files of a recording that has ended.
 async fn read_all(client: &Client, data: &Path) -> [(&'static str, Value); 2] {
     let mut states: Vec<(u64, u64)> = Vec::new();
     for part in parts(&folder_of(data, "take")).unwrap() {
@@ -76,10 +76,10 @@ async fn read_all(client: &Client, data: &Path) -> [(&'static str, Value); 2] {
         None if states.len() > 10 => json!("even"),
         odd => json!(format!("{} states, {odd:?}", states.len())),
     };
-    let told = standing(client, "take").await["frames"].clone();
-    let frames = match told == states.len() {
+    let reported = recording_status(client, "take").await["frames"].clone();
+    let frames = match reported == states.len() {
         true => json!("all"),
-        false => json!(format!("{told} told, {} there", states.len())),
+        false => json!(format!("{reported} reported, {} there", states.len())),
     };
     [
         ("steps in the files", steps),
@@ -87,8 +87,8 @@ async fn read_all(client: &Client, data: &Path) -> [(&'static str, Value); 2] {
     ]
 }
 
-/// A recording that has some whole parts of a swarm that runs.
-async fn begin(data: &Path, points: &str) -> (Served, Look, Look) {
+/// A recording of a running swarm, with some complete parts.
+async fn begin(data: &Path, points: &str) -> (Served, Observation, Observation) {
     // A part ends after this many milliseconds.
     let points = format!("recording-part=return(200){points}");
     let daemon = Served::on(data, &points).await;
@@ -99,16 +99,15 @@ async fn begin(data: &Path, points: &str) -> (Served, Look, Look) {
     ok(client, json!({"begin": args})).await;
     client.ok("school", "run", json!({})).await;
     has(client, "take", "parts", 2).await;
-    let mut before = look(client, data).await;
+    let mut before = observe(client, data).await;
     before.insert("steps in the files", json!("even"));
     before.insert("frames in the files", json!("all"));
-    let made = Look::from([("frames", json!(0)), ("bytes", json!(0))]);
+    let made = Observation::from([("frames", json!(0)), ("bytes", json!(0))]);
     (daemon, made, before)
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn after_each_change_of_a_recording_what_starts_over_does_and_what_goes_on_does() {
-    let _machine = beside_others().await;
+async fn each_change_of_a_recording_restarts_and_continues_the_values_in_the_table() {
     let mut table = Table::of("recordings");
     for change in [
         "swarm paused",
@@ -129,7 +128,7 @@ async fn after_each_change_of_a_recording_what_starts_over_does_and_what_goes_on
         };
         let (mut daemon, made, before) = begin(data, points).await;
         let client = &daemon.client;
-        let goes_on = async |client: &Client| {
+        let assert_continues = async |client: &Client| {
             let parts = before["whole parts"].as_array().unwrap().len() as u64;
             has(client, "take", "parts", parts + 2).await;
         };
@@ -138,17 +137,17 @@ async fn after_each_change_of_a_recording_what_starts_over_does_and_what_goes_on
             "swarm paused, run" => {
                 client.ok("school", "pause", json!({})).await;
                 client.ok("school", "run", json!({})).await;
-                goes_on(client).await;
+                assert_continues(client).await;
             }
             "swarm reset" => {
                 client.ok("school", "reset", json!({})).await;
                 client.ok("school", "run", json!({})).await;
-                goes_on(client).await;
+                assert_continues(client).await;
             }
             "swarm forked" => {
                 client.ok("school", "fork", json!({"name": "copy"})).await;
                 client.ok("copy", "step", json!({"steps": 50})).await;
-                goes_on(client).await;
+                assert_continues(client).await;
             }
             "swarm faulted" => {
                 let wait = "wait?phase=faulted;timeout_secs=20";
@@ -157,7 +156,7 @@ async fn after_each_change_of_a_recording_what_starts_over_does_and_what_goes_on
             "swarm deleted" => {
                 client.ok("school", "delete", json!({})).await;
                 until("it has ended", async || {
-                    standing(client, "take").await["phase"] != "recording"
+                    recording_status(client, "take").await["phase"] != "recording"
                 })
                 .await;
             }
@@ -169,14 +168,14 @@ async fn after_each_change_of_a_recording_what_starts_over_does_and_what_goes_on
                 });
                 daemon = Served::on(data, "recording-part=return(200)").await;
                 if change.contains("killed") {
-                    goes_on(&daemon.client).await;
+                    assert_continues(&daemon.client).await;
                 }
             }
         }
         let client = &daemon.client;
-        let mut after = look(client, data).await;
+        let mut after = observe(client, data).await;
         if change.starts_with("daemon stops") {
-            goes_on(client).await;
+            assert_continues(client).await;
         }
         stop(client, "take").await;
         after.extend(read_all(client, data).await);
@@ -187,19 +186,19 @@ async fn after_each_change_of_a_recording_what_starts_over_does_and_what_goes_on
 }
 
 async fn full_disk(table: &mut Table) {
-    let Some(disk) = Small::mount(16) else {
+    let Some(disk) = SmallDisk::mount(16) else {
         return;
     };
     let data = disk.path();
     let (daemon, made, before) = begin(data, "").await;
     let client = &daemon.client;
     until("it has failed", async || {
-        // What the end of a part gives back is taken at once.
+        // Fills the space that the end of a part frees.
         disk.fill_more();
-        standing(client, "take").await["phase"] == "failed"
+        recording_status(client, "take").await["phase"] == "failed"
     })
     .await;
-    let mut full = look(client, data).await;
+    let mut full = observe(client, data).await;
     full.extend(read_all(client, data).await);
     table.judge("disk full", &made, &before, &full);
     disk.make_room();
@@ -211,8 +210,8 @@ async fn full_disk(table: &mut Table) {
     })
     .await;
     let step = client.get("school", "status").await["step"].as_u64();
-    client.reach("school", step.unwrap() + 20).await;
-    let mut after = look(client, data).await;
+    client.wait_for_step("school", step.unwrap() + 20).await;
+    let mut after = observe(client, data).await;
     after.extend(read_all(client, data).await);
     table.judge("room again", &made, &full, &after);
 }

@@ -1,4 +1,4 @@
-//! Swarms: what a change of state does to each thing that can be observed of them.
+//! Swarms: the effect of each change of state on everything that can be observed.
 
 use std::fs;
 use std::path::Path;
@@ -9,14 +9,14 @@ use jostle_proto::{ErrorCode, Reply, Snapshot, keys};
 use serde_json::{Value, json};
 use tokio::task::JoinHandle;
 
-use super::{End, Look, Served, Table};
-use crate::crash::disk::Small;
-use crate::health::health;
-use crate::recording::{folder_of, has, stop};
-use crate::streams::{Subscriber, subscribe};
-use crate::support::{Answer, Client, NODE, PREFIX, beside_others, until};
+use super::{End, Observation, Served, Table};
+use crate::support::http::health;
+use crate::support::recording::{folder_of, has, stop};
+use crate::support::small_disk::SmallDisk;
+use crate::support::streams::{Subscriber, subscribe};
+use crate::support::{Client, NODE, PREFIX, QueryResult, until};
 
-/// Steps that the swarm which stands has taken when a change comes.
+/// The step of the paused swarm at a change.
 const STEPS: u64 = 60;
 
 /// How a swarm is prepared.
@@ -31,18 +31,18 @@ enum Kind {
 /// A swarm that differs in everything from how it was made.
 struct Prepared {
     name: &'static str,
-    made: Look,
-    before: Look,
-    /// A query that waits for a fault, and what became of it.
-    waiter: Option<JoinHandle<Vec<Answer>>>,
+    made: Observation,
+    before: Observation,
+    /// A query that waits for a fault, and its result.
+    waiter: Option<JoinHandle<Vec<QueryResult>>>,
     waited: Value,
-    /// A request that was carried out, and its reply.
+    /// A request that was executed, and its reply.
     sent: (Value, Value),
 }
 
-async fn node(client: &Client, verb: &str, args: Value) -> Answer {
+async fn node(client: &Client, verb: &str, args: Value) -> QueryResult {
     let key = keys::node_cmd(PREFIX, NODE, verb);
-    client.one(&key, Some(args.to_string().as_bytes())).await
+    client.query(&key, Some(args.to_string().as_bytes())).await
 }
 
 async fn snapshot(client: &Client, swarm: &str) -> Snapshot {
@@ -53,14 +53,14 @@ async fn snapshot(client: &Client, swarm: &str) -> Snapshot {
     reply.result
 }
 
-async fn restore(client: &Client, name: &str, snapshot: &Snapshot) -> Answer {
+async fn restore(client: &Client, name: &str, snapshot: &Snapshot) -> QueryResult {
     let snapshot = STANDARD.encode(jostle_proto::to_cbor(snapshot));
     let args = json!({"name": name, "snapshot": snapshot});
     node(client, "restore", args).await
 }
 
 /// The code of an error, or what `of` makes of a reply.
-fn code(answer: &Answer, of: impl FnOnce(&Value) -> Value) -> Value {
+fn code(answer: &QueryResult, of: impl FnOnce(&Value) -> Value) -> Value {
     match answer {
         Ok(reply) => of(reply),
         Err(error) => {
@@ -70,19 +70,19 @@ fn code(answer: &Answer, of: impl FnOnce(&Value) -> Value) -> Value {
     }
 }
 
-/// What waiters, events and the journal were answered, without what differs between two daemons.
+/// Replies to waits and gets of events and the journal, without values that differ between daemons.
 fn brief(list: &Value, fields: &[&str]) -> Value {
     let brief = |entry: &Value| -> Value { fields.iter().map(|it| entry[it].clone()).collect() };
     list.as_array().unwrap().iter().map(brief).collect()
 }
 
-/// What can be observed of a swarm by looking. `runs` is the swarm of the rows about one that runs.
-async fn look(daemon: &Served, name: &str, runs: Option<&str>) -> Look {
+/// Observations of a swarm by queries. `runs` is the swarm of the rows about a running one.
+async fn observe(daemon: &Served, name: &str, runs: Option<&str>) -> Observation {
     let client = &daemon.client;
     let status = client.get(name, "status").await;
     let result = &status["result"];
     let state = format!("{}?format=json", keys::state(PREFIX, name));
-    let state = client.one(&state, None).await.unwrap();
+    let state = client.query(&state, None).await.unwrap();
     let informed = state["id"].as_array().unwrap().iter();
     let informed = informed.zip(state["weight"].as_array().unwrap());
     let informed = informed.filter(|(_, weight)| weight.as_f64() > Some(0.0));
@@ -92,7 +92,7 @@ async fn look(daemon: &Served, name: &str, runs: Option<&str>) -> Look {
     let events = client.get(name, "events?limit=1000").await;
     let journal = client.get(name, "journal?limit=1000").await;
     let journal = &journal["result"]["entries"];
-    let verify = client.one(&keys::get(PREFIX, name, "verify"), None).await;
+    let verify = client.query(&keys::get(PREFIX, name, "verify"), None).await;
     let recordings = client.node("recordings").await;
     let recordings = recordings["recordings"].as_array().unwrap();
     let recording = recordings.iter().find(|it| it["recording"] == name);
@@ -105,7 +105,7 @@ async fn look(daemon: &Served, name: &str, runs: Option<&str>) -> Look {
         let event = json!([it["epoch"], it["step"], it["event"]]);
         (it["number"].to_string(), event)
     };
-    let mut look = Look::from([
+    let mut look = Observation::from([
         ("epoch", status["epoch"].clone()),
         ("step", status["step"].clone()),
         ("time", status["time"].clone()),
@@ -178,7 +178,7 @@ async fn look(daemon: &Served, name: &str, runs: Option<&str>) -> Look {
 }
 
 impl Prepared {
-    /// What became of the query that waits.
+    /// The result of the query that waits.
     async fn waited(&mut self, has_ended: bool) -> Value {
         if let Some(waiter) = self.waiter.take_if(|it| has_ended || it.is_finished()) {
             self.waited = match waiter.await.unwrap().first() {
@@ -190,18 +190,18 @@ impl Prepared {
     }
 }
 
-/// What can be observed of a swarm by sending it commands, which come after all that is looked at.
-async fn probe(client: &Client, name: &str, (request, reply): &(Value, Value)) -> Look {
+/// Observations of a swarm by commands, after all queries.
+async fn probe(client: &Client, name: &str, (request, reply): &(Value, Value)) -> Observation {
     let again = client.cmd(name, "inform", request.clone()).await;
     let again = code(&again, |it| match it == reply {
         true => json!("first reply"),
         false => it.clone(),
     });
-    let mut look = Look::from([("request sent again", again)]);
+    let mut look = Observation::from([("request sent again", again)]);
     let status = client.get(name, "status").await;
     let joined = status["result"]["controllers"] != 0;
     for _ in 0..3 {
-        // Whatever came before it is on the disk too once this is answered.
+        // Everything before it is durable too once this gets a reply.
         let set = client.cmd(name, "set", json!({"publish_every": 7})).await;
         look.insert("new command", code(&set, |_| json!("applied")));
         let stepped = if joined {
@@ -225,7 +225,7 @@ async fn probe(client: &Client, name: &str, (request, reply): &(Value, Value)) -
     look
 }
 
-/// A daemon in its second life that has swarms of these names, each made of a snapshot with three
+/// A restarted daemon with swarms of these names, each restored from a snapshot with three
 /// degraded steps.
 async fn begin(folder: &Path, points: &str, names: &[&str]) -> Served {
     let mut daemon = Served::on(folder, "").await;
@@ -247,8 +247,8 @@ async fn begin(folder: &Path, points: &str, names: &[&str]) -> Served {
 async fn prepare(daemon: &Served, data: &Path, name: &'static str, kind: Kind) -> Prepared {
     let client = &daemon.client;
     let runs = (kind == Kind::Runs).then_some(name);
-    let mut made = look(daemon, name, runs).await;
-    // Where it is made anew it has no degraded steps, and no reason why it was not created.
+    let mut made = observe(daemon, name, runs).await;
+    // A swarm that starts over has no degraded steps, and no reason.
     made.insert("verify", Value::Null);
     let begin = json!({"begin": {"swarm": name, "recording": name, "every": 5}});
     node(client, "record", begin).await.unwrap();
@@ -263,7 +263,7 @@ async fn prepare(daemon: &Served, data: &Path, name: &'static str, kind: Kind) -
     client
         .ok(name, "run", json!({"rate": 50, "until_step": 40}))
         .await;
-    client.reach(name, 40).await;
+    client.wait_for_step(name, 40).await;
     let set = json!({"pi3": 1.5, "publish_every": 7});
     client.ok(name, "set", set).await;
     let inform = json!({"select": {"ids": [3, 4, 5]}, "direction": 1.0});
@@ -286,7 +286,7 @@ async fn prepare(daemon: &Served, data: &Path, name: &'static str, kind: Kind) -
         Kind::Runs => {
             let request = json!({"rate": 4, "until_step": 1_000_000});
             client.ok(name, "run", request).await;
-            client.reach(name, STEPS).await;
+            client.wait_for_step(name, STEPS).await;
         }
     }
     // The last one makes all that came before it durable.
@@ -296,17 +296,17 @@ async fn prepare(daemon: &Served, data: &Path, name: &'static str, kind: Kind) -
     let asking = Client {
         session: client.session.clone(),
     };
-    let waiter = tokio::spawn(async move { asking.ask(&key, None).await });
+    let waiter = tokio::spawn(async move { asking.query_all(&key, None).await });
     until("the states are recorded and published", async || {
         let state = format!("{}?format=json", keys::state(PREFIX, name));
-        let frame = client.one(&state, None).await.unwrap()["frame"].as_u64();
+        let frame = client.query(&state, None).await.unwrap()["frame"].as_u64();
         let list = client.node("recordings").await;
         let mut list = list["recordings"].as_array().unwrap().iter();
         let recorded = list.any(|it| it["recording"] == name && it["frames"].as_u64() >= Some(13));
         recorded && frame > Some(5)
     })
     .await;
-    let mut before = look(daemon, name, runs).await;
+    let mut before = observe(daemon, name, runs).await;
     before.extend([
         ("get/wait for a fault", json!("waits")),
         ("request sent again", json!("first reply")),
@@ -323,15 +323,15 @@ async fn prepare(daemon: &Served, data: &Path, name: &'static str, kind: Kind) -
     }
 }
 
-/// A daemon with a swarm that stands and one that runs, and a reader of their states.
-struct World {
+/// A daemon with a paused and a running swarm, and a subscriber of their states.
+struct Scenario {
     daemon: Served,
     stands: Prepared,
     runs: Prepared,
     _states: Subscriber,
 }
 
-async fn world(data: &Path) -> World {
+async fn scenario(data: &Path) -> Scenario {
     let daemon = begin(data, "", &["school", "moving"]).await;
     let states = subscribe(&daemon.client, keys::state(PREFIX, "*")).await;
     let mut stands = prepare(&daemon, data, "school", Kind::Stands).await;
@@ -341,7 +341,7 @@ async fn world(data: &Path) -> World {
             stands.before.insert(row, value.clone());
         }
     }
-    World {
+    Scenario {
         daemon,
         stands,
         runs,
@@ -357,7 +357,7 @@ async fn judge(
     swarm: &mut Prepared,
     (name, runs): (&str, Option<&str>),
 ) {
-    let mut after = look(daemon, name, runs).await;
+    let mut after = observe(daemon, name, runs).await;
     let has_ended = matches!(change, "fault" | "stop, start" | "kill, start");
     if name == swarm.name {
         after.insert("get/wait for a fault", swarm.waited(has_ended).await);
@@ -367,13 +367,12 @@ async fn judge(
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn after_each_change_of_a_swarm_what_starts_over_does_and_what_goes_on_does() {
-    let _machine = beside_others().await;
+async fn each_change_of_a_swarm_restarts_and_continues_the_values_in_the_table() {
     let mut table = Table::of("swarms");
     let folder = || tempfile::tempdir().unwrap();
 
     let data = folder();
-    let mut it = world(data.path()).await;
+    let mut it = scenario(data.path()).await;
     for name in ["school", "moving"] {
         it.daemon.client.ok(name, "reset", json!({})).await;
     }
@@ -384,7 +383,7 @@ async fn after_each_change_of_a_swarm_what_starts_over_does_and_what_goes_on_doe
     copies(&mut table, folder().path()).await;
 
     let data = folder();
-    let mut it = world(data.path()).await;
+    let mut it = scenario(data.path()).await;
     let client = &it.daemon.client;
     client.ok("moving", "pause", json!({})).await;
     let step = client.get("moving", "status").await["step"].as_u64();
@@ -398,12 +397,12 @@ async fn after_each_change_of_a_swarm_what_starts_over_does_and_what_goes_on_doe
 
     for (how, change) in [(End::Stop, "stop, start"), (End::Kill, "kill, start")] {
         let data = folder();
-        let mut it = world(data.path()).await;
+        let mut it = scenario(data.path()).await;
         it.daemon.end(how);
         it.daemon = Served::on(data.path(), "").await;
         let client = &it.daemon.client;
         let step = it.stands.before["step of one that runs"].as_u64();
-        client.reach("moving", step.unwrap() + 1).await;
+        client.wait_for_step("moving", step.unwrap() + 1).await;
         let names = ("school", Some("moving"));
         judge(&mut table, change, &it.daemon, &mut it.stands, names).await;
     }
@@ -430,7 +429,7 @@ async fn faults(table: &mut Table, data: &Path) {
 
 /// A swarm that is forked and restored, and the copies.
 async fn copies(table: &mut Table, data: &Path) {
-    let mut it = world(data).await;
+    let mut it = scenario(data).await;
     let client = &it.daemon.client;
     for (name, copy) in [("school", "fork"), ("moving", "fork-of-moving")] {
         client.ok(name, "fork", json!({"name": copy})).await;
@@ -448,9 +447,9 @@ async fn copies(table: &mut Table, data: &Path) {
     let names = ("school", Some("moving"));
     judge(table, "fork: origin", &it.daemon, &mut it.stands, names).await;
 
-    // What was written down of a copy.
+    // The durable history of a fork.
     let data = tempfile::tempdir().unwrap();
-    let mut it = world(data.path()).await;
+    let mut it = scenario(data.path()).await;
     for (name, copy) in [("school", "fork"), ("moving", "fork-of-moving")] {
         let args = json!({"name": copy});
         it.daemon.client.ok(name, "fork", args).await;
@@ -462,18 +461,18 @@ async fn copies(table: &mut Table, data: &Path) {
     judge(table, change, &it.daemon, &mut it.stands, names).await;
 }
 
-/// A disk that is full, and has room again.
+/// A disk that is full, and has space again.
 async fn full_disk(table: &mut Table) {
-    let Some(disk) = Small::mount(16) else {
+    let Some(disk) = SmallDisk::mount(16) else {
         return;
     };
-    let mut it = world(disk.path()).await;
+    let mut it = scenario(disk.path()).await;
     let client = &it.daemon.client;
-    // One that changes nothing. What the store holds in reserve is used up by the other swarm.
+    // A command without effect. The other swarm uses up the reserve of the store.
     let same = json!({"publish_every": 7});
     disk.fill();
     until("the disk is full", async || {
-        // Room that a recording gives back is taken.
+        // Fills the space that a recording frees.
         disk.fill_more();
         let answer = client.cmd("moving", "set", same.clone()).await;
         answer.is_err_and(|error| error.code == ErrorCode::StorageFull)
@@ -481,7 +480,7 @@ async fn full_disk(table: &mut Table) {
     .await;
     let names = ("school", Some("moving"));
     judge(table, "full disk", &it.daemon, &mut it.stands, names).await;
-    it.stands.before = look(&it.daemon, "school", names.1).await;
+    it.stands.before = observe(&it.daemon, "school", names.1).await;
     it.stands.before.extend([
         ("get/wait for a fault", json!("waits")),
         ("request sent again", json!("first reply")),

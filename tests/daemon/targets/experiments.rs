@@ -6,7 +6,7 @@ use jostle_experiment::{Plan, PlanError};
 
 /// A file is an experiment of runs with names of their own, whose swarms can begin, or the line
 /// that is wrong is named.
-pub fn hold(data: &[u8]) {
+pub fn check(data: &[u8]) {
     let Ok(text) = std::str::from_utf8(data) else {
         return;
     };

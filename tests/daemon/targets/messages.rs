@@ -37,13 +37,14 @@ const READERS: [fn(&[u8]); 23] = [
     read::<NodeReply<NodeStatus>>,
     read::<NodeReply<Schemas>>,
     read::<NodeReply<Swarms>>,
-    // A spec is part of a request too, so it is the one that does not take what it does not know.
+    // A spec is part of a request too, so it alone rejects unknown fields.
     read_strictly::<Spec>,
     read::<Value>,
 ];
 
-/// What is read is read again from what it is written as, and beside a field of a later version.
-pub fn hold(data: &[u8]) {
+/// A message that is read is equal after it is written and read again, also with a field of a later
+/// version.
+pub fn check(data: &[u8]) {
     if let [kind, text @ ..] = data {
         READERS[usize::from(*kind) % READERS.len()](text);
     }

@@ -3,7 +3,7 @@
 use jostle_proto::keys;
 
 /// A name is what the rule says, and stays one chunk of a key that no wildcard is in.
-pub fn hold(data: &[u8]) {
+pub fn check(data: &[u8]) {
     let Ok(name) = std::str::from_utf8(data) else {
         return;
     };

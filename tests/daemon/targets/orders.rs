@@ -1,4 +1,4 @@
-//! Requests as the daemon makes orders of them, or refuses them in words.
+//! Requests as the daemon parses them to commands, or rejects them.
 
 use std::time::Duration;
 
@@ -18,9 +18,9 @@ const LIMITS: Limits = Limits {
     max_hz: 50,
 };
 
-/// The first byte chooses the verb. What is ordered is in range as far as can be told without a
-/// swarm; what is refused is refused in few words, by a code that is the sender's fault.
-pub fn hold(data: &[u8]) {
+/// The first byte chooses the verb. A parsed command is in range as far as is known without a
+/// swarm; a rejection has a short message and a code of the sender's fault.
+pub fn check(data: &[u8]) {
     let [verb, payload @ ..] = data else {
         return;
     };
@@ -48,7 +48,7 @@ pub fn hold(data: &[u8]) {
             }
         }
         None => {
-            // A verb that is no verb: whatever stands in the payload.
+            // An unknown verb, with any payload.
             let verb: String = String::from_utf8_lossy(payload).into_owned();
             let error = commands::read(&verb, &request).err();
             is_worded(&error.expect("no JSON is a verb"));
@@ -127,7 +127,7 @@ fn is_in_range(message: &CommandMessage, timeout: Duration) {
         }
         Command::Leave(controller) => assert!(keys::is_name(controller)),
         Command::Deadline(_) | Command::Lost(_) | Command::Control { .. } => {
-            panic!("nobody can order {command:?}")
+            panic!("no request is parsed to {command:?}")
         }
         Command::Annotate => {
             let args: Value = serde_json::from_str(&sender.args).unwrap();

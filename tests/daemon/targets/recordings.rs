@@ -1,4 +1,4 @@
-//! A recording in MCAP, as it is shown again.
+//! A recording in MCAP, as a playback reads it.
 
 use std::path::PathBuf;
 use std::process;
@@ -6,8 +6,8 @@ use std::thread;
 
 use jostled::playback::McapSource;
 
-/// A file is refused in words, or each of its frames can be read, in their order.
-pub fn hold(data: &[u8]) {
+/// A file is rejected with a message, or each of its frames can be read, in their order.
+pub fn check(data: &[u8]) {
     // One file for each thread that does this at the same time.
     let path: PathBuf = std::env::temp_dir().join(format!(
         "jostled-recording-{}-{:?}.mcap",

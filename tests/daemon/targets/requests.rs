@@ -12,8 +12,8 @@ use jostle_proto::{Arguments, Request, RequestError, SeekArgs};
 use serde::de::{DeserializeSeed, Deserializer, Error, MapAccess, SeqAccess};
 use serde::{Serialize, de::Visitor};
 
-/// What is read is read again from what it is written as; what is refused is refused in few words.
-pub fn hold(data: &[u8]) {
+/// A parsed request is equal after it is written and parsed again; a rejection has a short message.
+pub fn check(data: &[u8]) {
     let request = match Request::from_json(data) {
         Ok(request) => request,
         Err(error) => return is_short(&error),

@@ -6,9 +6,9 @@ use jostled::persistence::writer::{read_record, record};
 use jostled::swarm::journal::Record;
 use serde_json::value::RawValue;
 
-/// A row is read or refused in words. One that is read is written as the same row, and the command
-/// in it is read or refused as on recovery.
-pub fn hold(data: &[u8]) {
+/// A row is read or rejected with a message. One that is read is written as the same row, and the command
+/// in it is parsed or rejected as on recovery.
+pub fn check(data: &[u8]) {
     let read = match read_record(data) {
         Ok(read) => read,
         Err(error) => return assert!(!error.to_string().is_empty()),

@@ -5,8 +5,8 @@ use jostled::api::incoming;
 use jostled::convert::commands::{CommandError, wait};
 use zenoh::query::Parameters;
 
-/// What is waited for is one thing, a page is within its limits, and what is refused is worded.
-pub fn hold(data: &[u8]) {
+/// A wait has one condition, a page is within its limits, and a rejection has a message.
+pub fn check(data: &[u8]) {
     let Ok(text) = std::str::from_utf8(data) else {
         return;
     };

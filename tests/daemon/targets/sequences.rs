@@ -1,9 +1,9 @@
-//! Sequences of orders to a swarm, beside a plain model of what they may come to.
+//! Sequences of commands to a swarm, compared with a model.
 //!
-//! Bytes become orders. Each goes to a real swarm of at most four and to [`Model`], which knows
-//! steps, phases, numbers and what waits for its step, but no physics. Both must say the same:
-//! allowed or refused and with which error, which step was reached, and what there is to read
-//! about it afterwards.
+//! Bytes become commands. Each is sent to a real swarm of at most four and to [`Model`], which has
+//! steps, phases, numbers and scheduled commands, but no physics. Both must agree on
+//! whether a command is executed or rejected and with which error, on the step, and on the journal
+//! and events afterwards.
 
 #[path = "sequences/model.rs"]
 mod model;
@@ -30,15 +30,15 @@ use jostled::swarm::registry::{Created, Limits, SwarmRegistry};
 use jostled::swarm::runner::{JournalFactory, PersistNew, SwarmObserver};
 use jostled::swarm::sender::Sender;
 
-use model::{Came, Doing, FAST, LIMIT, Model, SLOW, Step, Told};
+use model::{Expected, FAST, Input, LIMIT, Model, ModelPhase, SLOW, Step};
 
-/// How many orders one sequence has at most.
-const MOST_ORDERS: usize = 24;
+/// Maximum number of commands in one sequence.
+const MAX_COMMANDS: usize = 24;
 
-/// How long any answer may take.
-const PATIENCE: Duration = Duration::from_secs(20);
+/// The timeout of a reply.
+const TIMEOUT: Duration = Duration::from_secs(20);
 
-/// Bytes as decisions; when they have run out, every decision is the first.
+/// Bytes as decisions; without further bytes every decision is the first.
 struct Bytes<'a>(&'a [u8]);
 
 impl Bytes<'_> {
@@ -62,16 +62,16 @@ impl Bytes<'_> {
         usize::try_from(self.below(end as u64)).expect("it is below a byte")
     }
 
-    /// A choice that is rarely made.
-    fn rarely(&mut self) -> bool {
+    /// True for one byte in eight.
+    fn one_in_eight(&mut self) -> bool {
         self.below(8) == 7
     }
 }
 
-/// Nobody listens to the swarm, and its end is known as soon as it ends.
-struct Silence(OnceLock<Weak<SwarmRegistry>>);
+/// An observer without clients, which releases a swarm when it ends.
+struct ReleasingObserver(OnceLock<Weak<SwarmRegistry>>);
 
-impl SwarmObserver for Silence {
+impl SwarmObserver for ReleasingObserver {
     fn started(&self, _: &str, reply: DeferredReply) {
         reply.send();
     }
@@ -104,19 +104,19 @@ impl PersistNew for NoStore {
     }
 }
 
-/// The same order for the swarm.
-fn order(told: &Told) -> Command {
-    match told {
-        Told::Run { until, rate } => Command::Run {
+/// The command for the swarm.
+fn order(input: &Input) -> Command {
+    match input {
+        Input::Run { until, rate } => Command::Run {
             until: until.map(Until::Step),
             rate: Some(*rate),
         },
-        Told::Pause => Command::Pause,
-        Told::Step(steps) => Command::Step(*steps),
-        Told::Change(step) => Command::Change(change(*step)),
-        Told::Batch(steps) => Command::Batch(steps.iter().map(|step| change(*step)).collect()),
-        Told::Reset => Command::Reset(None),
-        Told::Delete => Command::Delete,
+        Input::Pause => Command::Pause,
+        Input::Step(steps) => Command::Step(*steps),
+        Input::Change(step) => Command::Change(change(*step)),
+        Input::Batch(steps) => Command::Batch(steps.iter().map(|step| change(*step)).collect()),
+        Input::Reset => Command::Reset(None),
+        Input::Delete => Command::Delete,
     }
 }
 
@@ -141,8 +141,8 @@ fn change(step: Step) -> Change {
     }
 }
 
-/// The next order, and when it is to be carried out.
-fn next(bytes: &mut Bytes, model: &Model) -> (Told, When) {
+/// The next command, and its step.
+fn next(bytes: &mut Bytes, model: &Model) -> (Input, When) {
     let step = |bytes: &mut Bytes| match bytes.below(6) {
         0 => Step::Set(true),
         1 => Step::Inform(bytes.count(LIMIT + 2)),
@@ -151,23 +151,23 @@ fn next(bytes: &mut Bytes, model: &Model) -> (Told, When) {
         4 => Step::Remove(bytes.count(LIMIT + 2)),
         _ => Step::Set(false),
     };
-    let told = match bytes.below(9) {
-        0 | 1 => Told::Step(1 + bytes.below(6)),
-        2 => Told::Run {
-            // Without an end it would never settle.
+    let input = match bytes.below(9) {
+        0 | 1 => Input::Step(1 + bytes.below(6)),
+        2 => Input::Run {
+            // Without an end the swarm would run for ever.
             until: Some((model.step + bytes.below(8)).saturating_sub(1)),
             rate: FAST,
         },
-        3 => Told::Run {
-            until: bytes.rarely().then(|| model.step + bytes.below(3)),
+        3 => Input::Run {
+            until: bytes.one_in_eight().then(|| model.step + bytes.below(3)),
             rate: SLOW,
         },
-        4 => Told::Pause,
-        5 => Told::Change(step(bytes)),
-        6 => Told::Batch((0..=bytes.below(3)).map(|_| step(bytes)).collect()),
-        7 => Told::Reset,
-        _ if bytes.rarely() => Told::Delete,
-        _ => Told::Change(step(bytes)),
+        4 => Input::Pause,
+        5 => Input::Change(step(bytes)),
+        6 => Input::Batch((0..=bytes.below(3)).map(|_| step(bytes)).collect()),
+        7 => Input::Reset,
+        _ if bytes.one_in_eight() => Input::Delete,
+        _ => Input::Change(step(bytes)),
     };
     let when = When {
         at_step: match bytes.below(4) {
@@ -175,13 +175,13 @@ fn next(bytes: &mut Bytes, model: &Model) -> (Told, When) {
             2 => Some(model.step + bytes.below(6)),
             _ => Some(model.step.saturating_sub(1)),
         },
-        expect_epoch: bytes.rarely().then(|| model.epoch + bytes.below(2)),
-        expect_step: bytes.rarely().then(|| model.step + bytes.below(2)),
+        expect_epoch: bytes.one_in_eight().then(|| model.epoch + bytes.below(2)),
+        expect_step: bytes.one_in_eight().then(|| model.step + bytes.below(2)),
     };
-    (told, when)
+    (input, when)
 }
 
-/// The name of an error's variant, and of what is in it where that matters.
+/// The name of an error's variant, and of its content where that matters.
 fn name_of(error: &SwarmError) -> String {
     match error {
         SwarmError::InBatch { error, .. } => format!("InBatch({})", name_of(error)),
@@ -201,7 +201,7 @@ fn variant(error: &impl Debug) -> String {
 fn answers() -> (ReplyTo, Receiver<SwarmReply>) {
     let (sender, answers) = channel();
     let answer = move |answered| {
-        // Nobody waits any more when the sequence has failed.
+        // After a failure of the sequence the receiver is gone.
         let _ = sender.send(answered);
     };
     (ReplyTo::new(answer), answers)
@@ -209,11 +209,11 @@ fn answers() -> (ReplyTo, Receiver<SwarmReply>) {
 
 fn answer_from(answers: &Receiver<SwarmReply>) -> SwarmReply {
     answers
-        .recv_timeout(PATIENCE)
+        .recv_timeout(TIMEOUT)
         .expect("every order is answered")
 }
 
-fn look(handle: &Handle) -> (Stamp, Arc<Frame>) {
+fn query_state(handle: &Handle) -> (Stamp, Arc<Frame>) {
     let (answer, seen) = answers();
     handle.send(Message::Query(answer));
     match answer_from(&seen) {
@@ -222,12 +222,12 @@ fn look(handle: &Handle) -> (Stamp, Arc<Frame>) {
     }
 }
 
-/// Waits until a swarm does what the model does.
-fn settled(handle: &Handle, model: &Model) -> (Stamp, Arc<Frame>) {
-    let awaited = match model.doing {
-        // Answered when it stands still, whatever its step.
-        Doing::Paused => WaitCondition::Step(u64::MAX),
-        Doing::Running(_) | Doing::Stepping(_) => WaitCondition::Reached(model.step),
+/// Waits until a swarm is in the phase of the model.
+fn wait_until_idle(handle: &Handle, model: &Model) -> (Stamp, Arc<Frame>) {
+    let awaited = match model.phase {
+        // Gets a reply when the swarm is paused, at any step.
+        ModelPhase::Paused => WaitCondition::Step(u64::MAX),
+        ModelPhase::Running(_) | ModelPhase::Stepping(_) => WaitCondition::Reached(model.step),
     };
     loop {
         let (answer, arrived) = answers();
@@ -237,15 +237,15 @@ fn settled(handle: &Handle, model: &Model) -> (Stamp, Arc<Frame>) {
             reply_to: answer,
         }));
         assert!(answer_from(&arrived).is_ok());
-        let (stamp, frame) = look(handle);
-        // Of several orders for one step, an early one finds it standing and a later one does not.
-        if model.doing != Doing::Paused || !stamp.phase.is_moving() {
+        let (stamp, frame) = query_state(handle);
+        // Of several commands for one step, an early one may find the swarm paused and a later one running.
+        if model.phase != ModelPhase::Paused || !stamp.phase.is_moving() {
             return (stamp, frame);
         }
     }
 }
 
-/// A few in a row, apart enough that nobody is in anybody's way.
+/// Some individuals in a row, without contact.
 fn recipe(n: usize) -> Spec {
     Spec {
         n,
@@ -261,8 +261,8 @@ fn recipe(n: usize) -> Spec {
     }
 }
 
-/// Whatever is ordered, a swarm and its model come to the same.
-pub fn hold(data: &[u8]) {
+/// A swarm and its model agree for any sequence of commands.
+pub fn check(data: &[u8]) {
     let mut bytes = Bytes(data);
     let n = 1 + bytes.count(3);
     let limits = Limits {
@@ -271,7 +271,7 @@ pub fn hold(data: &[u8]) {
         max_memory_bytes: 1 << 30,
         max_hz: 1000,
     };
-    let herald = Arc::new(Silence(OnceLock::new()));
+    let herald = Arc::new(ReleasingObserver(OnceLock::new()));
     let host = Arc::new(SwarmRegistry::new(
         limits,
         herald.clone(),
@@ -286,15 +286,15 @@ pub fn hold(data: &[u8]) {
 
     let mut model = Model::new(n);
     let mut orders = 0;
-    while !bytes.is_empty() && orders < MOST_ORDERS && !model.deleted {
+    while !bytes.is_empty() && orders < MAX_COMMANDS && !model.deleted {
         orders += 1;
-        let (told, when) = next(&mut bytes, &model);
-        let expected = model.tell(&told, when);
-        model.settle();
+        let (input, when) = next(&mut bytes, &model);
+        let expected = model.apply_input(&input, when);
+        model.run_until_idle();
         let expected = expected.or_else(|| model.stepped.take());
         let (answer, answered) = answers();
         handle.send(Message::Command(CommandMessage {
-            command: order(&told),
+            command: order(&input),
             when,
             sender: Arc::new(Sender::default()),
             reply_to: answer,
@@ -307,49 +307,52 @@ pub fn hold(data: &[u8]) {
                 },
             )) => {
                 assert_eq!(seen.stamp.step, stamp.step);
-                Came::Stepped {
+                Expected::Stepped {
                     step: stamp.step,
                     taken: steps,
                 }
             }
-            Ok((_, Outcome::Scheduled(at_step))) => Came::Scheduled(at_step),
-            Ok((stamp, _)) => Came::Out {
+            Ok((_, Outcome::Scheduled(at_step))) => Expected::Scheduled(at_step),
+            Ok((stamp, _)) => Expected::Executed {
                 step: stamp.step,
                 seq: stamp.seq,
             },
-            Err(refusal) => Came::Refused(name_of(&refusal.error)),
+            Err(rejection) => Expected::Rejected(name_of(&rejection.error)),
         };
         assert_eq!(
             Some(&came),
             expected.as_ref(),
-            "{told:?} {when:?} {model:?}"
+            "{input:?} {when:?} {model:?}"
         );
         if !model.deleted {
-            is_as_told(&settled(&handle, &model), &model);
+            matches_model(&wait_until_idle(&handle, &model), &model);
         }
     }
     if model.deleted {
-        // It may yet have to step to where it is deleted.
-        let deadline = Instant::now() + PATIENCE;
+        // It may have to step to the step of its deletion.
+        let deadline = Instant::now() + TIMEOUT;
         while host.find("a").is_some() {
             assert!(Instant::now() < deadline, "it is still there: {model:?}");
             std::thread::yield_now();
         }
         let (answer, answered) = answers();
         handle.send(Message::Query(answer));
-        let refusal = answer_from(&answered).err();
-        assert!(matches!(refusal.map(|it| it.error), Some(SwarmError::Gone)));
+        let rejection = answer_from(&answered).err();
+        assert!(matches!(
+            rejection.map(|it| it.error),
+            Some(SwarmError::Gone)
+        ));
     }
     has_its_history(&handle, &model);
-    assert_eq!(host.stop(PATIENCE), 0);
+    assert_eq!(host.stop(TIMEOUT), 0);
 }
 
-/// Whether a swarm is where the model is.
-fn is_as_told((stamp, frame): &(Stamp, Arc<Frame>), model: &Model) {
+/// Whether a swarm agrees with the model.
+fn matches_model((stamp, frame): &(Stamp, Arc<Frame>), model: &Model) {
     let phase = match &stamp.phase {
-        Phase::Paused(_) => Doing::Paused,
-        Phase::Running { until } => Doing::Running(*until),
-        Phase::Stepping { until } => Doing::Stepping(*until),
+        Phase::Paused(_) => ModelPhase::Paused,
+        Phase::Running { until } => ModelPhase::Running(*until),
+        Phase::Stepping { until } => ModelPhase::Stepping(*until),
         Phase::Faulted(reason) => panic!("{reason}"),
     };
     let real = (
@@ -360,18 +363,18 @@ fn is_as_told((stamp, frame): &(Stamp, Arc<Frame>), model: &Model) {
         frame.configuration.n(),
     );
     let Model {
-        doing,
+        phase,
         epoch,
         step,
         seq,
         n,
         ..
     } = *model;
-    assert_eq!(real, (doing, epoch, step, seq, n), "{model:?}");
+    assert_eq!(real, (phase, epoch, step, seq, n), "{model:?}");
     assert_eq!(frame.scheduled, model.waiting.len(), "{model:?}");
 }
 
-/// Whether what can be read of a swarm is what happened to it.
+/// Whether the journal and the events of a swarm agree with the model.
 fn has_its_history(handle: &Handle, model: &Model) {
     let entries = handle.history.entries(0, 1000).records;
     let journal: Vec<_> = entries
@@ -385,7 +388,7 @@ fn has_its_history(handle: &Handle, model: &Model) {
     let count = |is: fn(&EventKind) -> bool| events.iter().filter(|it| is(&it.kind)).count();
     assert_eq!(
         count(|it| matches!(it, EventKind::Rejected(..))),
-        model.refused_later
+        model.rejected_later
     );
     assert_eq!(
         count(|it| matches!(it, EventKind::Scheduled(..))),

@@ -9,8 +9,8 @@ use jostled::cli::settings;
 use jostled::config::Config;
 
 /// A file, an environment and a flag, one after the other with NULs between them: either all
-/// values are in range, or what is wrong is named.
-pub fn hold(data: &[u8]) {
+/// values are in range, or the error names the setting.
+pub fn check(data: &[u8]) {
     let mut parts = data.split(|byte| *byte == 0);
     let mut text = || String::from_utf8_lossy(parts.next().unwrap_or_default()).into_owned();
     let (name, value, flag) = (text(), text(), text());

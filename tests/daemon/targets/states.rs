@@ -3,8 +3,8 @@
 use jostle_proto::verbs::StepResult;
 use jostle_proto::{Reply, State, to_cbor};
 
-/// What is read is read again from what it is written as, to the bit.
-pub fn hold(data: &[u8]) {
+/// A state that is read is equal, to the bit, after it is written and read again.
+pub fn check(data: &[u8]) {
     match State::from_cbor(data) {
         Ok(state) => {
             let written = state.to_cbor();

@@ -1,1 +1,1 @@
-"""What `tests/mutants/run` is made of."""
+"""The modules of `tests/mutants/run`."""

@@ -1,4 +1,4 @@
-"""A copy of the tree below target/mutants, in which one mutant at a time is made."""
+"""A copy of the tree below target/mutants, in which mutants are applied."""
 
 from __future__ import annotations
 
@@ -14,12 +14,13 @@ from pathlib import Path
 
 from .texts import ROOT, project_files
 
-# Of one test; one that a mutant keeps waiting for ever shows nothing.
+# The limit of one test; a test that a mutant makes wait for ever proves nothing.
 TIMEOUT_SECS = 600.0
 _FOLDER = ROOT / "target" / "mutants"
 _PACKAGES = {
     "proto": "jostle-proto",
-    "clients": "jostle-cli",
+    "clients/cli": "jostle-cli",
+    "clients/rust": "jostle-client",
     "crates/atomic-file": "jostle-atomic-file",
     "crates/convert": "jostle-convert",
     "crates/experiment": "jostle-experiment",
@@ -29,7 +30,7 @@ _PACKAGES = {
 
 
 class Place:
-    """The copy, its target directory, and what it takes over from the tree."""
+    """The copy, its target directory, and the build results copied from the tree."""
 
     def __init__(self) -> None:
         self.tree = _FOLDER / "tree"
@@ -38,7 +39,7 @@ class Place:
         self.python = str(ROOT / "target" / "venv" / "bin" / "python")
 
     def prepare(self) -> None:
-        """Brings the copy up to date, and what cargo has compiled from the tree."""
+        """Updates the copy, and the build results copied from the tree."""
         self.tree.mkdir(parents=True, exist_ok=True)
         self._lock()
         wanted = set(project_files(ROOT))
@@ -68,7 +69,7 @@ class Place:
         shutil.copy2(source, copy)
 
     def take_over_builds(self) -> None:
-        """Copies what cargo has compiled from the tree, so that only what a mutant changes is."""
+        """Copies what cargo has compiled from the tree: only changed packages are compiled."""
         release = self.target / "release"
         for folder in ("deps", "build", ".fingerprint"):
             for name, _, files in os.walk(self.built / folder):
@@ -86,7 +87,7 @@ class Place:
 
     @contextmanager
     def changed(self, files: dict[str, str]) -> Iterator[None]:
-        """Writes these texts into the copy, and takes them back in any case."""
+        """Writes these texts into the copy, and restores the original ones in any case."""
         before = {path: (self.tree / path).read_bytes() for path in files}
         times = {path: (self.tree / path).stat() for path in files}
         try:
@@ -95,8 +96,8 @@ class Place:
             yield
         finally:
             for path, content in before.items():
-                # First, so that nothing built from the mutant can be taken for what is built
-                # from the original, which keeps its time.
+                # First, so that cargo does not mistake a build of the mutant for one of the
+                # original, which keeps its modification time.
                 self._forget(Path(path))
                 (self.tree / path).write_bytes(content)
                 os.utime(self.tree / path, ns=(times[path].st_atime_ns, times[path].st_mtime_ns))
@@ -105,7 +106,7 @@ class Place:
         """Makes cargo compile the package of this file again."""
         if path.suffix in {".py", ".ts"}:
             return
-        depth = 2 if path.parts[0] == "crates" else 1
+        depth = 2 if path.parts[0] in {"clients", "crates"} else 1
         package = _PACKAGES.get("/".join(path.parts[:depth]), "jostled")
         for folder in self.target.glob(f"*/.fingerprint/{package}-*"):
             shutil.rmtree(folder)
@@ -142,7 +143,7 @@ class Place:
         try:
             output, _ = process.communicate(timeout=TIMEOUT_SECS if limited else None)
         finally:
-            # Also the daemons that the test has left behind.
+            # Also the daemons that the test did not stop.
             with suppress(ProcessLookupError):
                 os.killpg(process.pid, signal.SIGKILL)
             process.wait()

@@ -16,9 +16,9 @@ class Outcome(Enum):
     """How a run of one test ended."""
 
     PASSED = "passed"
-    # By an assertion or a panic of the test that was asked for.
+    # By an assertion or a panic of the selected test.
     FAILED = "failed"
-    # Not run at all, or ended without either.
+    # Not run, or ended without either result.
     OTHER = "neither passed nor failed"
 
 
@@ -35,7 +35,7 @@ class Suite:
     """Where the tests of a suite are, and which code they judge."""
 
     name: str
-    # Folders of the files that have the tests.
+    # Folders with the files of the tests.
     tests: tuple[str, ...]
     # Folders whose files a mutant of this suite may change.
     judges: tuple[str, ...]
@@ -68,7 +68,7 @@ class Cargo(Suite):
         """Whether the sources declare the test."""
         *modules, name = test.split("::")
         declared = re.compile(
-            # In a file in which a macro declares tests also by a name among its arguments.
+            # If a macro declares tests in the file, a name among its arguments counts, too.
             rf"\bfn {re.escape(name)}\(|fn \$.*^\w+!\([^)]*\b{re.escape(name)}\b",
             re.DOTALL | re.MULTILINE,
         )
@@ -171,6 +171,14 @@ _ALL = [
         opt_levels=("jostled=0",),
     ),
     Cargo(
+        "measured",
+        ("tests/measured",),
+        _DAEMON,
+        True,
+        targets="-p jostled --test measured",
+        opt_levels=("jostled=0",),
+    ),
+    Cargo(
         "physics",
         ("crates/physics/",),
         ("crates/physics/src/",),
@@ -184,8 +192,8 @@ _ALL = [
         targets="-p jostle-convert -p jostle-experiment --lib",
         opt_levels=("jostle-physics=1",),
     ),
-    # Without the daemon, which is made from them, too. The command line is named so that cargo
-    # selects the features that it does for all of the workspace, whose dependencies are compiled.
+    # Without the daemon, which depends on them. The command line is named so that cargo selects the
+    # same features as for the whole workspace, whose dependencies are compiled.
     Cargo(
         "proto",
         ("proto/src/", "proto/tests/"),
@@ -200,6 +208,14 @@ _ALL = [
         targets="-p jostle-results -p jostle-cli --lib",
         opt_levels=("jostle-results=1",),
     ),
+    Cargo(
+        "client",
+        ("clients/rust/src/",),
+        ("clients/rust/src/",),
+        True,
+        targets="-p jostle-client -p jostle-cli --lib",
+        opt_levels=("jostled=0",),
+    ),
     # The daemon's library is one of its dependencies, and is compiled once.
     Cargo(
         "cli-unit",
@@ -211,7 +227,7 @@ _ALL = [
     Cargo(
         "cli",
         ("clients/cli/tests/",),
-        ("clients/cli/src/",),
+        ("clients/cli/src/", "clients/rust/src/"),
         targets="--test cli",
         opt_levels=("jostle-cli=0", "jostled=0"),
     ),

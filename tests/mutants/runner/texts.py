@@ -1,4 +1,4 @@
-"""The mutants as they are written: TOML files in the folder `tests/mutants`."""
+"""Reads the mutants from the TOML files in the folder `tests/mutants`."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ ROOT = Path(__file__).resolve().parents[3]
 FOLDER = ROOT / "tests/mutants"
 VERDICTS = FOLDER / "verdicts.toml"
 _SUFFIXES = {".rs", ".py", ".ts"}
-# Folders with what was built or downloaded.
+# Folders with built or downloaded files.
 _SKIPPED = {"target", "node_modules", "__pycache__", ".git", ".venv", ".pytest_cache"}
 _SKIPPED_PATHS = {"clients/web/build"}
 
@@ -95,7 +95,7 @@ def groups(mutants: list[Mutant], sources: dict[str, str], size: int) -> list[li
                 break
         else:
             found.append([mutant])
-            # No further one fits into the group of one that is alone.
+            # A mutant that has to be alone is a full group.
             taken.append(own if not is_alone else {it.test for it in mutants})
     return found
 
@@ -105,7 +105,7 @@ def _return(replacement: str, _found: re.Match[str]) -> str:
 
 
 def project_files(root: Path) -> list[Path]:
-    """Returns the path of every file below `root`, but for what was built or downloaded."""
+    """Returns the path of every file below `root` that was not built or downloaded."""
     found = []
     for name, folders, files in os.walk(root):
         folder = Path(name)
@@ -165,7 +165,7 @@ def _mutant(file: str, table: dict[str, Any]) -> Mutant:
 
 
 def faults(mutants: list[Mutant], sources: dict[str, str]) -> list[str]:
-    """Returns what is wrong with the mutants as they are written, a line each."""
+    """Returns what is wrong with the mutants, a line each."""
     found = []
     for mutant in mutants:
         suite = SUITES[mutant.suite]

@@ -1,4 +1,4 @@
-"""What the last run of each mutant gave, in the checked-in file `tests/mutants/verdicts.toml`."""
+"""The verdict of the last run of each mutant, in the file `tests/mutants/verdicts.toml`."""
 
 from __future__ import annotations
 
@@ -8,13 +8,14 @@ from datetime import UTC, datetime
 
 from .texts import ROOT, VERDICTS, Mutant
 
-# How many commits to the sources a verdict may lie back.
+# The greatest age of a verdict, in commits to the sources.
 MAX_COMMITS = 100
 _SOURCES = [
     "src",
     "proto/src",
     "crates",
     "clients/cli/src",
+    "clients/rust/src",
     "clients/python/src",
     "clients/web/src",
 ]
@@ -41,7 +42,7 @@ def read() -> dict[str, dict[str, str]]:
 
 
 def commit_to_record() -> str:
-    """Returns the commit that a run of the tree as it is judges.
+    """Returns the commit of the tree, which a run judges.
 
     Raises:
         ValueError: If there is none.
@@ -76,7 +77,7 @@ def record(mutant: Mutant, verdict: str, commit: str, changes: int, known: list[
 
 
 def faults(mutants: list[Mutant]) -> tuple[list[str], list[str]]:
-    """Returns what is wrong with the verdicts, and what is to be said about them."""
+    """Returns the faults of the verdicts, and notes about them."""
     if not VERDICTS.exists():
         return [f"no verdicts: run tests/mutants/run --record ({VERDICTS.name} is missing)"], []
     verdicts = read()

@@ -1,21 +1,21 @@
-//! Controllers: those that a swarm waits for, those that leave or are late, and what they steer.
+//! Controllers in lock-step, that leave or are late, and the individuals that they steer.
 
 use jostle_proto::keys;
 use serde_json::{Value, json};
 
 use super::documents::Recorded;
-use super::lab::{Lab, args};
+use super::recording_client::{RecordingClient, args};
 use crate::support::{Client, PREFIX, until};
 
 /// A deadline that does not pass.
 const DEADLINE_SECS: f64 = 60.0;
 
-pub async fn play(recorded: &Recorded) {
-    let lab = Lab::start(recorded).await;
-    waited_for(&lab).await;
-    late(&lab).await;
-    steered(&lab).await;
-    lab.stop().await;
+pub async fn record_fixtures(recorded: &Recorded) {
+    let recorder = RecordingClient::start(recorded).await;
+    waited_for(&recorder).await;
+    late(&recorder).await;
+    steered(&recorder).await;
+    recorder.stop().await;
 }
 
 /// Arguments of a fixture, with another deadline.
@@ -25,14 +25,14 @@ fn options(fixture: &str, deadline_secs: f64) -> Value {
     options
 }
 
-async fn join(lab: &Lab<'_>, reply: &str, swarm: &str, options: Value) {
-    lab.cmd(reply, swarm, "join", options).await;
+async fn join(recorder: &RecordingClient<'_>, reply: &str, swarm: &str, options: Value) {
+    recorder.cmd(reply, swarm, "join", options).await;
 }
 
 /// Waits until a swarm waits for a controller.
-async fn awaits(lab: &Lab<'_>, swarm: &str, controller: &str) {
+async fn wait_for_controller(recorder: &RecordingClient<'_>, swarm: &str, controller: &str) {
     until("the controller is awaited", async || {
-        let status = lab.get("", swarm, "status").await;
+        let status = recorder.get("", swarm, "status").await;
         status["result"]["waiting_for"][0]["controller"] == controller
     })
     .await;
@@ -44,93 +44,98 @@ fn advance(controller: &str, more: Value) -> Value {
     json!({"timeout_secs": DEADLINE_SECS, "args": args})
 }
 
-async fn waited_for(lab: &Lab<'_>) {
+async fn waited_for(recorder: &RecordingClient<'_>) {
     let spec = json!({"n": 4, "seed": 1, "start": {"kind": "disc", "radius": 4.0}});
-    lab.create("school", spec).await;
+    recorder.create("school", spec).await;
     let ada = options("join.args", DEADLINE_SECS);
-    join(lab, "join.reply", "school", ada).await;
+    join(recorder, "join.reply", "school", ada).await;
     let mut bob = options("join.args.free_running", DEADLINE_SECS);
     bob["select"] = json!({"count": 1});
     bob["again"] = json!(false);
-    join(lab, "", "school", bob).await;
+    join(recorder, "", "school", bob).await;
     let eve = options("join.args.pause", DEADLINE_SECS);
-    join(lab, "", "school", eve).await;
-    // It is of no epoch that there is.
+    join(recorder, "", "school", eve).await;
+    // Its epoch does not exist.
     let stale = json!({"sequence": 1, "epoch": 7, "set": {"ids": [0], "direction": [1.0],
         "weight": [1.0]}});
-    let put = lab
+    let put = recorder
         .client
         .session
         .put(keys::ctl(PREFIX, "school", "bob"), stale.to_string());
     put.encoding("application/json").await.unwrap();
     let key = keys::cmd(PREFIX, "school", "advance");
     let first = advance("ada", json!({}));
-    let pending = lab.send(&key, Some(&first)).await;
-    awaits(lab, "school", "eve").await;
+    let pending = recorder.send(&key, Some(&first)).await;
+    wait_for_controller(recorder, "school", "eve").await;
     until("the put has come", async || {
-        let controllers = lab.get("", "school", "controllers").await;
+        let controllers = recorder.get("", "school", "controllers").await;
         controllers["result"]["controllers"][1]["puts"]["stale"] == 1
     })
     .await;
-    lab.get("status.reply", "school", "status").await;
-    lab.get("controllers.reply", "school", "controllers").await;
-    let eve = advance("eve", json!({"return": "state"}));
-    lab.cmd("advance.reply.state", "school", "advance", eve)
+    recorder.get("status.reply", "school", "status").await;
+    recorder
+        .get("controllers.reply", "school", "controllers")
         .await;
-    lab.take("", &pending).await;
+    let eve = advance("eve", json!({"return": "state"}));
+    recorder
+        .cmd("advance.reply.state", "school", "advance", eve)
+        .await;
+    recorder.record_reply("", &pending).await;
 }
 
-async fn late(lab: &Lab<'_>) {
+async fn late(recorder: &RecordingClient<'_>) {
     let cyd = json!({"controller": "cyd", "deadline_secs": 0.1, "on_timeout": "hold"});
-    join(lab, "", "school", cyd).await;
-    let other = Client::open(&lab.endpoint).await;
+    join(recorder, "", "school", cyd).await;
+    let other = Client::open(&recorder.endpoint).await;
     let token = keys::ctl_alive(PREFIX, "school", "dan");
     let token = other.session.liveliness().declare_token(token).await;
     let dan = json!({"controller": "dan", "deadline_secs": DEADLINE_SECS}).to_string();
     let key = keys::cmd(PREFIX, "school", "join");
-    other.one(&key, Some(dan.as_bytes())).await.unwrap();
+    other.query(&key, Some(dan.as_bytes())).await.unwrap();
     let remove = json!({"select": {"ids": [2]}});
-    lab.cmd("", "school", "remove", remove).await;
+    recorder.cmd("", "school", "remove", remove).await;
     let eve = json!({"controller": "eve"});
-    lab.cmd("", "school", "leave", eve).await;
+    recorder.cmd("", "school", "leave", eve).await;
     drop(token);
     other.session.close().await.unwrap();
     until("dan has left", async || {
-        let status = lab.get("", "school", "status").await;
+        let status = recorder.get("", "school", "status").await;
         status["result"]["controllers"] == 3
     })
     .await;
     let again = json!({"controller": "ada", "deadline_secs": DEADLINE_SECS, "again": true});
-    join(lab, "join.reply.again", "school", again).await;
+    join(recorder, "join.reply.again", "school", again).await;
     // After three missed deadlines cyd has left.
     for (reply, steps) in [("", 1), ("", 1), ("advance.reply", 10)] {
         let advance = advance("ada", json!({"steps": steps}));
-        lab.cmd(reply, "school", "advance", advance).await;
+        recorder.cmd(reply, "school", "advance", advance).await;
     }
-    lab.cmd("leave.reply", "school", "leave", args("leave.args"))
+    recorder
+        .cmd("leave.reply", "school", "leave", args("leave.args"))
         .await;
 }
 
-/// A snapshot with controllers, of which one drives.
-async fn steered(lab: &Lab<'_>) {
+/// A snapshot with controllers, one of which joined with `driving`.
+async fn steered(recorder: &RecordingClient<'_>) {
     let spec = json!({"n": 6, "seed": 1, "start": {"kind": "disc", "radius": 2.0}});
-    lab.create("crowd", spec).await;
+    recorder.create("crowd", spec).await;
     let mut ada = options("join.args", DEADLINE_SECS);
     ada["driving"] = json!(true);
-    join(lab, "", "crowd", ada).await;
+    join(recorder, "", "crowd", ada).await;
     let eve = options("join.args.pause", DEADLINE_SECS);
-    join(lab, "", "crowd", eve).await;
+    join(recorder, "", "crowd", eve).await;
     let set = json!({"ids": [1, 2], "direction": [0.5, -1.0], "weight": [0.75, 0.0],
         "turn": [0.5, null], "speed": [null, 0.25]});
     let mut request = advance("ada", json!({"set": set}));
     request["client"] = json!("ada@lab");
     request["request_id"] = json!("7c22");
     let key = keys::cmd(PREFIX, "crowd", "advance");
-    let pending = lab.send(&key, Some(&request)).await;
-    awaits(lab, "crowd", "eve").await;
-    lab.get("snapshot.reply.controllers", "crowd", "snapshot")
+    let pending = recorder.send(&key, Some(&request)).await;
+    wait_for_controller(recorder, "crowd", "eve").await;
+    recorder
+        .get("snapshot.reply.controllers", "crowd", "snapshot")
         .await;
     let eve = advance("eve", json!({}));
-    lab.cmd("", "crowd", "advance", eve).await;
-    lab.take("", &pending).await;
+    recorder.cmd("", "crowd", "advance", eve).await;
+    recorder.record_reply("", &pending).await;
 }

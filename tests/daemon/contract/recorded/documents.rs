@@ -1,4 +1,4 @@
-//! What the daemons of the scenario sent, by the name of the fixture.
+//! The messages that the daemons of the scenario sent, by the name of the fixture.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -18,10 +18,10 @@ use crate::contract::{proto, types};
 /// Writes the fixtures instead of comparing them.
 const RECORD: &str = "JOSTLE_RECORD";
 
-/// What a reader of the test is told to run.
+/// The command that a failure prints.
 const COMMAND: &str = "JOSTLE_RECORD=1 cargo test --release --test daemon recorded";
 
-/// What differs from run to run, and what stands in the fixture instead: the message, a JSON
+/// Values that differ from run to run, and their replacements in the fixture: the message, a JSON
 /// pointer in which `*` is every item, and the value. `null` is never replaced.
 const FIXED: &[(&str, &str, &str)] = &[
     ("event", "/unix_secs", "1795531201.25"),
@@ -151,8 +151,8 @@ pub struct Recorded {
 }
 
 impl Recorded {
-    /// Takes a document as the fixture of this name. The daemon's data folder is `/data` in it.
-    pub fn keep(&self, name: &str, document: &Document, data: &Path) {
+    /// Adds a document as the fixture of this name, with the daemon's data folder as `/data`.
+    pub fn add(&self, name: &str, document: &Document, data: &Path) {
         let message = message(name);
         let data = data.to_str().unwrap();
         let fix = |value: &mut Value| {
@@ -289,7 +289,7 @@ fn replace(value: &mut Value, text: &str, by: &str) {
     }
 }
 
-/// Where something that is not `null` is, of the places that a pointer with `*` points to.
+/// The pointers that a pointer with `*` matches and whose value is not `null`.
 fn places(value: &Value, pointer: &str) -> Vec<String> {
     let mut places = vec![String::new()];
     for part in pointer.split('/').skip(1) {
@@ -321,7 +321,7 @@ fn kind(value: &Value) -> &'static str {
     }
 }
 
-/// What a fixture has and what was recorded, where they first differ.
+/// The first difference of a fixture and the recorded document.
 fn difference(there: &[u8], recorded: &[u8]) -> Option<String> {
     if there == recorded {
         return None;

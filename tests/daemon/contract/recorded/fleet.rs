@@ -1,4 +1,4 @@
-//! A daemon that knows people, and two daemons that have a swarm of one name.
+//! A daemon with roles, and two daemons with a swarm of the same name.
 
 use jostle_proto::{Role, keys};
 use jostled::auth::folder::Folder;
@@ -7,16 +7,16 @@ use serde_json::json;
 use zenoh::Session;
 
 use super::documents::Recorded;
-use super::lab::{LAB, Lab};
-use crate::contested::fleet::{Place, Router};
+use super::recording_client::{FIXTURE_NODE, RecordingClient};
+use crate::contested::fleet::{RestartableDaemon, Router};
 use crate::support::{Client, PREFIX, until};
 
-pub async fn play(recorded: &Recorded) {
+pub async fn record_fixtures(recorded: &Recorded) {
     tokio::join!(people(recorded), contested(recorded));
 }
 
 /// A person's session.
-async fn enter(endpoint: &str, person: &str, password: &str) -> Session {
+async fn open_session(endpoint: &str, person: &str, password: &str) -> Session {
     let mut config = zenoh::Config::default();
     for (key, value) in [
         ("mode", json!("client")),
@@ -34,7 +34,7 @@ async fn enter(endpoint: &str, person: &str, password: &str) -> Session {
 
 async fn people(recorded: &Recorded) {
     let base = tempfile::tempdir().unwrap();
-    let folder = Folder::at(base.path().join("auth"));
+    let folder = Folder::new(base.path().join("auth"));
     let people = [
         ("anna", Role::Controller),
         ("ben", Role::Viewer),
@@ -43,7 +43,7 @@ async fn people(recorded: &Recorded) {
     let people = people.map(|(name, role)| (name.to_owned(), role));
     issue::init(&folder, &[], &people).unwrap();
     let auth = folder.path().to_str().unwrap();
-    let (life, data) = Lab::life("", &["--auth-dir", auth]);
+    let (process, data) = RecordingClient::start_daemon("", &["--auth-dir", auth]);
     // zenoh forwards no command of a session whose person may not send it: here the token says so.
     for (name, person, whose) in [
         ("node.whoami.reply", "anna", "anna"),
@@ -51,45 +51,50 @@ async fn people(recorded: &Recorded) {
         ("error.permission_denied", "olga", "ben"),
     ] {
         let password = folder.credentials(person).unwrap().password;
-        let session = enter(&life.endpoint, person, &password).await;
+        let session = open_session(&process.endpoint, person, &password).await;
         let token = Some(folder.credentials(whose).unwrap().token);
         let data = data.path().to_owned();
-        let lab = Lab::client(recorded, Client { session }, token, data);
+        let recorder = RecordingClient::client(recorded, Client { session }, token, data);
         if name.starts_with("error.") {
             let create = json!({"name": "school", "spec": {"n": 4}});
-            lab.node_cmd(name, "create", create).await;
+            recorder.node_cmd(name, "create", create).await;
         } else {
-            lab.node_get(name, "whoami").await;
+            recorder.node_get(name, "whoami").await;
         }
-        lab.stop().await;
+        recorder.stop().await;
     }
 }
 
 /// Two daemons behind a router, each with a swarm `school`.
 async fn contested(recorded: &Recorded) {
-    let (lab, attic) = (Place::new(LAB), Place::new("attic"));
+    let (first, attic) = (
+        RestartableDaemon::new(FIXTURE_NODE),
+        RestartableDaemon::new("attic"),
+    );
     attic.prepare(&["school"]).await;
-    let _lab = lab.start();
-    let router = Router::to(&[&lab.endpoint, &attic.endpoint]);
+    let _first = first.start();
+    let router = Router::connected_to(&[&first.endpoint, &attic.endpoint]);
     let client = Client::open(&router.1).await;
     let data = attic.folder.path().to_owned();
-    let lab = Lab::client(recorded, client, None, data);
+    let recorder = RecordingClient::client(recorded, client, None, data);
     until("the router is connected", async || {
-        let hello = keys::node_get(PREFIX, LAB, "hello");
-        !lab.client.ask(&hello, None).await.is_empty()
+        let hello = keys::node_get(PREFIX, FIXTURE_NODE, "hello");
+        !recorder.client.query_all(&hello, None).await.is_empty()
     })
     .await;
-    lab.create("school", json!({"n": 4, "seed": 1})).await;
+    recorder.create("school", json!({"n": 4, "seed": 1})).await;
     let _attic = attic.start();
     let swarms = keys::node_get(PREFIX, "attic", "swarms");
     until("the daemons know of each other", async || {
-        let answers = lab.client.ask(&swarms, None).await;
+        let answers = recorder.client.query_all(&swarms, None).await;
         matches!(&answers[..], [Ok(reply)]
-            if reply["result"]["swarms"][0]["contested_by"] == LAB)
+            if reply["result"]["swarms"][0]["contested_by"] == FIXTURE_NODE)
     })
     .await;
     let record = keys::node_cmd(PREFIX, "attic", "record");
     let begin = json!({"begin": {"swarm": "school"}});
-    lab.ask("error.contested", &record, Some(&begin)).await;
-    lab.stop().await;
+    recorder
+        .query("error.contested", &record, Some(&begin))
+        .await;
+    recorder.stop().await;
 }

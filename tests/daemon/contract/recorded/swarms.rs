@@ -1,4 +1,4 @@
-//! Other specs, a crowd that is kept as a snapshot, histories that are verified, and the errors of
+//! Other specs, a snapshot of a crowd, histories that are verified, and the errors of
 //! requests that cannot be executed.
 
 use std::time::Instant;
@@ -9,14 +9,14 @@ use jostle_proto::{Reply, Snapshot, keys, to_cbor};
 use serde_json::{Value, json};
 
 use super::documents::Recorded;
-use super::lab::{Lab, args};
-use super::story::STANDING;
-use crate::crash::life::{self, Life};
-use crate::support::{Client, PATIENCE, PREFIX};
+use super::lifecycle::STANDING;
+use super::recording_client::{RecordingClient, args};
+use crate::support::daemon_process::{self, DaemonProcess};
+use crate::support::{Client, PREFIX, TIMEOUT};
 use crate::verify::{self, Alteration};
 
-pub async fn play(recorded: &Recorded) {
-    let lab = Lab::start(recorded).await;
+pub async fn record_fixtures(recorded: &Recorded) {
+    let recorder = RecordingClient::start(recorded).await;
     for (variant, swarm) in [
         ("metric", "near"),
         ("power", "far"),
@@ -24,88 +24,109 @@ pub async fn play(recorded: &Recorded) {
         ("voronoi", "tiles"),
     ] {
         let create = args(&format!("create.args.{variant}"));
-        lab.node_cmd("", "create", create).await;
-        lab.get(&format!("spec.reply.{variant}"), swarm, "spec")
+        recorder.node_cmd("", "create", create).await;
+        recorder
+            .get(&format!("spec.reply.{variant}"), swarm, "spec")
             .await;
     }
-    crowd(&lab).await;
-    errors(&lab).await;
-    verifying(&lab).await;
-    lab.stop().await;
+    crowd(&recorder).await;
+    errors(&recorder).await;
+    verifying(&recorder).await;
+    recorder.stop().await;
     altered(recorded).await;
 }
 
 /// A crowd at step 30 with a command that waits for step 100.
-pub async fn create_crowd(lab: &Lab<'_>, steps: u64) {
+pub async fn create_crowd(recorder: &RecordingClient<'_>, steps: u64) {
     let spec = json!({"n": 6, "seed": 1, "start": {"kind": "disc", "radius": 2.0}});
-    lab.create("crowd", spec).await;
-    lab.cmd("", "crowd", "step", json!({"steps": steps})).await;
+    recorder.create("crowd", spec).await;
+    recorder
+        .cmd("", "crowd", "step", json!({"steps": steps}))
+        .await;
     let inform = json!({"select": {"ids": [3]}, "direction": 0.5, "weight": 1.5, "for_time": 10.0});
-    lab.cmd("", "crowd", "inform", inform).await;
+    recorder.cmd("", "crowd", "inform", inform).await;
     let later = json!({"request_id": "7c20", "client": "ada@lab", "at_step": 100,
         "args": {"pi3": 1.2}});
-    lab.cmd("", "crowd", "set", later).await;
+    recorder.cmd("", "crowd", "set", later).await;
 }
 
-async fn crowd(lab: &Lab<'_>) {
-    create_crowd(lab, 30).await;
-    lab.get("snapshot.reply", "crowd", "snapshot").await;
+async fn crowd(recorder: &RecordingClient<'_>) {
+    create_crowd(recorder, 30).await;
+    recorder.get("snapshot.reply", "crowd", "snapshot").await;
     let key = keys::get(PREFIX, "crowd", "snapshot");
-    let document = lab.receive("", &lab.send(&key, None).await).await;
+    let document = recorder.receive("", &recorder.send(&key, None).await).await;
     let reply: Reply<Snapshot> = ciborium::from_reader(&*document.bytes).unwrap();
     let snapshot = STANDARD.encode(to_cbor(&reply.result));
     let restore = json!({"name": "shoal", "snapshot": snapshot});
-    lab.node_cmd("restore.reply", "restore", restore).await;
+    recorder.node_cmd("restore.reply", "restore", restore).await;
     let run = json!({"until_step": 90, "rate": STANDING});
-    lab.cmd("", "crowd", "run", run).await;
-    lab.get("", "crowd", "wait?step=31").await;
+    recorder.cmd("", "crowd", "run", run).await;
+    recorder.get("", "crowd", "wait?step=31").await;
     let note = args("annotate.args");
-    lab.cmd("annotate.reply", "crowd", "annotate", note).await;
-    lab.get("snapshot.reply.running", "crowd", "snapshot").await;
+    recorder
+        .cmd("annotate.reply", "crowd", "annotate", note)
+        .await;
+    recorder
+        .get("snapshot.reply.running", "crowd", "snapshot")
+        .await;
     let step = json!({});
-    lab.cmd("error.incorrect_state", "crowd", "step", step)
+    recorder
+        .cmd("error.incorrect_state", "crowd", "step", step)
         .await;
 }
 
-async fn errors(lab: &Lab<'_>) {
+async fn errors(recorder: &RecordingClient<'_>) {
     let spec = json!({"n": 4, "seed": 1, "start": {"kind": "disc", "radius": 4.0}});
-    lab.create("school", spec).await;
+    recorder.create("school", spec).await;
     let another = json!({"name": "school", "spec": {"n": 5}});
-    lab.node_cmd("error.already_exists", "create", another)
+    recorder
+        .node_cmd("error.already_exists", "create", another)
         .await;
     let wrong = json!({"pi1": 33});
-    lab.cmd("error.invalid_argument", "school", "set", wrong)
+    recorder
+        .cmd("error.invalid_argument", "school", "set", wrong)
         .await;
-    lab.cmd("error.not_found", "school", "jump", json!({}))
+    recorder
+        .cmd("error.not_found", "school", "jump", json!({}))
         .await;
-    lab.cmd("", "school", "step", json!({})).await;
+    recorder.cmd("", "school", "step", json!({})).await;
     let elsewhere = json!({"expect_step": 10_000, "args": {}});
-    lab.cmd("error.conflict", "school", "pause", elsewhere)
+    recorder
+        .cmd("error.conflict", "school", "pause", elsewhere)
         .await;
     let narrow = json!({"n": 2000, "start": {"kind": "disc", "radius": 10.0}});
     let narrow = json!({"name": "narrow", "spec": narrow});
-    lab.node_cmd("error.resource_exhausted", "create", narrow)
+    recorder
+        .node_cmd("error.resource_exhausted", "create", narrow)
         .await;
 }
 
-/// A history that leads to what there is, and the status of a swarm whose history is verified.
-async fn verifying(lab: &Lab<'_>) {
-    lab.cmd("", "school", "step", json!({"steps": 1000})).await;
-    lab.get("verify.reply", "school", "verify").await;
-    lab.create("long", json!({"n": 20, "seed": 1})).await;
-    lab.cmd("", "long", "step", json!({"steps": 5000})).await;
+/// A history that `verify` confirms, and the status of a swarm while its history is verified.
+async fn verifying(recorder: &RecordingClient<'_>) {
+    recorder
+        .cmd("", "school", "step", json!({"steps": 1000}))
+        .await;
+    recorder.get("verify.reply", "school", "verify").await;
+    recorder.create("long", json!({"n": 20, "seed": 1})).await;
+    recorder
+        .cmd("", "long", "step", json!({"steps": 5000}))
+        .await;
     let status = keys::get(PREFIX, "long", "status");
-    let deadline = Instant::now() + PATIENCE;
+    let deadline = Instant::now() + TIMEOUT;
     loop {
         assert!(Instant::now() < deadline, "no status says it");
-        let verify = lab.send(&keys::get(PREFIX, "long", "verify"), None).await;
+        let verify = recorder
+            .send(&keys::get(PREFIX, "long", "verify"), None)
+            .await;
         let mut is_seen = false;
         while !is_seen && verify.is_empty() {
-            let seen = lab.receive("", &lab.send(&status, None).await).await;
+            let seen = recorder
+                .receive("", &recorder.send(&status, None).await)
+                .await;
             let value: Value = serde_json::from_slice(&seen.bytes).unwrap();
             is_seen = value["result"]["verifying"].is_number();
             if is_seen {
-                lab.keep("status.reply.verifying", &seen);
+                recorder.record_document("status.reply.verifying", &seen);
             }
         }
         verify.recv_async().await.unwrap();
@@ -120,9 +141,9 @@ async fn altered(recorded: &Recorded) {
     let folder = tempfile::tempdir().unwrap();
     verify::fill(folder.path()).await;
     let altered = verify::altered(folder.path(), Alteration::Hash(1, 1000), true);
-    let life = Life::begin(&mut life::daemon(altered.path())).unwrap();
-    let client = Client::open(&life.endpoint).await;
-    let lab = Lab::of(recorded, life, client, altered);
-    lab.get("verify.reply.differs", "a", "verify").await;
-    lab.stop().await;
+    let process = DaemonProcess::start(&mut daemon_process::daemon(altered.path())).unwrap();
+    let client = Client::open(&process.endpoint).await;
+    let recorder = RecordingClient::with_daemon(recorded, process, client, altered);
+    recorder.get("verify.reply.differs", "a", "verify").await;
+    recorder.stop().await;
 }

@@ -1,4 +1,4 @@
-//! A swarm without bodies: steps, phases, numbers, and what waits for its step.
+//! A model of a swarm without bodies: steps, phases, numbers and scheduled commands.
 
 use std::collections::BTreeMap;
 
@@ -7,7 +7,7 @@ use jostled::swarm::command::When;
 /// How many individuals the swarm may grow to.
 pub const LIMIT: usize = 4;
 
-/// So slow that after the first step of a run no second one comes.
+/// So slow that a run takes one step only.
 pub const SLOW: Option<f64> = Some(1e-6);
 
 /// As fast as possible.
@@ -15,13 +15,13 @@ pub const FAST: Option<f64> = None;
 
 /// What phase the model is in.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Doing {
+pub enum ModelPhase {
     Paused,
     Running(Option<u64>),
     Stepping(u64),
 }
 
-/// A change as the model sees it.
+/// A change of the model.
 #[derive(Clone, Copy, Debug)]
 pub enum Step {
     /// `pi3`, in range or not.
@@ -32,9 +32,9 @@ pub enum Step {
     Remove(usize),
 }
 
-/// An order as the model sees it.
+/// A command of the model.
 #[derive(Clone, Debug)]
-pub enum Told {
+pub enum Input {
     Run {
         until: Option<u64>,
         rate: Option<f64>,
@@ -47,23 +47,23 @@ pub enum Told {
     Delete,
 }
 
-/// What an order came to, as far as the model can tell.
+/// The result that the model expects of a command.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Came {
-    /// It was carried out, at this step and with this `seq`.
-    Out { step: u64, seq: u64 },
-    /// It took so many steps, up to this one.
+pub enum Expected {
+    /// It is executed, at this step and with this `seq`.
+    Executed { step: u64, seq: u64 },
+    /// It takes so many steps, up to this one.
     Stepped { step: u64, taken: u64 },
     /// It waits for this step.
     Scheduled(u64),
-    /// It was refused, by this variant of the error.
-    Refused(String),
+    /// It is rejected, with this variant of the error.
+    Rejected(String),
 }
 
 /// A swarm without bodies.
 #[derive(Debug)]
 pub struct Model {
-    pub doing: Doing,
+    pub phase: ModelPhase,
     pub step: u64,
     pub epoch: u64,
     pub seq: u64,
@@ -72,14 +72,14 @@ pub struct Model {
     pub rate: Option<f64>,
     /// Whether a slow run has its first step still to take.
     pub is_due: bool,
-    pub waiting: BTreeMap<(u64, u64), Told>,
+    pub waiting: BTreeMap<(u64, u64), Input>,
     pub arrived: u64,
-    /// Where the `step` began that waits for its answer, and what it was answered.
+    /// The step at which the pending `step` began, and its reply.
     pub pending: Option<u64>,
-    pub stepped: Option<Came>,
+    pub stepped: Option<Expected>,
     /// Those applied, as (seq, epoch, step).
     pub journal: Vec<(u64, u64, u64)>,
-    pub refused_later: usize,
+    pub rejected_later: usize,
     pub scheduled: usize,
     pub deleted: bool,
 }
@@ -87,7 +87,7 @@ pub struct Model {
 impl Model {
     pub fn new(n: usize) -> Self {
         Model {
-            doing: Doing::Paused,
+            phase: ModelPhase::Paused,
             step: 0,
             epoch: 1,
             seq: 0,
@@ -100,60 +100,62 @@ impl Model {
             pending: None,
             stepped: None,
             journal: Vec::new(),
-            refused_later: 0,
+            rejected_later: 0,
             scheduled: 0,
             deleted: false,
         }
     }
 
-    /// What an order comes to before anything moves; `None` for a `step`, which is answered later.
-    pub fn tell(&mut self, told: &Told, when: When) -> Option<Came> {
-        let refused = |name: &str| Some(Came::Refused(name.to_owned()));
+    /// The result of a command before the swarm steps; `None` for a `step`, whose reply comes later.
+    pub fn apply_input(&mut self, input: &Input, when: When) -> Option<Expected> {
+        let rejected = |name: &str| Some(Expected::Rejected(name.to_owned()));
         let wrong = |expected: Option<u64>, actual| expected.is_some_and(|it| it != actual);
         if wrong(when.expect_epoch, self.epoch) || wrong(when.expect_step, self.step) {
-            return refused("Conflict");
+            return rejected("Conflict");
         }
         match when.at_step {
-            Some(at_step) if at_step < self.step => refused("Late"),
+            Some(at_step) if at_step < self.step => rejected("Late"),
             Some(at_step) if at_step > self.step => {
-                if let Some(name) = cannot_wait(told) {
-                    return refused(&name);
+                if let Some(name) = cannot_wait(input) {
+                    return rejected(&name);
                 }
                 self.arrived += 1;
                 self.scheduled += 1;
-                self.waiting.insert((at_step, self.arrived), told.clone());
-                Some(Came::Scheduled(at_step))
+                self.waiting.insert((at_step, self.arrived), input.clone());
+                Some(Expected::Scheduled(at_step))
             }
-            _ => match self.execute(told) {
-                Ok(()) if matches!(told, Told::Step(_)) => {
+            _ => match self.execute(input) {
+                Ok(()) if matches!(input, Input::Step(_)) => {
                     self.stepped = None;
                     None
                 }
-                Ok(()) => Some(Came::Out {
+                Ok(()) => Some(Expected::Executed {
                     step: self.step,
                     seq: self.seq,
                 }),
-                Err(name) => Some(Came::Refused(name)),
+                Err(name) => Some(Expected::Rejected(name)),
             },
         }
     }
 
-    /// Carries an order out, or says by which error it is refused.
-    fn execute(&mut self, told: &Told) -> Result<(), String> {
+    /// Executes a command, or returns the error that rejects it.
+    fn execute(&mut self, input: &Input) -> Result<(), String> {
         let at = self.step;
-        let applied = match told {
-            Told::Step(steps) => match self.doing {
-                Doing::Paused => {
+        let applied = match input {
+            Input::Step(steps) => match self.phase {
+                ModelPhase::Paused => {
                     self.answer_pending();
-                    self.doing = Doing::Stepping(self.step + steps);
+                    self.phase = ModelPhase::Stepping(self.step + steps);
                     self.pending = Some(self.step);
                     1
                 }
-                Doing::Running(_) | Doing::Stepping(_) => return Err("Phase(Running)".into()),
+                ModelPhase::Running(_) | ModelPhase::Stepping(_) => {
+                    return Err("Phase(Running)".into());
+                }
             },
-            Told::Run { until, rate } => {
-                let until = match self.doing {
-                    Doing::Running(end) => until.or(end),
+            Input::Run { until, rate } => {
+                let until = match self.phase {
+                    ModelPhase::Running(end) => until.or(end),
                     _ => *until,
                 };
                 if until.is_some_and(|until| until < self.step) {
@@ -162,20 +164,20 @@ impl Model {
                 self.answer_pending();
                 self.rate = *rate;
                 self.is_due = true;
-                self.doing = Doing::Running(until);
-                self.arrive();
+                self.phase = ModelPhase::Running(until);
+                self.pause_at_end();
                 1
             }
-            Told::Pause => {
+            Input::Pause => {
                 self.answer_pending();
-                self.doing = Doing::Paused;
+                self.phase = ModelPhase::Paused;
                 1
             }
-            Told::Change(change) => {
+            Input::Change(change) => {
                 self.n = changed(self.n, *change)?;
                 1
             }
-            Told::Batch(changes) => {
+            Input::Batch(changes) => {
                 let mut n = self.n;
                 for change in changes {
                     n = changed(n, *change).map_err(|name| format!("InBatch({name})"))?;
@@ -183,77 +185,77 @@ impl Model {
                 self.n = n;
                 changes.len() as u64
             }
-            Told::Reset => {
+            Input::Reset => {
                 self.answer_pending();
-                self.doing = Doing::Paused;
+                self.phase = ModelPhase::Paused;
                 self.step = 0;
                 self.epoch += 1;
                 self.n = self.n_at_start;
-                self.refused_later += self.waiting.len();
+                self.rejected_later += self.waiting.len();
                 self.waiting.clear();
                 1
             }
-            Told::Delete => {
+            Input::Delete => {
                 self.answer_pending();
                 self.deleted = true;
                 1
             }
         };
         self.seq += applied;
-        let at = if matches!(told, Told::Reset) { 0 } else { at };
+        let at = if matches!(input, Input::Reset) { 0 } else { at };
         if !self.deleted {
             self.journal.push((self.seq, self.epoch, at));
         }
         Ok(())
     }
 
-    /// Moves until nothing more happens by itself.
-    pub fn settle(&mut self) {
+    /// Steps until the swarm is paused or waits.
+    pub fn run_until_idle(&mut self) {
         while !self.deleted {
-            match self.doing {
-                Doing::Stepping(_) => {}
-                Doing::Running(_) if self.rate == FAST || self.is_due => {}
+            match self.phase {
+                ModelPhase::Stepping(_) => {}
+                ModelPhase::Running(_) if self.rate == FAST || self.is_due => {}
                 _ => return,
             }
             self.is_due = false;
             self.step += 1;
-            let had_ended = self.arrive();
+            let had_ended = self.pause_at_end();
             while let Some(first) = self.waiting.first_entry() {
                 if first.key().0 > self.step {
                     break;
                 }
-                let told = first.remove();
-                if self.execute(&told).is_err() {
-                    self.refused_later += 1;
+                let input = first.remove();
+                if self.execute(&input).is_err() {
+                    self.rejected_later += 1;
                 }
                 if self.deleted {
                     return;
                 }
             }
-            if had_ended && !matches!(self.doing, Doing::Stepping(_)) {
+            if had_ended && !matches!(self.phase, ModelPhase::Stepping(_)) {
                 self.answer_pending();
             }
         }
     }
 
-    /// Pauses if this is where it was to go. Tells whether it was.
-    fn arrive(&mut self) -> bool {
-        let until = match self.doing {
-            Doing::Running(until) => until,
-            Doing::Stepping(until) => Some(until),
-            Doing::Paused => None,
+    /// Pauses if the end of the run is reached. Returns whether it was.
+    fn pause_at_end(&mut self) -> bool {
+        let until = match self.phase {
+            ModelPhase::Running(until) => until,
+            ModelPhase::Stepping(until) => Some(until),
+            ModelPhase::Paused => None,
         };
         let has_arrived = until.is_some_and(|until| self.step >= until);
         if has_arrived {
-            self.doing = Doing::Paused;
+            self.phase = ModelPhase::Paused;
         }
         has_arrived
     }
 
     fn answer_pending(&mut self) {
         if let Some(from) = self.pending.take() {
-            // Of those that follow by themselves nobody waits for the answer.
-            self.stepped.get_or_insert(Came::Stepped {
+            // Scheduled commands have no client that waits for a reply.
+            self.stepped.get_or_insert(Expected::Stepped {
                 step: self.step,
                 taken: self.step - from,
             });
@@ -261,7 +263,7 @@ impl Model {
     }
 }
 
-/// The size of a group after a change, or the error it is refused with.
+/// The size of a group after a change, or the error that rejects it.
 fn changed(n: usize, change: Step) -> Result<usize, String> {
     match change {
         Step::Set(true) | Step::Uninform => Ok(n),
@@ -275,12 +277,12 @@ fn changed(n: usize, change: Step) -> Result<usize, String> {
     }
 }
 
-/// Why an order is refused already when it is put off: a number that no state would allow.
-fn cannot_wait(told: &Told) -> Option<String> {
+/// The error that rejects a command when it is scheduled: an argument that is invalid in every state.
+fn cannot_wait(input: &Input) -> Option<String> {
     let is_wrong = |change: &Step| matches!(change, Step::Set(false));
-    match told {
-        Told::Change(change) if is_wrong(change) => Some("Parameters".into()),
-        Told::Batch(changes) if changes.iter().any(is_wrong) => Some("InBatch(Parameters)".into()),
+    match input {
+        Input::Change(change) if is_wrong(change) => Some("Parameters".into()),
+        Input::Batch(changes) if changes.iter().any(is_wrong) => Some("InBatch(Parameters)".into()),
         _ => None,
     }
 }

@@ -2,8 +2,8 @@
 //!
 //! After a warm-up, in which caches, tables and the allocator's heaps reach their size, equal windows
 //! are measured, until memory grows by less than a limit over five that follow each other. Before that
-//! a cache may still fill up, or the allocator take a piece of memory from the system; a leak goes on
-//! in each window. A small leak first fills gaps in the heaps, so the limits are low.
+//! a cache may still fill up, or the allocator take a piece of memory from the system; a leak
+//! continues in each window. A small leak first fills gaps in the heaps, so the limits are low.
 
 use std::time::Instant;
 
@@ -12,8 +12,8 @@ use jostle_proto::keys;
 use serde_json::json;
 use zenoh::Session;
 
-use crate::apart::Process;
-use crate::support::{Client, NODE, PATIENCE, PREFIX, alone, until};
+use crate::support::process::Process;
+use crate::support::{Client, NODE, PREFIX, TIMEOUT, until};
 
 /// Replies before the first measurement: as many as the daemon remembers, and more, so that it evicts
 /// the oldest.
@@ -64,7 +64,9 @@ impl Load {
         for number in 0..CLIENTS {
             let client = Client::open(&endpoint).await;
             for swarm in 0..KEPT {
-                client.create(&kept(number, swarm), json!({"n": 3})).await;
+                client
+                    .create(&kept_name(number, swarm), json!({"n": 3}))
+                    .await;
             }
             clients.push(client);
         }
@@ -109,7 +111,7 @@ impl Load {
                         let id = format!("{:09}", some + k);
                         let client = format!("client-{number}");
                         let request = json!({"client": client, "request_id": id, "args": args});
-                        let key = keys::cmd(PREFIX, &kept(number, k / 2), verb);
+                        let key = keys::cmd(PREFIX, &kept_name(number, k / 2), verb);
                         (key, request.to_string())
                     });
                     all_ok(&client.session, requests).await;
@@ -180,7 +182,7 @@ impl Load {
 }
 
 /// The name of a swarm that stays.
-fn kept(client: usize, swarm: usize) -> String {
+fn kept_name(client: usize, swarm: usize) -> String {
     format!("kept-{client}-{swarm}")
 }
 
@@ -189,7 +191,7 @@ async fn all_ok(session: &Session, requests: impl Iterator<Item = (String, Strin
     let mut pending = Vec::new();
     for (key, request) in requests {
         let query = session.get(key.clone()).payload(request);
-        pending.push((key, query.timeout(2 * PATIENCE).await.unwrap()));
+        pending.push((key, query.timeout(2 * TIMEOUT).await.unwrap()));
     }
     for (key, replies) in pending {
         let reply = replies.recv_async().await.unwrap().into_result();
@@ -202,22 +204,22 @@ async fn all_ok(session: &Session, requests: impl Iterator<Item = (String, Strin
 
 /// What is done in a window.
 #[derive(Clone, Copy, Debug)]
-enum What {
+enum Workload {
     Swarms,
     Replies,
 }
 
 /// Measures windows of `each` swarms or replies until memory grows by less than `limit` bytes for each
 /// of them over the last [`WINDOWS`]; returns what it grows by.
-async fn growth(load: &mut Load, what: What, each: usize, limit: f64) -> f64 {
+async fn growth(load: &mut Load, what: Workload, each: usize, limit: f64) -> f64 {
     load.until_written().await;
     let mut grown = Vec::new();
     let mut before = load.private_bytes();
     println!("{what:?}: {} kB", before / 1024);
     loop {
         match what {
-            What::Swarms => load.create_and_delete(each).await,
-            What::Replies => load.reply(each).await,
+            Workload::Swarms => load.create_and_delete(each).await,
+            Workload::Replies => load.reply(each).await,
         }
         load.until_written().await;
         let after = load.private_bytes();
@@ -237,10 +239,9 @@ async fn growth(load: &mut Load, what: What, each: usize, limit: f64) -> f64 {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn two_thousand_swarms_and_fifty_thousand_replies_leave_no_memory_behind() {
-    let _alone = alone().await;
     let mut load = Load::start().await;
-    let swarm = growth(&mut load, What::Swarms, 2_000 / WINDOWS, PER_SWARM).await;
-    let reply = growth(&mut load, What::Replies, 50_000 / WINDOWS, PER_REPLY).await;
+    let swarm = growth(&mut load, Workload::Swarms, 2_000 / WINDOWS, PER_SWARM).await;
+    let reply = growth(&mut load, Workload::Replies, 50_000 / WINDOWS, PER_REPLY).await;
     let judged = format!("{swarm:.0} bytes for each swarm, {reply:.0} for each reply");
     assert!(swarm < PER_SWARM && reply < PER_REPLY, "{judged}");
 }
@@ -248,8 +249,13 @@ async fn two_thousand_swarms_and_fifty_thousand_replies_leave_no_memory_behind()
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "long: minutes, with 20,000 swarms"]
 async fn twenty_thousand_swarms_leave_no_memory_behind() {
-    let _alone = alone().await;
     let mut load = Load::start().await;
-    let swarm = growth(&mut load, What::Swarms, 20_000 / WINDOWS, PER_SWARM_OF_MANY).await;
+    let swarm = growth(
+        &mut load,
+        Workload::Swarms,
+        20_000 / WINDOWS,
+        PER_SWARM_OF_MANY,
+    )
+    .await;
     assert!(swarm < PER_SWARM_OF_MANY, "{swarm:.0} bytes for each swarm");
 }

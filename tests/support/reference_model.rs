@@ -1,5 +1,5 @@
-//! What a swarm must be: the commands that its journal names carried out anew, by nothing that
-//! the daemon steps, journals or recovers with.
+//! A reference model of a swarm: it executes the commands of the journal with the simulation alone,
+//! without the code of the daemon that steps, journals and recovers.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 
@@ -17,43 +17,43 @@ use jostled::swarm::sender::Sender;
 use serde_json::value::RawValue;
 use serde_json::{Value, json};
 
-/// What was sent and answered: by client and request.
+/// Replies by client and request.
 pub type Answers = HashMap<(String, String), Value>;
 
-/// A command's name.
-type Name = (String, String);
+/// The client and the `request_id` of a command.
+type RequestName = (String, String);
 
-/// A swarm carried out anew, as far as its journal goes.
-pub struct Twin {
+/// The swarm as its journal describes it.
+pub struct ReferenceModel {
     name: String,
     simulation: Simulation,
-    /// The notes so far, which the number of a draw does not count.
+    /// The number of annotations so far, which does not count in the seed of a draw.
     annotations: u64,
-    moving: Moving,
-    waiting: BTreeMap<u64, Vec<(u64, Vec<Change>, Name)>>,
-    /// The last line carried out.
+    moving: Movement,
+    waiting: BTreeMap<u64, Vec<(u64, Vec<Change>, RequestName)>>,
+    /// The last line that was executed.
     pub line: u64,
     epoch: u64,
-    /// What became of each line's command: its number, or nothing if it was refused.
-    record_outcome: HashMap<u64, Option<u64>>,
-    /// The hashes that steps were answered with.
+    /// The `seq` of each line's command; `None` if it was rejected.
+    outcomes: HashMap<u64, Option<u64>>,
+    /// The hashes in replies, by step.
     hashes: BTreeMap<u64, String>,
-    applied: BTreeMap<Name, u64>,
-    schedule_command: BTreeSet<Name>,
-    /// Whether what it does now is to be undone.
+    applied: BTreeMap<RequestName, u64>,
+    scheduled: BTreeSet<RequestName>,
+    /// Whether the present steps will be rolled back.
     is_trying: bool,
-    /// Every hash it had, if it is to remember them.
-    passed: Option<BTreeSet<String>>,
+    /// Every hash it had, if they are recorded.
+    recorded_hashes: Option<BTreeSet<String>>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
-enum Moving {
+enum Movement {
     No,
     /// Running, perhaps until a step.
     To(Option<u64>),
 }
 
-impl Twin {
+impl ReferenceModel {
     pub fn new(name: &str, spec: &Value) -> Self {
         let args: CreateArgs = serde_json::from_value(json!({"name": name, "spec": spec})).unwrap();
         let limits = Limits {
@@ -62,21 +62,21 @@ impl Twin {
             max_memory_bytes: 1 << 32,
             max_hz: 50,
         };
-        let recipe = create::spec(&args, limits).unwrap();
-        Twin {
+        let spec = create::spec(&args, limits).unwrap();
+        ReferenceModel {
             name: name.to_owned(),
-            simulation: Simulation::new(&recipe).unwrap(),
+            simulation: Simulation::new(&spec).unwrap(),
             annotations: 0,
-            moving: Moving::No,
+            moving: Movement::No,
             waiting: BTreeMap::new(),
             line: 0,
             epoch: 1,
-            record_outcome: HashMap::new(),
+            outcomes: HashMap::new(),
             hashes: BTreeMap::new(),
             applied: BTreeMap::new(),
-            schedule_command: BTreeSet::new(),
+            scheduled: BTreeSet::new(),
             is_trying: false,
-            passed: None,
+            recorded_hashes: None,
         }
     }
 
@@ -84,7 +84,7 @@ impl Twin {
         self.simulation.seq + self.annotations
     }
 
-    fn at(&self) -> u64 {
+    fn step(&self) -> u64 {
         self.simulation.state.step
     }
 
@@ -93,26 +93,26 @@ impl Twin {
         hash.iter().map(|byte| format!("{byte:02x}")).collect()
     }
 
-    /// Remembers every hash it has from now on.
-    pub fn remember_all(&mut self) {
-        self.passed = Some(BTreeSet::new());
-        self.remember();
+    /// Records every hash from now on.
+    pub fn record_hashes(&mut self) {
+        self.recorded_hashes = Some(BTreeSet::new());
+        self.record_hash();
     }
 
     /// Every hash it had.
-    pub fn passed(self) -> BTreeSet<String> {
-        self.passed.unwrap_or_default()
+    pub fn recorded_hashes(self) -> BTreeSet<String> {
+        self.recorded_hashes.unwrap_or_default()
     }
 
-    fn remember(&mut self) {
-        if self.passed.is_some() {
+    fn record_hash(&mut self) {
+        if self.recorded_hashes.is_some() {
             let hash = self.hash();
-            self.passed.get_or_insert_default().insert(hash);
+            self.recorded_hashes.get_or_insert_default().insert(hash);
         }
     }
 
-    /// Carries out what the journal says since, and holds it against what was answered.
-    pub fn tell(&mut self, rows: Vec<Row>, answers: &Answers) {
+    /// Executes the next rows of the journal, and compares the results with the replies.
+    pub fn replay(&mut self, rows: Vec<Row>, answers: &Answers) {
         for row in rows {
             assert_eq!(row.number, self.line + 1, "{}: a gap", self.name);
             self.line = row.number;
@@ -125,9 +125,10 @@ impl Twin {
                     self.execute(at_step, &sender, answers);
                 }
                 Record::Outcome { input, seq, .. } => {
-                    // A step's line says itself; so early a line was told before the last kill.
-                    if let Some(record_outcome) = self.record_outcome.get(&input) {
-                        assert_eq!(*record_outcome, seq, "{}: line {input}", self.name);
+                    // The line of a `step` has its own outcome; an earlier line was read before the
+                    // last kill.
+                    if let Some(outcomes) = self.outcomes.get(&input) {
+                        assert_eq!(*outcomes, seq, "{}: line {input}", self.name);
                     }
                 }
                 Record::Resumed(epoch) => {
@@ -144,28 +145,28 @@ impl Twin {
     fn step_to(&mut self, step: u64) {
         let name = self.name.clone();
         assert!(
-            self.at() <= step,
-            "{name}: {} is taken back to {step}",
-            self.at()
+            self.step() <= step,
+            "{name}: {} cannot go back to {step}",
+            self.step()
         );
-        while self.at() < step {
-            let Moving::To(until) = self.moving else {
-                panic!("{name}: stands at {} and is to be at {step}", self.at());
+        while self.step() < step {
+            let Movement::To(until) = self.moving else {
+                panic!("{name}: paused at {}, before step {step}", self.step());
             };
             self.simulation.step().unwrap();
-            self.remember();
-            let at = self.at();
+            self.record_hash();
+            let at = self.step();
             if until == Some(at) {
-                self.moving = Moving::No;
+                self.moving = Movement::No;
             }
             for (line, changes, id) in self.waiting.remove(&at).unwrap_or_default() {
-                let made = self.apply(&changes);
+                let applied = self.apply(&changes);
                 if self.is_trying {
                     continue;
                 }
-                self.record_outcome.insert(line, made);
-                if made.is_some() {
-                    self.note(id);
+                self.outcomes.insert(line, applied);
+                if applied.is_some() {
+                    self.record_applied(id);
                 }
             }
             if let Some(hash) = self.hashes.remove(&at) {
@@ -180,15 +181,15 @@ impl Twin {
             sender.request_id.clone().unwrap(),
         );
         let answer = answers.get(&id);
-        let step = self.at();
-        let made = match (order(sender), at_step) {
+        let step = self.step();
+        let applied = match (parse_command(sender), at_step) {
             (Command::Change(change), None) => self.apply(&[change]),
             (Command::Batch(changes), None) => self.apply(&changes),
             (Command::Change(change), Some(at_step)) => {
                 let waiting = self.waiting.entry(at_step).or_default();
                 waiting.push((self.line, vec![change], id.clone()));
-                let told = format!("{}: {id:?} was put off twice", self.name);
-                assert!(self.schedule_command.insert(id), "{told}");
+                let context = format!("{}: {id:?} was scheduled twice", self.name);
+                assert!(self.scheduled.insert(id), "{context}");
                 if let Some(answer) = answer {
                     assert_eq!(answer["result"]["applies_at_step"], at_step);
                 }
@@ -205,29 +206,29 @@ impl Twin {
                 self.annotations += 1;
                 Some(self.seq())
             }
-            (order, None) => {
+            (command, None) => {
                 self.simulation.seq += 1;
-                self.move_by(order, answer);
+                self.apply_movement(command, answer);
                 Some(self.seq())
             }
-            (order, at_step) => panic!("{}: {order:?} at {at_step:?}", self.name),
+            (command, at_step) => panic!("{}: {command:?} at {at_step:?}", self.name),
         };
-        self.record_outcome.insert(self.line, made);
-        let Some(seq) = made else { return };
+        self.outcomes.insert(self.line, applied);
+        let Some(seq) = applied else { return };
         if let Some(answer) = answer.filter(|_| sender.verb != "step") {
-            let told = [&answer["seq"], &answer["step"]].map(|it| it.as_u64().unwrap());
+            let actual = [&answer["seq"], &answer["step"]].map(|it| it.as_u64().unwrap());
             let step = if sender.verb == "reset" { 0 } else { step };
-            assert_eq!(told, [seq, step], "{}: {sender:?}: {answer}", self.name);
+            assert_eq!(actual, [seq, step], "{}: {sender:?}: {answer}", self.name);
         }
-        self.note(id);
+        self.record_applied(id);
     }
 
-    fn move_by(&mut self, order: Command, answer: Option<&Value>) {
-        match order {
+    fn apply_movement(&mut self, command: Command, answer: Option<&Value>) {
+        match command {
             Command::Step(steps) => {
-                assert_eq!(self.moving, Moving::No, "{}", self.name);
-                let until = self.at() + steps;
-                self.moving = Moving::To(Some(until));
+                assert_eq!(self.moving, Movement::No, "{}", self.name);
+                let until = self.step() + steps;
+                self.moving = Movement::To(Some(until));
                 if let Some(answer) = answer {
                     assert_eq!(answer["step"], until, "{}: {answer}", self.name);
                     let hash = answer["result"]["state_hash"].as_str().unwrap();
@@ -240,65 +241,65 @@ impl Twin {
                     Until::Time(time) => panic!("until {time}"),
                 });
                 self.moving = match self.moving {
-                    Moving::To(end) => Moving::To(until.or(end)),
-                    Moving::No if until == Some(self.at()) => Moving::No,
-                    Moving::No => Moving::To(until),
+                    Movement::To(end) => Movement::To(until.or(end)),
+                    Movement::No if until == Some(self.step()) => Movement::No,
+                    Movement::No => Movement::To(until),
                 };
             }
-            Command::Pause => self.moving = Moving::No,
+            Command::Pause => self.moving = Movement::No,
             Command::Reset(seed) => {
                 let fresh = self.simulation.build_start(seed).unwrap();
                 self.simulation.restart(fresh);
                 self.epoch += 1;
                 self.waiting.clear();
                 self.hashes.clear();
-                self.moving = Moving::No;
+                self.moving = Movement::No;
             }
             other => panic!("{other:?}"),
         }
     }
 
-    /// Makes changes under the next number, if they are possible, and tells the last one's.
+    /// Applies changes under the next `seq`, and returns it; `None` if one is rejected.
     fn apply(&mut self, changes: &[Change]) -> Option<u64> {
         let before = self.simulation.save();
         self.simulation.seq += 1;
         if self.simulation.apply_all(changes).is_ok() {
-            self.remember();
+            self.record_hash();
             return Some(self.seq());
         }
         self.simulation.rollback(before);
         None
     }
 
-    fn note(&mut self, id: Name) {
-        let told = format!("{}: {id:?} was carried out twice", self.name);
+    fn record_applied(&mut self, id: RequestName) {
+        let context = format!("{}: {id:?} was executed twice", self.name);
         let before = self.applied.insert(id, self.seq());
-        assert!(before.is_none(), "{told}");
+        assert!(before.is_none(), "{context}");
     }
 
-    /// Whether what was sent under this name was carried out, or put off until its step.
-    pub fn has(&self, id: &Name) -> bool {
-        self.applied.contains_key(id) || self.schedule_command.contains(id)
+    /// Whether a command was executed or scheduled.
+    pub fn has(&self, id: &RequestName) -> bool {
+        self.applied.contains_key(id) || self.scheduled.contains(id)
     }
 
-    /// Holds an answer against what was carried out, perhaps long before it was given.
-    pub fn check(&self, id: &Name, answer: &Value) {
+    /// Compares a reply with the command's execution.
+    pub fn check(&self, id: &RequestName, answer: &Value) {
         let is_a_step = answer["result"]["durable_step"].is_u64();
         if let Some(seq) = self.applied.get(id)
             && !is_a_step
-            && !self.schedule_command.contains(id)
+            && !self.scheduled.contains(id)
         {
             assert_eq!(answer["seq"], *seq, "{}: {id:?}: {answer}", self.name);
         }
     }
 
-    /// Runs to a step with nobody else there.
+    /// Runs to a step without further commands.
     pub fn run_to(&mut self, step: u64) {
-        self.moving = Moving::To(None);
+        self.moving = Movement::To(None);
         self.step_to(step);
     }
 
-    /// Compares the swarm, as it came back, with what it must be.
+    /// Compares the status of the recovered swarm with the model.
     pub fn compare(&mut self, status: &Value) {
         let name = self.name.clone();
         let number = |field: &str| status[field].as_u64().unwrap();
@@ -311,20 +312,20 @@ impl Twin {
         self.step_to(step);
         self.is_trying = false;
         let expected = match self.moving {
-            Moving::No => Phase::Paused,
-            Moving::To(_) => Phase::Running,
+            Movement::No => Phase::Paused,
+            Movement::To(_) => Phase::Running,
         };
         assert_eq!(phase, expected, "{name}: {status}");
         assert_eq!(self.seq(), seq, "{name}: {status}");
         let hash = &status["result"]["state_hash"];
         assert_eq!(*hash, self.hash(), "{name} at step {step}, {moving:?}");
-        // A crash may take it back to here once more.
+        // The next crash may roll the swarm back to here again.
         self.simulation.rollback(before);
         (self.moving, self.waiting, self.hashes) = (moving, waiting, hashes);
     }
 }
 
-fn order(sender: &Sender) -> Command {
+fn parse_command(sender: &Sender) -> Command {
     let args = RawValue::from_string(sender.args.clone()).unwrap();
     let request = Request {
         args: Some(args),

@@ -1,4 +1,22 @@
-//! A daemon in this process, and clients with sessions of their own.
+//! What the test binaries share: a daemon in this process, daemons as processes, and clients.
+
+#![allow(dead_code, reason = "each binary uses a part")]
+
+pub mod bad_requests;
+pub mod daemon_process;
+pub mod excess;
+pub mod http;
+pub mod limited_daemon;
+pub mod needs;
+pub mod playback;
+pub mod process;
+pub mod recording;
+pub mod reference_model;
+pub mod small_disk;
+pub mod streams;
+pub mod supervisor;
+pub mod tls;
+pub mod websocket;
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -10,34 +28,20 @@ use jostled::cli::settings;
 use jostled::config::Config;
 use serde_json::{Value, json};
 use tempfile::TempDir;
-use tokio::sync::{RwLock, RwLockReadGuard, RwLockWriteGuard};
 use zenoh::Session;
 use zenoh::bytes::Encoding;
+use zenoh::query::Reply;
 
 pub const NODE: &str = "test";
 pub const PREFIX: &str = "jostle";
 
-/// How long anything may take that should come at once, on a machine busy with other tests.
-pub const PATIENCE: Duration = Duration::from_secs(20);
-
-/// Held by tests that measure time alone, shared by all others.
-static MACHINE: RwLock<()> = RwLock::const_new(());
-
-/// Waits until no other test of this binary runs, and keeps others waiting.
-pub async fn alone() -> RwLockWriteGuard<'static, ()> {
-    MACHINE.write().await
-}
-
-/// Waits until no test runs that must be alone.
-pub async fn beside_others() -> RwLockReadGuard<'static, ()> {
-    MACHINE.read().await
-}
+/// The timeout of what takes a moment on an idle machine; other tests use this one.
+pub const TIMEOUT: Duration = Duration::from_secs(20);
 
 pub struct Daemon {
     pub server: Server,
     pub client: Client,
     folder: TempDir,
-    _machine: Option<RwLockReadGuard<'static, ()>>,
 }
 
 impl Daemon {
@@ -47,20 +51,10 @@ impl Daemon {
 
     /// A daemon with these settings beside those that tests need.
     pub async fn with(settings: &[(&str, &str)]) -> Self {
-        let machine = beside_others().await;
-        Self::on(Some(machine), settings, tempfile::tempdir().unwrap()).await
+        Self::on(settings, tempfile::tempdir().unwrap()).await
     }
 
-    /// A daemon for a test that holds [`alone`].
-    pub async fn for_measuring() -> Self {
-        Self::on(None, &[], tempfile::tempdir().unwrap()).await
-    }
-
-    async fn on(
-        machine: Option<RwLockReadGuard<'static, ()>>,
-        settings: &[(&str, &str)],
-        folder: TempDir,
-    ) -> Self {
+    async fn on(settings: &[(&str, &str)], folder: TempDir) -> Self {
         let base = [
             ("listen", "tcp/127.0.0.1:0"),
             ("node", NODE),
@@ -75,7 +69,6 @@ impl Daemon {
             server,
             client,
             folder,
-            _machine: machine,
         }
     }
 
@@ -83,7 +76,7 @@ impl Daemon {
     pub async fn restart(self) -> Self {
         self.client.session.close().await.unwrap();
         self.server.stop().await;
-        Self::on(self._machine, &[], self.folder).await
+        Self::on(&[], self.folder).await
     }
 
     pub fn data_dir(&self) -> &Path {
@@ -104,14 +97,14 @@ pub struct Client {
     pub session: Session,
 }
 
-pub type Answer = Result<Value, Error>;
+pub type QueryResult = Result<Value, Error>;
 
 impl Client {
     pub async fn open(endpoint: &str) -> Self {
         Self::try_open(endpoint).await.unwrap()
     }
 
-    /// A client, unless the daemon is gone already.
+    /// A client, or an error if the daemon has ended.
     pub async fn try_open(endpoint: &str) -> zenoh::Result<Self> {
         let mut config = zenoh::Config::default();
         for (key, value) in [
@@ -127,54 +120,45 @@ impl Client {
         Ok(Client { session })
     }
 
-    /// Every answer to a query, JSON or CBOR read as values.
-    pub async fn ask(&self, selector: &str, payload: Option<&[u8]>) -> Vec<Answer> {
-        let mut query = self.session.get(selector).timeout(2 * PATIENCE);
+    /// Every reply to a query, its JSON or CBOR read as a value.
+    pub async fn query_all(&self, selector: &str, payload: Option<&[u8]>) -> Vec<QueryResult> {
+        // A replay of many steps takes a minute on a busy machine.
+        let mut query = self.session.get(selector).timeout(6 * TIMEOUT);
         if let Some(payload) = payload {
             query = query.payload(payload).encoding(Encoding::APPLICATION_JSON);
         }
         let replies = query.await.unwrap();
         let mut answers = Vec::new();
         while let Ok(reply) = replies.recv_async().await {
-            answers.push(match reply.into_result() {
-                Ok(sample) => Ok(read(sample.encoding(), &sample.payload().to_bytes())),
-                Err(error) => {
-                    assert_eq!(
-                        error.encoding(),
-                        &Encoding::APPLICATION_JSON,
-                        "{selector}: {error:?}"
-                    );
-                    Err(serde_json::from_slice(&error.payload().to_bytes()).unwrap())
-                }
-            });
+            answers.push(result_of(reply));
         }
         answers
     }
 
-    /// The one answer to a query.
-    pub async fn one(&self, selector: &str, payload: Option<&[u8]>) -> Answer {
-        let mut answers = self.ask(selector, payload).await;
+    /// The one reply to a query.
+    pub async fn query(&self, selector: &str, payload: Option<&[u8]>) -> QueryResult {
+        let mut answers = self.query_all(selector, payload).await;
         assert_eq!(answers.len(), 1, "{selector}: {answers:?}");
         answers.remove(0)
     }
 
-    pub async fn cmd(&self, swarm: &str, verb: &str, request: Value) -> Answer {
+    pub async fn cmd(&self, swarm: &str, verb: &str, request: Value) -> QueryResult {
         let key = keys::cmd(PREFIX, swarm, verb);
-        self.one(&key, Some(request.to_string().as_bytes())).await
+        self.query(&key, Some(request.to_string().as_bytes())).await
     }
 
     pub async fn ok(&self, swarm: &str, verb: &str, request: Value) -> Value {
-        let told = format!("{verb} {request}");
+        let context = format!("{verb} {request}");
         match self.cmd(swarm, verb, request).await {
             Ok(reply) => reply,
-            Err(error) => panic!("{told}: {error:?}"),
+            Err(error) => panic!("{context}: {error:?}"),
         }
     }
 
     pub async fn err(&self, swarm: &str, verb: &str, request: Value) -> (ErrorCode, String) {
-        let told = format!("{verb} {request}");
+        let context = format!("{verb} {request}");
         match self.cmd(swarm, verb, request).await {
-            Ok(reply) => panic!("{told}: {reply}"),
+            Ok(reply) => panic!("{context}: {reply}"),
             Err(error) => (error.code, error.message),
         }
     }
@@ -182,19 +166,19 @@ impl Client {
     pub async fn create(&self, name: &str, spec: Value) -> Value {
         let request = json!({"name": name, "spec": spec});
         let key = keys::node_cmd(PREFIX, NODE, "create");
-        let answer = self.one(&key, Some(request.to_string().as_bytes())).await;
+        let answer = self.query(&key, Some(request.to_string().as_bytes())).await;
         answer.unwrap_or_else(|error| panic!("{request}: {error:?}"))
     }
 
     pub async fn get(&self, swarm: &str, noun: &str) -> Value {
-        self.one(&keys::get(PREFIX, swarm, noun), None)
+        self.query(&keys::get(PREFIX, swarm, noun), None)
             .await
             .unwrap()
     }
 
     pub async fn node(&self, noun: &str) -> Value {
         let key = keys::node_get(PREFIX, NODE, noun);
-        self.one(&key, None).await.unwrap()["result"].take()
+        self.query(&key, None).await.unwrap()["result"].take()
     }
 
     pub async fn hash(&self, swarm: &str) -> String {
@@ -206,18 +190,18 @@ impl Client {
     pub async fn hash_at(&self, swarm: &str, step: u64) -> String {
         let request = json!({"until_step": step, "rate": null});
         self.ok(swarm, "run", request).await;
-        self.reach(swarm, step).await["result"]["state_hash"]
+        self.wait_for_step(swarm, step).await["result"]["state_hash"]
             .as_str()
             .unwrap()
             .to_owned()
     }
 
     /// Waits for a step.
-    pub async fn reach(&self, swarm: &str, step: u64) -> Value {
+    pub async fn wait_for_step(&self, swarm: &str, step: u64) -> Value {
         let key = keys::get(PREFIX, swarm, "wait");
-        let deadline = Instant::now() + 3 * PATIENCE;
+        let deadline = Instant::now() + 3 * TIMEOUT;
         loop {
-            match self.one(&format!("{key}?step={step}"), None).await {
+            match self.query(&format!("{key}?step={step}"), None).await {
                 Ok(reply) => return reply,
                 Err(error) if error.code == ErrorCode::DeadlineExceeded => {
                     assert!(Instant::now() < deadline, "{error:?}");
@@ -228,12 +212,23 @@ impl Client {
     }
 }
 
+/// The payload of a reply, or its error.
+pub fn result_of(reply: Reply) -> QueryResult {
+    match reply.into_result() {
+        Ok(sample) => Ok(read(sample.encoding(), &sample.payload().to_bytes())),
+        Err(error) => {
+            assert_eq!(error.encoding(), &Encoding::APPLICATION_JSON, "{error:?}");
+            Err(serde_json::from_slice(&error.payload().to_bytes()).unwrap())
+        }
+    }
+}
+
 pub fn read(encoding: &Encoding, bytes: &[u8]) -> Value {
     if *encoding == Encoding::APPLICATION_JSON {
         return serde_json::from_slice(bytes).unwrap();
     }
     assert_eq!(*encoding, Encoding::APPLICATION_CBOR);
-    // Typed arrays are tagged bytes, which JSON has no name for; states are read as such.
+    // JSON has no typed arrays, so states are read by their type.
     match jostle_proto::State::from_cbor(bytes) {
         Ok(state) => serde_json::to_value(state).unwrap(),
         Err(_) => {
@@ -257,11 +252,16 @@ pub fn read(encoding: &Encoding, bytes: &[u8]) -> Value {
     }
 }
 
-/// Waits until `holds`, at most [`PATIENCE`].
-pub async fn until(what: &str, mut holds: impl AsyncFnMut() -> bool) {
-    let deadline = Instant::now() + PATIENCE;
+/// Waits until `holds`, at most [`TIMEOUT`].
+pub async fn until(what: &str, holds: impl AsyncFnMut() -> bool) {
+    until_within(TIMEOUT, what, holds).await;
+}
+
+/// Waits until `holds`, at most `timeout`.
+pub async fn until_within(timeout: Duration, what: &str, mut holds: impl AsyncFnMut() -> bool) {
+    let deadline = Instant::now() + timeout;
     while !holds().await {
-        assert!(Instant::now() < deadline, "{what} did not come about");
+        assert!(Instant::now() < deadline, "{what}: not within {timeout:?}");
         tokio::time::sleep(Duration::from_millis(10)).await;
     }
 }

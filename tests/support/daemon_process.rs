@@ -1,4 +1,4 @@
-//! Daemons that live after each other on one folder.
+//! Daemon processes that use one data folder after each other.
 
 use std::fs::{self, File};
 use std::io::{BufRead, BufReader};
@@ -9,25 +9,25 @@ use std::time::{Duration, Instant};
 
 use jostled::store::{Row, Settings, Store};
 
-use crate::apart::jostled;
-use crate::support::PATIENCE;
+use super::process::jostled;
+use crate::support::TIMEOUT;
 
 /// A daemon from its start to its end; it is killed when dropped.
-pub struct Life {
+pub struct DaemonProcess {
     pub child: Child,
     pub endpoint: String,
-    /// From its start to the line that says where it listens.
+    /// From its start to the line with its endpoint.
     pub took: Duration,
 }
 
-impl Drop for Life {
+impl Drop for DaemonProcess {
     fn drop(&mut self) {
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
 }
 
-/// A daemon on `folder`, not yet started. What it says goes to a file there.
+/// A daemon on `folder`, not yet started. Its log is a file there.
 pub fn daemon(folder: &Path) -> Command {
     let mut command = jostled(&["serve", "--listen", "tcp/127.0.0.1:0", "--node", "test"]);
     let log = folder.join("log");
@@ -36,16 +36,16 @@ pub fn daemon(folder: &Path) -> Command {
     command
 }
 
-impl Life {
+impl DaemonProcess {
     /// Starts a daemon; `None` with its exit code if it ends before it listens.
-    pub fn begin(command: &mut Command) -> Result<Life, Option<i32>> {
+    pub fn start(command: &mut Command) -> Result<DaemonProcess, Option<i32>> {
         let began = Instant::now();
         let mut child = command.stdout(Stdio::piped()).spawn().unwrap();
         let mut line = String::new();
         let output = child.stdout.take().unwrap();
         BufReader::new(output).read_line(&mut line).unwrap();
         match line.trim().strip_prefix("listening on ") {
-            Some(endpoint) => Ok(Life {
+            Some(endpoint) => Ok(DaemonProcess {
                 child,
                 endpoint: endpoint.to_owned(),
                 took: began.elapsed(),
@@ -54,27 +54,27 @@ impl Life {
         }
     }
 
-    /// Kills it, wherever it is.
+    /// Kills it.
     pub fn kill(&mut self) {
         let _ = self.child.kill();
         self.child.wait().unwrap();
     }
 
-    /// Tells it to stop.
+    /// Sends SIGTERM.
     pub fn stop(&self) {
         let pid = self.child.id().to_string();
-        let told = Command::new("kill").args(["-TERM", &pid]).status();
-        assert!(told.unwrap().success());
+        let signalled = Command::new("kill").args(["-TERM", &pid]).status();
+        assert!(signalled.unwrap().success());
     }
 
-    /// Waits until it ends, and tells its exit code; `None` if it was killed.
+    /// Waits until it ends. Returns its exit code; `None` if it was killed.
     pub fn end(&mut self) -> Option<i32> {
         let began = Instant::now();
         loop {
             if let Some(status) = self.child.try_wait().unwrap() {
                 return code(status);
             }
-            assert!(began.elapsed() < PATIENCE, "it does not end");
+            assert!(began.elapsed() < TIMEOUT, "it does not end");
             std::thread::sleep(Duration::from_millis(1));
         }
     }
@@ -91,7 +91,7 @@ fn code(status: ExitStatus) -> Option<i32> {
     status.code()
 }
 
-/// What the daemons on `folder` have said.
+/// The log of the daemons on `folder`.
 pub fn log(folder: &Path) -> String {
     fs::read_to_string(folder.join("log")).unwrap_or_default()
 }
@@ -108,21 +108,21 @@ pub fn copy(from: &Path, to: &Path) {
     }
 }
 
-/// What a daemon that is gone has left on `folder`, which stays as it is.
-pub struct Left(
+/// The store that a killed daemon left on `folder`: a copy, which does not change the folder.
+pub struct StoreCopy(
     Store,
     #[expect(dead_code, reason = "held for its end")] tempfile::TempDir,
 );
 
-impl Left {
-    pub fn on(folder: &Path) -> Self {
+impl StoreCopy {
+    pub fn of(folder: &Path) -> Self {
         let aside = tempfile::tempdir().unwrap();
         copy(folder, aside.path());
         let settings = Settings {
             quota_bytes: u64::MAX,
         };
         let store = Store::open(aside.path(), settings, Box::new(|_| {})).unwrap();
-        Left(store, aside)
+        StoreCopy(store, aside)
     }
 
     pub fn rows(&self, swarm: &str, after: u64) -> Vec<Row> {

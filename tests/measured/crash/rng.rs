@@ -1,10 +1,10 @@
-//! Repeatable choices: the same seed makes the same ones.
+//! A pseudo-random number generator.
 
-pub struct Dice(u64);
+pub struct Rng(u64);
 
-impl Dice {
+impl Rng {
     pub fn new(seed: u64) -> Self {
-        Dice(seed)
+        Rng(seed)
     }
 
     /// SplitMix64.

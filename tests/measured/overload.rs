@@ -1,4 +1,4 @@
-//! More swarms than the cores can step, and clocks that jump: swarms are slower, their states the same.
+//! More swarms than the cores can step, and clocks that jump: swarms are slower, their states equal.
 
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -9,10 +9,10 @@ use jostle_proto::{Event, EventKind, keys};
 use serde_json::{Value, json};
 use zenoh_ext::{AdvancedSubscriberBuilderExt, HistoryConfig};
 
-use crate::apart::{Process, jostled};
-use crate::crash::twin::Twin;
-use crate::harness;
-use crate::support::{Client, PATIENCE, PREFIX, alone};
+use crate::support::needs;
+use crate::support::process::{Process, jostled};
+use crate::support::reference_model::ReferenceModel;
+use crate::support::{Client, PREFIX, TIMEOUT};
 
 const SWARMS: u64 = 40;
 
@@ -24,7 +24,6 @@ const DT: f64 = 0.02;
 
 #[tokio::test(flavor = "multi_thread")]
 async fn overloaded_cores_are_shared_and_no_hash_changes() {
-    let _alone = alone().await;
     let (_daemon, endpoint) = Process::serve();
     let client = Client::open(&endpoint).await;
     let spec = |k: u64| json!({"n": 100, "seed": k, "rate": RATE});
@@ -68,13 +67,13 @@ async fn overloaded_cores_are_shared_and_no_hash_changes() {
         let name = format!("s{k}");
         client.ok(&name, "pause", json!({})).await;
         let status = client.get(&name, "status").await;
-        let mut alone = Twin::new(&name, &spec(k));
+        let mut alone = ReferenceModel::new(&name, &spec(k));
         alone.run_to(status["step"].as_u64().unwrap());
         assert_eq!(status["result"]["state_hash"], alone.hash());
     }
 }
 
-/// Where libfaketime is, of the Debian package faketime.
+/// The path of libfaketime, of the Debian package faketime.
 fn libfaketime() -> Option<PathBuf> {
     let places = std::fs::read_dir("/usr/lib").ok()?;
     let places = places
@@ -83,7 +82,7 @@ fn libfaketime() -> Option<PathBuf> {
     places.into_iter().find(|it| it.exists())
 }
 
-/// A daemon whose wall clock is moved by what the file `clock` says.
+/// A daemon whose wall clock is offset by the content of the file `clock`.
 fn on_a_clock(library: &Path, clock: &Path) -> Command {
     let mut command = jostled(&["serve", "--listen", "tcp/127.0.0.1:0", "--node", "test"]);
     command
@@ -98,9 +97,8 @@ fn on_a_clock(library: &Path, clock: &Path) -> Command {
 async fn a_clock_that_is_set_back_does_not_flood_the_log() {
     // As many as are published in 10 s.
     const STATES: usize = 400;
-    let _alone = alone().await;
     let Some(library) = libfaketime() else {
-        harness::FAKETIME.is_missing();
+        needs::FAKETIME.is_missing();
         return;
     };
     let folder = tempfile::tempdir().unwrap();
@@ -128,7 +126,7 @@ async fn a_clock_that_is_set_back_does_not_flood_the_log() {
     std::fs::write(&clock, "-3600").unwrap();
     let began = Instant::now();
     for _ in 0..STATES {
-        let state = tokio::time::timeout(PATIENCE, states.recv_async()).await;
+        let state = tokio::time::timeout(TIMEOUT, states.recv_async()).await;
         let state = state
             .expect("a state after the clock was set back")
             .unwrap();
@@ -142,7 +140,7 @@ async fn a_clock_that_is_set_back_does_not_flood_the_log() {
     let last =
         |event: &Event| matches!(&event.event, EventKind::Command { verb, .. } if verb == "pause");
     loop {
-        let event = tokio::time::timeout(PATIENCE, events.recv_async()).await;
+        let event = tokio::time::timeout(TIMEOUT, events.recv_async()).await;
         let sample = event.expect("the event of the pause").unwrap();
         let event: Event = serde_json::from_slice(&sample.payload().to_bytes()).unwrap();
         assert_eq!(sample.timestamp(), None);
@@ -162,9 +160,8 @@ async fn a_clock_that_is_set_back_does_not_flood_the_log() {
 #[tokio::test(flavor = "multi_thread")]
 async fn when_the_clock_jumps_swarms_neither_stall_nor_burst() {
     const RATE: f64 = 4.0;
-    let _alone = alone().await;
     let Some(library) = libfaketime() else {
-        harness::FAKETIME.is_missing();
+        needs::FAKETIME.is_missing();
         return;
     };
     let folder = tempfile::tempdir().unwrap();

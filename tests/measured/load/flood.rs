@@ -6,13 +6,13 @@ mod clients;
 
 use serde_json::json;
 
-use crate::apart::Process;
 use crate::load::{find, helper};
-use crate::support::{Client, alone};
+use crate::support::Client;
+use crate::support::process::Process;
 
 use clients::Flooded;
 
-/// What a flood may add to the daemon's memory.
+/// The limit of the daemon's growth during a flood.
 const GROWN_MB: u64 = 20;
 
 /// Not a test: the clients that flood an endpoint, with so many replies of each outstanding.
@@ -28,7 +28,6 @@ async fn a_flooding_process() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_flood_from_32_clients_is_answered_and_no_other_command_fails() {
-    let _alone = alone().await;
     for unanswered in [64, 8, 1] {
         let (daemon, endpoint) = Process::serve();
         let client = Client::open(&endpoint).await;

@@ -10,9 +10,9 @@ use std::time::Duration;
 use jostle_proto::keys;
 use serde_json::json;
 
-use crate::apart::{Process, jostled};
 use crate::load::{Output, find, helper};
-use crate::support::{Client, PREFIX, alone};
+use crate::support::process::{Process, jostled};
+use crate::support::{Client, PREFIX};
 
 use crowd::Report;
 
@@ -39,7 +39,7 @@ async fn a_following_process() {
     crowd::follow(endpoint, "followed", followers.parse().unwrap()).await;
 }
 
-/// A client that takes a second for each state, where its session reads.
+/// A client whose session needs a second for each state.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_slow_process() {
     let Ok(endpoint) = std::env::var("JOSTLE_TEST_HELPER") else {
@@ -73,7 +73,7 @@ async fn followed(spec: serde_json::Value, settle: u64) -> (Process, String) {
 
 type Crowd = (Process, String, Output);
 
-/// Has a crowd count what it receives for so many seconds.
+/// Lets the clients count what they receive for so many seconds.
 fn count(crowd: &mut Crowd, secs: u32) -> Report {
     writeln!(crowd.0.0.stdin.as_ref().unwrap(), "{secs}").unwrap();
     serde_json::from_str(&find(&mut crowd.2, "report ")).unwrap()
@@ -86,7 +86,6 @@ fn of_two<T: Copy>(choices: [T; 2]) -> T {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_thousand_followers_receive_every_state() {
-    let _alone = alone().await;
     let (followers, secs) = of_two(FOLLOWERS);
     let spec = json!({"n": 50, "seed": 1, "rate": 2, "publish_every": 5});
     let (daemon, endpoint) = followed(spec, 5000).await;
@@ -107,8 +106,7 @@ async fn a_thousand_followers_receive_every_state() {
 async fn a_stopped_and_a_slow_follower_cost_the_others_no_state() {
     const OTHERS: usize = 18;
     let secs = of_two([6, 60]);
-    let _alone = alone().await;
-    // Some 200 kB a state, twenty a second: what is not taken fills every buffer soon.
+    // Some 200 kB a state, twenty a second: they fill every buffer of a client that does not read.
     let spec = json!({"n": 4500, "seed": 1, "rate": 0.4, "publish_every": 1,
         "start": {"kind": "disc", "radius": 1000}});
     let (daemon, endpoint) = followed(spec, 1).await;

@@ -1,4 +1,4 @@
-//! Clients that send named requests, and send them again until they are answered.
+//! Clients that send requests with a `request_id`, and retry them until they get a reply.
 
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
@@ -7,35 +7,35 @@ use std::time::{Duration, Instant};
 use jostle_proto::{ErrorCode, keys};
 use serde_json::{Value, json};
 
-use crate::crash::dice::Dice;
-use crate::crash::twin::Answers;
+use crate::crash::rng::Rng;
+use crate::support::reference_model::Answers;
 use crate::support::{Client, NODE, PREFIX};
 
 /// Why commands are rejected on a healthy disk: their step is in the past, or the swarm was paused.
 const EXPECTED: [ErrorCode; 2] = [ErrorCode::Conflict, ErrorCode::IncorrectState];
 
-/// What the clients share.
+/// The state that the clients share.
 pub struct Traffic {
-    /// Set when the daemon was killed: who waits need not wait on.
+    /// Set when the daemon was killed: clients stop waiting.
     pub is_over: AtomicBool,
-    /// Requests under way.
+    /// Requests without a reply.
     pub under_way: AtomicUsize,
-    /// When an answer last came.
+    /// The time of the last reply.
     pub answered: Mutex<Instant>,
-    /// Answers to commands, since they were last taken.
+    /// Replies to commands of this daemon.
     pub answers: Mutex<Answers>,
     /// Whether writes of the disk fail, which rejects commands.
     pub disk_fails: bool,
-    /// How many were rejected therefore, since they were last counted.
-    pub refused_as_full: AtomicUsize,
-    /// Commands that were rejected since.
-    pub refused: Mutex<Vec<(String, String)>>,
+    /// Commands of this daemon that were rejected therefore.
+    pub rejected_as_full: AtomicUsize,
+    /// Commands of this daemon that were rejected.
+    pub rejected: Mutex<Vec<(String, String)>>,
 }
 
-/// What a client does.
+/// The commands that a client sends.
 #[derive(Clone, Copy, PartialEq)]
 pub enum Role {
-    /// Runs, pauses, steps, resets, and puts changes off.
+    /// Runs, pauses, steps, resets and schedules changes.
     Moves,
     /// Changes parameters and the group.
     Changes,
@@ -43,22 +43,22 @@ pub enum Role {
     Creates,
 }
 
-/// One client: it has at most one request under way.
+/// One client: it has at most one request without a reply.
 pub struct Sender {
     pub name: String,
     swarm: String,
     role: Role,
-    dice: Dice,
+    rng: Rng,
     count: u64,
     is_running: bool,
     step: u64,
-    pub unanswered: Option<Sent>,
-    /// What this one has, if it creates: whether its swarm, and the fork of it, are there.
+    pub unanswered: Option<SentRequest>,
+    /// Of a client that creates: whether its swarm and the fork of it exist.
     has: (bool, bool),
 }
 
 #[derive(Clone, Debug)]
-pub struct Sent {
+pub struct SentRequest {
     key: String,
     verb: String,
     request: Value,
@@ -75,7 +75,7 @@ impl Sender {
             name: format!("{kind}-{swarm}"),
             swarm: swarm.to_owned(),
             role,
-            dice: Dice::new(seed),
+            rng: Rng::new(seed),
             count: 0,
             is_running: false,
             step: 0,
@@ -84,12 +84,12 @@ impl Sender {
         }
     }
 
-    /// Sends one request after the other until the daemon is killed. The first is the one that was
-    /// not answered before.
-    pub async fn send_on(&mut self, client: &Client, traffic: &Arc<Traffic>) {
+    /// Sends one request after the other until the daemon is killed, beginning with the one that has no
+    /// reply yet.
+    pub async fn send_until_over(&mut self, client: &Client, traffic: &Arc<Traffic>) {
         while !traffic.is_over.load(Ordering::Relaxed) {
             if self.unanswered.is_none() {
-                self.unanswered = Some(self.make());
+                self.unanswered = Some(self.next_request());
             }
             if !self.send(client, traffic).await {
                 return;
@@ -97,7 +97,7 @@ impl Sender {
         }
     }
 
-    /// Sends the request that is not answered until it is; whether it was.
+    /// Retries the request that has no reply. Returns whether it got one.
     pub async fn send(&mut self, client: &Client, traffic: &Arc<Traffic>) -> bool {
         let Some(sent) = self.unanswered.clone() else {
             return true;
@@ -107,8 +107,8 @@ impl Sender {
         let answer = loop {
             let answers = tokio::select! {
                 biased;
-                answers = client.ask(&sent.key, Some(payload.as_bytes())) => answers,
-                () = over(traffic) => break None,
+                answers = client.query_all(&sent.key, Some(payload.as_bytes())) => answers,
+                () = wait_until_over(traffic) => break None,
             };
             match answers.into_iter().next() {
                 Some(Err(error)) if is_temporary(error.code) => {}
@@ -139,7 +139,7 @@ impl Sender {
         let name = (self.name.clone(), id);
         match answer {
             Ok(reply) => {
-                self.learn(&sent, &reply);
+                self.apply_reply(&sent, &reply);
                 traffic.answers.lock().unwrap().insert(name, reply);
             }
             Err(error) => {
@@ -147,15 +147,15 @@ impl Sender {
                 let is_expected = may_be_full || EXPECTED.contains(&error.code);
                 assert!(is_expected, "{sent:?}: {error:?}");
                 traffic
-                    .refused_as_full
+                    .rejected_as_full
                     .fetch_add(usize::from(may_be_full), Ordering::Relaxed);
-                traffic.refused.lock().unwrap().push(name);
+                traffic.rejected.lock().unwrap().push(name);
             }
         }
         true
     }
 
-    fn learn(&mut self, sent: &Sent, reply: &Value) {
+    fn apply_reply(&mut self, sent: &SentRequest, reply: &Value) {
         self.step = reply["step"].as_u64().unwrap();
         match sent.verb.as_str() {
             "run" => self.is_running = true,
@@ -164,9 +164,9 @@ impl Sender {
         }
     }
 
-    /// Whoever creates and deletes is told that it has, however often it had to ask: there is
-    /// nobody else who could have.
-    fn check_created(&mut self, sent: &Sent, answer: Result<Value, jostle_proto::Error>) {
+    /// A client that creates and deletes gets the result of its command, however often it retries: no
+    /// other client uses the name.
+    fn check_created(&mut self, sent: &SentRequest, answer: Result<Value, jostle_proto::Error>) {
         let reply = answer.unwrap_or_else(|error| panic!("{sent:?}: {error:?}"));
         match sent.verb.as_str() {
             "create" | "fork" => {
@@ -183,23 +183,23 @@ impl Sender {
         }
     }
 
-    /// What this one's swarms are: its own and the fork of it.
+    /// The swarms of a client that creates, and whether they exist.
     pub fn has(&self) -> Option<[(String, bool); 2]> {
         let fork = format!("{}-fork", self.swarm);
         (self.role == Role::Creates).then(|| [(self.swarm.clone(), self.has.0), (fork, self.has.1)])
     }
 
-    fn make(&mut self) -> Sent {
+    fn next_request(&mut self) -> SentRequest {
         self.count += 1;
         let (verb, at_step, args) = match self.role {
-            Role::Moves => self.a_move(),
-            Role::Changes => self.a_change(),
-            Role::Creates => return self.a_creation(),
+            Role::Moves => self.next_move(),
+            Role::Changes => self.next_change(),
+            Role::Creates => return self.next_creation(),
         };
-        self.sent(keys::cmd(PREFIX, &self.swarm, verb), verb, at_step, &args)
+        self.request(keys::cmd(PREFIX, &self.swarm, verb), verb, at_step, &args)
     }
 
-    fn sent(&self, key: String, verb: &str, at_step: Option<u64>, args: &Value) -> Sent {
+    fn request(&self, key: String, verb: &str, at_step: Option<u64>, args: &Value) -> SentRequest {
         let mut request = json!({
             "client": self.name, "request_id": self.count.to_string(), "timeout_secs": 60,
             "args": args,
@@ -207,46 +207,46 @@ impl Sender {
         if let Some(at_step) = at_step {
             request["at_step"] = json!(at_step);
         }
-        Sent {
+        SentRequest {
             key,
             verb: verb.to_owned(),
             request,
         }
     }
 
-    fn a_move(&mut self) -> (&'static str, Option<u64>, Value) {
-        let dice = &mut self.dice;
-        match (dice.below(12), self.is_running) {
-            (0, _) => ("reset", None, json!({"seed": dice.below(5)})),
+    fn next_move(&mut self) -> (&'static str, Option<u64>, Value) {
+        let rng = &mut self.rng;
+        match (rng.below(12), self.is_running) {
+            (0, _) => ("reset", None, json!({"seed": rng.below(5)})),
             (1 | 2, _) => {
-                let at_step = self.step + 5 + dice.below(200);
-                let args = json!({"select": {"count": 2}, "direction": dice.part()});
+                let at_step = self.step + 5 + rng.below(200);
+                let args = json!({"select": {"count": 2}, "direction": rng.part()});
                 ("inform", Some(at_step), args)
             }
             (3, _) => {
-                let at_step = self.step + 5 + dice.below(200);
+                let at_step = self.step + 5 + rng.below(200);
                 ("remove", Some(at_step), json!({"select": {"count": 1}}))
             }
             (4, false) => {
-                let until = self.step + 1 + dice.below(400);
-                let rate = dice.pick(&[json!(null), json!(20.0), json!(100.0)]).clone();
+                let until = self.step + 1 + rng.below(400);
+                let rate = rng.pick(&[json!(null), json!(20.0), json!(100.0)]).clone();
                 ("run", None, json!({"until_step": until, "rate": rate}))
             }
-            (5 | 6, false) => ("run", None, json!({"rate": dice.pick(&[2.0, 10.0, 50.0])})),
-            (_, false) => ("step", None, json!({"steps": 1 + dice.below(60)})),
-            (4 | 5, true) => ("run", None, json!({"rate": 5.0 + 20.0 * dice.part()})),
+            (5 | 6, false) => ("run", None, json!({"rate": rng.pick(&[2.0, 10.0, 50.0])})),
+            (_, false) => ("step", None, json!({"steps": 1 + rng.below(60)})),
+            (4 | 5, true) => ("run", None, json!({"rate": 5.0 + 20.0 * rng.part()})),
             (_, true) => ("pause", None, json!({})),
         }
     }
 
-    fn a_change(&mut self) -> (&'static str, Option<u64>, Value) {
-        let dice = &mut self.dice;
-        let (direction, weight) = (6.0 * dice.part(), 0.05 + 0.4 * dice.part());
+    fn next_change(&mut self) -> (&'static str, Option<u64>, Value) {
+        let rng = &mut self.rng;
+        let (direction, weight) = (6.0 * rng.part(), 0.05 + 0.4 * rng.part());
         let inform = json!({
             "select": {"count": 2}, "direction": direction, "weight": weight, "for_time": 0.5,
         });
-        match dice.below(7) {
-            0 => ("set", None, json!({"pi3": 0.9 + 0.2 * dice.part()})),
+        match rng.below(7) {
+            0 => ("set", None, json!({"pi3": 0.9 + 0.2 * rng.part()})),
             1 | 2 => ("inform", None, inform),
             3 => ("uninform", None, json!({"select": {"fraction": 0.5}})),
             4 => (
@@ -267,33 +267,33 @@ impl Sender {
         }
     }
 
-    fn a_creation(&mut self) -> Sent {
+    fn next_creation(&mut self) -> SentRequest {
         let fork = format!("{}-fork", self.swarm);
         let (create, delete) = (keys::node_cmd(PREFIX, NODE, "create"), |swarm: &str| {
             keys::cmd(PREFIX, swarm, "delete")
         });
-        match (self.has, self.dice.below(4)) {
+        match (self.has, self.rng.below(4)) {
             ((false, _), _) => {
-                let spec = json!({"n": 5 + self.dice.below(20), "seed": self.count});
+                let spec = json!({"n": 5 + self.rng.below(20), "seed": self.count});
                 let args = json!({"name": self.swarm, "spec": spec});
-                self.sent(create, "create", None, &args)
+                self.request(create, "create", None, &args)
             }
             ((true, false), 0) => {
                 let key = keys::cmd(PREFIX, &self.swarm, "fork");
-                self.sent(key, "fork", None, &json!({"name": fork}))
+                self.request(key, "fork", None, &json!({"name": fork}))
             }
-            ((true, true), 0) => self.sent(delete(&fork), "delete", None, &json!({})),
-            ((true, _), 1) => self.sent(delete(&self.swarm), "delete", None, &json!({})),
+            ((true, true), 0) => self.request(delete(&fork), "delete", None, &json!({})),
+            ((true, _), 1) => self.request(delete(&self.swarm), "delete", None, &json!({})),
             _ => {
                 let key = keys::cmd(PREFIX, &self.swarm, "step");
-                let args = json!({"steps": 1 + self.dice.below(20)});
-                self.sent(key, "step", None, &args)
+                let args = json!({"steps": 1 + self.rng.below(20)});
+                self.request(key, "step", None, &args)
             }
         }
     }
 }
 
-async fn over(traffic: &Traffic) {
+async fn wait_until_over(traffic: &Traffic) {
     while !traffic.is_over.load(Ordering::Relaxed) {
         tokio::time::sleep(Duration::from_millis(2)).await;
     }

@@ -1,4 +1,4 @@
-//! A daemon in a process of its own, whose memory, time and end are nobody else's.
+//! A daemon in a process of its own, whose memory and processor time can be measured.
 
 use std::io::{BufRead, BufReader};
 use std::process::{Child, Command, Stdio};
@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use tempfile::TempDir;
 
-use crate::support::PATIENCE;
+use crate::support::TIMEOUT;
 
 /// A process that ends when the test does, and its data with it.
 pub struct Process(
@@ -37,7 +37,7 @@ pub fn jostled(arguments: &[&str]) -> Command {
 }
 
 impl Process {
-    /// Starts a daemon and tells where it listens.
+    /// Starts a daemon. Returns its endpoint.
     pub fn serve() -> (Self, String) {
         Self::start(&mut jostled(&SERVE), tempfile::tempdir().unwrap())
     }
@@ -48,12 +48,12 @@ impl Process {
         Self::start(jostled(&SERVE).env("FAILPOINTS", points), folder)
     }
 
-    /// Starts a process that is no daemon.
+    /// Starts a process that is not a daemon.
     pub fn of(command: &mut Command) -> Self {
         Process(command.spawn().unwrap(), tempfile::tempdir().unwrap())
     }
 
-    /// Starts a daemon with what one left in `folder`.
+    /// Starts a daemon on the data of an earlier one.
     pub fn start(command: &mut Command, folder: TempDir) -> (Self, String) {
         let command = command.arg("--data-dir").arg(folder.path());
         let mut process = Process(command.stdout(Stdio::piped()).spawn().unwrap(), folder);
@@ -75,19 +75,19 @@ impl Process {
         );
     }
 
-    /// Waits for its end and tells how long that took.
+    /// Waits until it ends. Returns the exit code and how long that took.
     pub fn end(&mut self) -> (Option<i32>, Duration) {
         let began = Instant::now();
         loop {
             if let Some(status) = self.0.try_wait().unwrap() {
                 return (status.code(), began.elapsed());
             }
-            assert!(began.elapsed() < PATIENCE, "it does not end");
+            assert!(began.elapsed() < TIMEOUT, "it does not end");
             std::thread::sleep(Duration::from_millis(5));
         }
     }
 
-    /// Memory it has in use.
+    /// Its resident memory.
     pub fn resident_bytes(&self) -> u64 {
         let path = format!("/proc/{}/statm", self.0.id());
         let statm = std::fs::read_to_string(path).unwrap();

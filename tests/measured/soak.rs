@@ -1,26 +1,26 @@
-//! Months in minutes: what a daemon takes does not grow with what has come and gone.
+//! Memory, descriptors and threads do not grow with deleted swarms and closed clients.
 
 use std::time::{Duration, Instant};
 
 use serde_json::json;
 
-use crate::apart::Process;
-use crate::support::{Client, alone, until};
+use crate::support::process::Process;
+use crate::support::{Client, until};
 
 /// Cycles of one test; with `JOSTLE_LONG=1`, over at least ten minutes.
 const CYCLES: [(usize, Duration); 2] = [(150, Duration::ZERO), (1000, Duration::from_secs(600))];
 
-/// Cycles before the first look: buffers and pools have then grown to what they need.
+/// Cycles before the first measurement: buffers and pools have grown to their size.
 const WARMING: usize = 150;
 
-/// By how much memory may grow.
+/// The limit of the growth of memory.
 const GROWTH: u64 = 8 << 20;
 
-/// By how much it may grow when all that is told again was told again before.
+/// The limit of the growth during replays that were executed before.
 const RETELLING_GROWTH: u64 = 3 << 20;
 
 impl Process {
-    /// What is open, and how many threads there are.
+    /// The numbers of descriptors and of threads.
     fn handles(&self) -> [usize; 2] {
         let count = |what: &str| {
             let path = format!("/proc/{}/{what}", self.0.id());
@@ -30,10 +30,10 @@ impl Process {
     }
 }
 
-/// One swarm's life, and a client's.
+/// Opens a client, creates a swarm, sends it commands, deletes it and closes the client.
 async fn cycle(endpoint: &str, number: usize) {
     let client = Client::open(endpoint).await;
-    // Every name comes again, and others are there beside it.
+    // Every name is used again, while others exist.
     let name = format!("s{}", number % 7);
     client
         .create(&name, json!({"n": 20, "seed": number, "rate": null}))
@@ -43,7 +43,7 @@ async fn cycle(endpoint: &str, number: usize) {
         "args": {"select": {"count": 3}, "direction": 1.0}});
     client.ok(&name, "inform", informed).await;
     client.ok(&name, "run", json!({"until_step": 300})).await;
-    client.reach(&name, 300).await;
+    client.wait_for_step(&name, 300).await;
     client.ok(&name, "inject", json!({"count": 2})).await;
     client.ok(&name, "reset", json!({})).await;
     let copy = format!("{name}-copy");
@@ -55,8 +55,7 @@ async fn cycle(endpoint: &str, number: usize) {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_has_come_and_gone_leaves_nothing_behind() {
-    let _alone = alone().await;
+async fn deleted_swarms_and_closed_clients_leave_nothing_behind() {
     let (cycles, at_least) = CYCLES[usize::from(std::env::var_os("JOSTLE_LONG").is_some())];
     let (daemon, endpoint) = Process::serve();
     for number in 0..WARMING {
@@ -85,8 +84,7 @@ async fn what_has_come_and_gone_leaves_nothing_behind() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn pasts_that_are_told_again_leave_nothing_behind() {
-    let _alone = alone().await;
+async fn repeated_replays_leave_nothing_behind() {
     let (daemon, endpoint) = Process::serve();
     let client = Client::open(&endpoint).await;
     let names = ["a", "b", "c", "d"];

@@ -1,13 +1,13 @@
-//! Nothing that is sent makes the daemon grow.
+//! No request makes the daemon's memory grow for good.
 
 use serde_json::json;
 use zenoh::query::Reply;
 
-use super::{stand, written_down};
-use crate::apart::Process;
-use crate::support::{Client, PATIENCE, alone};
+use crate::support::bad_requests::{prepare_swarms, read_all};
+use crate::support::process::Process;
+use crate::support::{Client, TIMEOUT};
 
-/// Sends what `request` makes of each number, some at a time; tells how many were accepted.
+/// Sends a request for each number, some at a time. Returns how many were accepted.
 async fn send(
     client: &Client,
     numbers: std::ops::Range<usize>,
@@ -20,7 +20,7 @@ async fn send(
         let mut pending = Vec::new();
         for number in some {
             let (selector, payload) = request(*number);
-            let mut query = client.session.get(selector).timeout(PATIENCE);
+            let mut query = client.session.get(selector).timeout(TIMEOUT);
             if let Some(payload) = payload {
                 query = query.payload(payload);
             }
@@ -39,11 +39,11 @@ fn cmd(verb: &str, request: &serde_json::Value) -> (String, Option<Vec<u8>>) {
     (format!("jostle/other/cmd/{verb}"), Some(payload))
 }
 
-/// Every kind of request that leaves nothing behind, or not for long, `count` of each.
-async fn everything(client: &Client, round: usize, count: usize) {
-    let bad: Vec<_> = written_down();
+/// Sends `count` requests of each kind that must leave nothing behind.
+async fn send_bad_requests(client: &Client, round: usize, count: usize) {
+    let bad: Vec<_> = read_all();
     let numbers = round * count..(round + 1) * count;
-    // What is in the tables.
+    // The bad requests of the tables.
     send(client, numbers.clone(), |number| {
         let bad = &bad[number % bad.len()];
         let selector = bad
@@ -53,21 +53,21 @@ async fn everything(client: &Client, round: usize, count: usize) {
     })
     .await;
 
-    // Refused under a name each, which may then be used again.
-    let refused = send(client, numbers.clone(), |number| {
-        let id = format!("refused-{number}");
+    // Rejected, each with a `request_id`, which may be used again.
+    let rejected = send(client, numbers.clone(), |number| {
+        let id = format!("rejected-{number}");
         cmd("step", &json!({"request_id": id, "expect_step": 1_000_000}))
     });
-    assert_eq!(refused.await, 0);
+    assert_eq!(rejected.await, 0);
 
-    // The same one over and over, which is carried out once.
+    // The same request many times, which is executed once.
     let repeated = send(client, numbers.clone(), |_| {
         let set = json!({"request_id": "once", "args": {"pi3": 1}});
         cmd("set", &set)
     });
     assert_eq!(repeated.await, count);
 
-    // Put off to a step that never comes; a thousand wait, the rest is refused, a reset drops all.
+    // Scheduled for a step that is not reached: a thousand wait, more are rejected, a reset drops all.
     for some in numbers.clone().step_by(2000) {
         let put_off = send(client, some..some + 2000, |number| {
             let far = json!({"at_step": 1_000_000 + number, "args": {"pi3": 1}});
@@ -78,7 +78,7 @@ async fn everything(client: &Client, round: usize, count: usize) {
         client.ok("other", "reset", json!({})).await;
     }
 
-    // Waited for no longer than a moment, and forgotten by who asked.
+    // Waits with a timeout that passes at once.
     let waited = send(client, numbers, |_| {
         let wait = "jostle/other/get/wait?step=1000000000;timeout_secs=0.000001";
         (wait.to_owned(), None)
@@ -87,22 +87,21 @@ async fn everything(client: &Client, round: usize, count: usize) {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_hundred_thousand_requests_that_come_to_nothing_leave_nothing_behind() {
+async fn a_hundred_thousand_requests_without_effect_leave_nothing_behind() {
     const COUNT: usize = 20_000;
-    let _alone = alone().await;
     let (daemon, endpoint) = Process::serve();
     let client = Client::open(&endpoint).await;
-    stand(&client, &["victim", "other"]).await;
-    // What is kept within bounds is filled first: the history, and the memory of whoever answers.
-    everything(&client, 0, COUNT / 4).await;
+    prepare_swarms(&client, &["victim", "other"]).await;
+    // Fills bounded memory first: the history, and the idempotency cache.
+    send_bad_requests(&client, 0, COUNT / 4).await;
     let before = daemon.resident_bytes();
-    everything(&client, 1, COUNT).await;
+    send_bad_requests(&client, 1, COUNT).await;
     let grown = daemon.resident_bytes().saturating_sub(before);
     println!(
         "{} KiB before, {} KiB more after 5 times {COUNT} requests",
         before >> 10,
         grown >> 10
     );
-    // A hundred bytes kept of each would be 10 MB.
+    // A hundred bytes for each request would be 10 MB.
     assert!(grown < 8 << 20, "{grown} bytes more");
 }

@@ -1,0 +1,3 @@
+//! Requests that are rejected.
+
+mod memory;

@@ -1,0 +1,3 @@
+//! Recordings on a slow disk.
+
+mod steps;
