@@ -1,29 +1,29 @@
-//! What a shell completes: verbs and options by clap, names of swarms and daemons by asking.
+//! Shell completion: verbs and options by clap, names of swarms and daemons by queries.
 
 use std::ffi::OsStr;
 use std::time::Duration;
 
+use clap::Command;
 use clap::builder::StyledStr;
 use clap_complete::CompleteEnv;
 use clap_complete::engine::CompletionCandidate;
+use jostle_client::{Client, ConnectOptions, Error};
 use jostle_proto::contract;
 use jostle_proto::keys::DEFAULT_PREFIX;
 
-use crate::arguments::{self, GlobalArguments};
-use crate::bus::Bus;
 use crate::output;
 use crate::values::{self, LAWS};
 
-/// The variable by which a shell asks.
+/// The variable by which a shell requests completions.
 const VARIABLE: &str = "JOSTLE_COMPLETE";
-/// How long a shell may be kept waiting.
-const PATIENCE: Duration = Duration::from_millis(300);
+/// How long completion may block the shell.
+const COMPLETION_TIMEOUT: Duration = Duration::from_millis(300);
 
-/// The shells that can be completed in.
+/// The supported shells.
 pub const SHELLS: [&str; 5] = ["bash", "zsh", "fish", "elvish", "powershell"];
 
-/// Answers a shell that asks for completions, and ends; does nothing otherwise.
-pub fn complete_if_asked() {
+/// Prints completions and exits if a shell requests them.
+pub fn complete_if_requested(command: fn() -> Command) {
     let variable = |name| std::env::var(name).ok();
     if variable(VARIABLE).as_deref() == Some("bash")
         && let Some(at) = variable("_CLAP_COMPLETE_INDEX")
@@ -38,12 +38,10 @@ pub fn complete_if_asked() {
         let _ = output::write(&values.join(&separator));
         std::process::exit(0);
     }
-    CompleteEnv::with_factory(arguments::command)
-        .var(VARIABLE)
-        .complete();
+    CompleteEnv::with_factory(command).var(VARIABLE).complete();
 }
 
-/// The line that makes a shell complete, and the file where it belongs.
+/// The line that enables completion, and the file where it belongs.
 pub fn line(shell: &str) -> (String, &'static str) {
     match shell {
         "fish" => (
@@ -66,36 +64,22 @@ pub fn line(shell: &str) -> (String, &'static str) {
     }
 }
 
-/// The swarms that are there.
 pub fn swarms(typed: &OsStr) -> Vec<CompletionCandidate> {
-    beginning_with(
-        typed,
-        ask(async |bus| bus.swarms().await.unwrap_or_default()),
-    )
+    names(typed, async |client| client.swarms().await)
 }
 
-/// The daemons that are there.
 pub fn nodes(typed: &OsStr) -> Vec<CompletionCandidate> {
-    beginning_with(
-        typed,
-        ask(async |bus| bus.nodes().await.unwrap_or_default()),
-    )
+    names(typed, async |client| client.nodes().await)
 }
 
-/// The experiments that are there.
+/// The names of the daemon's experiments.
 pub fn experiments(typed: &OsStr) -> Vec<CompletionCandidate> {
-    beginning_with(
-        typed,
-        ask(async |bus| bus.experiments().await.unwrap_or_default()),
-    )
+    names(typed, async |client| client.experiments().await)
 }
 
-/// The recordings of the daemon.
+/// The names of the daemon's recordings.
 pub fn recordings(typed: &OsStr) -> Vec<CompletionCandidate> {
-    beginning_with(
-        typed,
-        ask(async |bus| bus.recordings().await.unwrap_or_default()),
-    )
+    names(typed, async |client| client.recordings().await)
 }
 
 /// The figures that can be drawn.
@@ -103,29 +87,26 @@ pub fn figures(typed: &OsStr) -> Vec<CompletionCandidate> {
     beginning_with(typed, values::figures())
 }
 
-/// The messages on the wire.
 pub fn messages(typed: &OsStr) -> Vec<CompletionCandidate> {
-    let messages = contract::schemas().into_keys();
-    beginning_with(typed, messages.map(str::to_owned).collect())
+    beginning_with(typed, contract::schemas().into_keys())
 }
 
-/// The rules by which contacts are chosen.
 pub fn contact_rules(typed: &OsStr) -> Vec<CompletionCandidate> {
     choices(typed, "contacts")
 }
 
-/// What contacts may limit.
+/// The values of `--stepping`.
 pub fn steppings(typed: &OsStr) -> Vec<CompletionCandidate> {
     choices(typed, "stepping")
 }
 
-/// The laws of attraction, each that takes a number up to its `=`.
+/// The laws of attraction, those with a number up to the `=`.
 pub fn laws(typed: &OsStr) -> Vec<CompletionCandidate> {
     let laws = LAWS.map(|(law, number)| match number {
         Some(_) if law != "all" => format!("{law}="),
         _ => law.to_owned(),
     });
-    beginning_with(typed, laws.into())
+    beginning_with(typed, laws)
 }
 
 /// The values of an enumerated parameter; empty for any other parameter.
@@ -136,14 +117,12 @@ fn values_of(field: &str, typed: &str) -> Vec<CompletionCandidate> {
     }
 }
 
-/// The words that a parameter that is a choice may have.
+/// The values of an enumerated parameter.
 fn choices(typed: &OsStr, name: &str) -> Vec<CompletionCandidate> {
     let parameters = contract::parameters().into_iter();
-    let choices = parameters
-        .filter(|it| it.name == name)
-        .flat_map(|it| it.choices);
-    let words = choices.filter_map(|choice| choice.as_str().map(str::to_owned));
-    beginning_with(typed, words.collect())
+    let parameter = parameters.filter(|it| it.name == name);
+    let choices: Vec<_> = parameter.flat_map(|it| it.choices).collect();
+    beginning_with(typed, choices.iter().filter_map(|choice| choice.as_str()))
 }
 
 /// Completes the value in `contacts=end` or `--contacts=end` for bash, which splits the word and
@@ -153,10 +132,10 @@ fn values_behind_equals(words: &[String], at: &str) -> Option<Vec<CompletionCand
     let words = words.get(typed..=typed + at.parse::<usize>().ok()?)?;
     let (field, typed) = match words {
         [.., field, equals, typed] if equals == "=" => (field, typed),
-        // Directly behind the `=` it hands over an empty word instead.
+        // Directly after the `=` bash passes an empty word instead.
         [before @ .., field, typed] if typed.is_empty() => {
             let is_set = before.iter().any(|word| word == "set");
-            // Directly behind the verb stands a swarm.
+            // The word after the verb is a swarm.
             let is_swarm = before.last().is_some_and(|word| word == "set");
             (field.starts_with("--") || is_set && !is_swarm).then_some((field, typed))?
         }
@@ -189,28 +168,34 @@ pub fn assignments(typed: &OsStr) -> Vec<CompletionCandidate> {
         .collect()
 }
 
-fn beginning_with(typed: &OsStr, names: Vec<String>) -> Vec<CompletionCandidate> {
+/// Those names that begin with the typed text.
+pub fn beginning_with(
+    typed: &OsStr,
+    names: impl IntoIterator<Item = impl AsRef<str>>,
+) -> Vec<CompletionCandidate> {
     let typed = typed.to_string_lossy();
+    let names = names.into_iter();
     names
-        .into_iter()
-        .filter(|name| name.starts_with(&*typed))
-        .map(CompletionCandidate::new)
+        .filter(|name| name.as_ref().starts_with(&*typed))
+        .map(|name| CompletionCandidate::new(name.as_ref()))
         .collect()
 }
 
-/// Asks the daemon; nobody there is no reason to disturb whoever is typing.
-fn ask(question: impl AsyncFnOnce(&Bus) -> Vec<String>) -> Vec<String> {
+/// Completes names that the daemon knows. If there is no daemon, returns none and no error.
+fn names(
+    typed: &OsStr,
+    query: impl AsyncFnOnce(&Client) -> Result<Vec<String>, Error>,
+) -> Vec<CompletionCandidate> {
     let words: Vec<String> = std::env::args().collect();
-    let global = GlobalArguments {
-        credentials: option(&words, &["--credentials"])
-            .or_else(|| std::env::var("JOSTLE_CREDENTIALS").ok())
-            .map(Into::into),
-        endpoint: option(&words, &["-e", "--endpoint"])
-            .or_else(|| std::env::var("JOSTLE_ENDPOINT").ok()),
-        node: None,
+    let given = |names: &[&str], variable: &str| {
+        option(&words, names).or_else(|| std::env::var(variable).ok())
+    };
+    let options = ConnectOptions {
+        credentials: given(&["--credentials"], "JOSTLE_CREDENTIALS").map(Into::into),
+        endpoint: given(&["-e", "--endpoint"], "JOSTLE_ENDPOINT"),
         prefix: option(&words, &["--prefix"]).unwrap_or_else(|| DEFAULT_PREFIX.into()),
-        timeout: PATIENCE.as_secs_f64(),
-        json: false,
+        timeout: COMPLETION_TIMEOUT,
+        ..ConnectOptions::default()
     };
     let Ok(runtime) = tokio::runtime::Builder::new_multi_thread()
         .worker_threads(1)
@@ -220,25 +205,28 @@ fn ask(question: impl AsyncFnOnce(&Bus) -> Vec<String>) -> Vec<String> {
         return Vec::new();
     };
     let names = runtime.block_on(async {
-        let asked = async {
-            let bus = Bus::open(global).await.ok()?;
-            let names = question(&bus).await;
-            bus.close().await;
-            Some(names)
+        let names = async {
+            let client = Client::connect(options).await?;
+            let names = query(&client).await;
+            client.close().await;
+            names
         };
-        tokio::time::timeout(PATIENCE, asked).await.ok().flatten()
+        tokio::time::timeout(COMPLETION_TIMEOUT, names).await
     });
-    // A thread may still wait for an answer that never comes.
+    // A thread may still wait for a reply.
     runtime.shutdown_background();
-    names.unwrap_or_default()
+    match names {
+        Ok(Ok(names)) => beginning_with(typed, names),
+        _ => Vec::new(),
+    }
 }
 
-/// The value of an option on the line that is being typed.
+/// The value of an option on the line to complete.
 fn option(words: &[String], names: &[&str]) -> Option<String> {
     words.iter().enumerate().find_map(|(index, word)| {
         if names.contains(&word.as_str()) {
             let value = words.get(index + 1)?;
-            // bash takes host and port of an address for two words, and the colon for a third.
+            // bash splits an address into the host, the colon and the port.
             return match words.get(index + 2..index + 4) {
                 Some([colon, port]) if colon == ":" => Some(format!("{value}:{port}")),
                 _ => Some(value.clone()),
@@ -279,7 +267,7 @@ mod tests {
     }
 
     #[test]
-    fn what_bash_has_split_at_its_equals_sign_is_completed_from_there_on() {
+    fn values_are_completed_after_an_equals_sign_split_by_bash() {
         let of = |line: &str| {
             let words = format!("jostle -- jostle {line}");
             let words: Vec<String> = words.split(' ').map(str::to_owned).collect();
@@ -344,7 +332,7 @@ mod tests {
     }
 
     #[test]
-    fn the_line_that_is_typed_says_where_to_ask() {
+    fn options_on_the_line_select_the_daemon_to_query() {
         let words: Vec<String> = [
             "jostle",
             "--",

@@ -1,12 +1,8 @@
-//! What is read from a file or from standard input.
+//! Reads a file or standard input.
 
 use std::path::Path;
 
 /// Reads a file; `-` is standard input.
-///
-/// # Errors
-///
-/// Which file, and why it cannot be read.
 pub fn read(path: &Path) -> Result<String, String> {
     let text = if path == Path::new("-") {
         std::io::read_to_string(std::io::stdin())

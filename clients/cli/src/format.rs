@@ -1,19 +1,36 @@
-//! Numbers as people read them.
+//! Numbers, durations, commands and other values as text.
 
 use std::time::{Duration, UNIX_EPOCH};
 
-use jostle_proto::{LARGEST_WHOLE, Phase};
+use jostle_proto::{LARGEST_WHOLE, Phase, Reply};
 use serde_json::Value;
 
-/// What stands where there is no number.
+/// The text for a missing value.
 pub const NONE: &str = "-";
 
-/// The wire's word for a phase.
-pub fn phase(phase: Phase) -> &'static str {
-    phase.name()
+/// A value, or the text for a missing one.
+pub fn or_none(value: Option<impl ToString>) -> String {
+    value.map_or_else(|| NONE.into(), |value| value.to_string())
 }
 
-/// A time, without digits nobody asked for.
+/// A phase with its reason.
+pub fn phase(phase: Phase, reason: Option<&str>) -> String {
+    let name = phase.name();
+    reason.map_or_else(|| name.into(), |reason| format!("{name} ({reason})"))
+}
+
+/// Phase, step and time of a swarm.
+pub fn position<T>(reply: &Reply<T>) -> String {
+    let phase = reply.phase.name();
+    format!("{phase} at step {}, time {}", reply.step, time(reply.time))
+}
+
+/// A swarm with its phase, step and time.
+pub fn standing<T>(reply: &Reply<T>) -> String {
+    format!("{} is {}", reply.swarm, position(reply))
+}
+
+/// A simulated time, rounded to the digits that a step can have.
 pub fn time(time: f64) -> String {
     let digits = format!("{time:.4}");
     digits.trim_end_matches('0').trim_end_matches('.').into()
@@ -24,12 +41,9 @@ pub fn when(unix_secs: Option<f64>) -> String {
     /// The last millisecond of the year 9999.
     const END: f64 = 253_402_300_799.999;
     let secs = unix_secs.filter(|secs| (0.0..END).contains(secs));
-    // What is less than a millisecond is cut off: half of one rounds.
+    // Truncated to a millisecond.
     let since = secs.and_then(|secs| Duration::try_from_secs_f64(secs + 0.0005).ok());
-    since.map_or_else(
-        || NONE.into(),
-        |since| humantime::format_rfc3339_millis(UNIX_EPOCH + since).to_string(),
-    )
+    or_none(since.map(|since| humantime::format_rfc3339_millis(UNIX_EPOCH + since)))
 }
 
 /// A rate: `max` is as fast as possible.
@@ -43,40 +57,32 @@ pub fn rate(rate: Option<f64>) -> String {
 
 /// A speed or an order, to three decimals; never `-0.000`.
 pub fn share(share: Option<f64>) -> String {
-    share.map_or_else(
-        || NONE.into(),
-        |share| {
-            let text = format!("{share:.3}");
-            if text == "-0.000" {
-                "0.000".into()
-            } else {
-                text
-            }
-        },
-    )
+    let text = or_none(share.map(|share| format!("{share:.3}")));
+    if text == "-0.000" {
+        "0.000".into()
+    } else {
+        text
+    }
 }
 
-/// How fast a swarm lately ran, to three digits.
+/// A real-time factor, to three digits.
 pub fn factor(factor: Option<f64>) -> String {
-    factor.map_or_else(
-        || NONE.into(),
-        |factor| {
-            let decimals = match factor.abs() {
-                size if size < 10.0 => 2,
-                size if size < 100.0 => 1,
-                _ => 0,
-            };
-            format!("{factor:.decimals$}")
-        },
-    )
+    or_none(factor.map(|factor| {
+        let decimals = match factor.abs() {
+            size if size < 10.0 => 2,
+            size if size < 100.0 => 1,
+            _ => 0,
+        };
+        format!("{factor:.decimals$}")
+    }))
 }
 
-/// A gap or a residual, of which the magnitude tells most.
+/// A gap or a residual, in scientific notation.
 pub fn magnitude(number: Option<f64>) -> String {
-    number.map_or_else(|| NONE.into(), |number| format!("{number:.1e}"))
+    or_none(number.map(|number| format!("{number:.1e}")))
 }
 
-/// A number without digits nobody asked for, a large one in powers of ten.
+/// A number in its shortest form, a large one in powers of ten.
 pub fn number(number: f64) -> String {
     if number.to_bits() == (LARGEST_WHOLE as f64).to_bits() {
         "2^53-1".into()
@@ -102,7 +108,7 @@ pub fn duration(secs: f64) -> String {
     }
 }
 
-/// A time a computer takes.
+/// A short duration.
 pub fn millis(secs: f64) -> String {
     let millis = secs * 1e3;
     match millis.abs() {
@@ -112,7 +118,7 @@ pub fn millis(secs: f64) -> String {
     }
 }
 
-/// A number of bytes in the unit that fits.
+/// A number of bytes with a binary unit.
 pub fn bytes(bytes: u64) -> String {
     const UNITS: [&str; 4] = ["B", "KiB", "MiB", "GiB"];
     let (mut size, mut unit) = (bytes as f64, 0);
@@ -161,7 +167,7 @@ pub fn command(verb: &str, args: &Value) -> String {
 pub fn bar(share: f64, width: usize) -> String {
     const EIGHTHS: [&str; 8] = ["", "▏", "▎", "▍", "▌", "▋", "▊", "▉"];
     let steps = width * EIGHTHS.len();
-    // Counting up keeps clear of a cast, and a NaN draws nothing.
+    // Counting avoids a cast; a NaN draws nothing.
     let reached = (1..=steps)
         .take_while(|&step| step as f64 <= (share * steps as f64).round())
         .count();
@@ -179,22 +185,22 @@ pub fn count(count: u64, one: &str) -> String {
     }
 }
 
-/// Numbers as `--ids` reads them.
+/// Ids in the form of `--ids`.
 pub fn ids(ids: &[u32]) -> String {
     let ids: Vec<String> = ids.iter().map(u32::to_string).collect();
     ids.join(",")
 }
 
-/// A value as a person writes it.
+/// A parameter's value in the form of an option.
 pub fn value(value: &Value, is_nullable: bool) -> String {
     match value {
-        // The one parameter of which that is a value is the rate.
+        // Only the rate may be null.
         Value::Null if is_nullable => "max".into(),
         Value::Null => NONE.into(),
         Value::String(word) => word.clone(),
         Value::Object(choice) => match choice.get("kind").and_then(Value::as_str) {
             Some(kind) => {
-                // Its number, if it has one, as `--attraction` takes it.
+                // A law, in the form of `--attraction`.
                 let numbers = choice.values().filter_map(Value::as_f64);
                 numbers.fold(kind.into(), |text, it| format!("{text}={}", number(it)))
             }
@@ -212,7 +218,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn times_carry_no_empty_digits() {
+    fn times_have_no_trailing_zeros() {
         assert_eq!(time(0.0), "0");
         assert_eq!(time(0.06), "0.06");
         assert_eq!(time(100.0), "100");

@@ -4,12 +4,13 @@ use std::pin::pin;
 use std::sync::{LazyLock, Once};
 use std::time::Duration;
 
+use tokio::runtime::Handle;
 use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::watch;
 
 use crate::failure::Failure;
 
-/// How long a verb may take for its last words.
+/// How long a verb may take to end after Ctrl-C.
 pub const GRACE: Duration = Duration::from_millis(500);
 
 /// The signals received so far. A verb that starts to wait after a signal arrived sees it too.
@@ -18,15 +19,13 @@ static RECEIVED: LazyLock<watch::Sender<Received>> = LazyLock::new(watch::Sender
 /// How many signals were received, by kind.
 #[derive(Clone, Copy, Debug, Default)]
 struct Received {
-    /// SIGINT.
     interrupts: u32,
-    /// SIGTERM and SIGHUP.
-    endings: u32,
+    terminations: u32,
 }
 
 impl Received {
     fn is_any(&self) -> bool {
-        self.interrupts + self.endings > 0
+        self.interrupts + self.terminations > 0
     }
 }
 
@@ -37,11 +36,11 @@ pub fn catch_interrupts() {
 
 /// Handles the signals that close a terminal or end a process, from now on: for verbs that must
 /// finish something first. The caller is inside the runtime.
-pub fn catch_endings() {
+pub fn catch_termination() {
     static INSTALLED: Once = Once::new();
     INSTALLED.call_once(|| {
         for kind in [SignalKind::terminate(), SignalKind::hangup()] {
-            catch(kind, |received| received.endings += 1);
+            catch(kind, |received| received.terminations += 1);
         }
     });
 }
@@ -57,90 +56,90 @@ fn catch(kind: SignalKind, count: fn(&mut Received)) {
     }
 }
 
-/// Completes if the user has pressed Ctrl-C, or when they do. If [`catch_endings`] was called, its
+/// Completes if the user has pressed Ctrl-C, or when they do. If [`catch_termination`] was called, its
 /// signals count as Ctrl-C.
-pub async fn pressed() {
-    until(Received::is_any).await;
+pub async fn interrupted() {
+    wait_until(Received::is_any).await;
 }
 
-/// Completes when the user presses Ctrl-C, closes the terminal or asks the process to end.
-pub async fn asked_to_end() {
-    catch_endings();
-    pressed().await;
+/// Completes when the user presses Ctrl-C, closes the terminal or terminates the process.
+pub async fn interrupted_or_terminated() {
+    catch_termination();
+    interrupted().await;
 }
 
-async fn until(holds: impl FnMut(&Received) -> bool) {
+async fn wait_until(holds: impl FnMut(&Received) -> bool) {
     // The sender is static, so the channel is never closed.
     let _ = RECEIVED.subscribe().wait_for(holds).await;
 }
 
-/// Completes when Ctrl-C is pressed after the signal for which [`pressed`] completed.
-async fn pressed_again() {
+/// Completes when Ctrl-C is pressed after the signal for which [`interrupted`] completed.
+async fn interrupted_again() {
     let counted = RECEIVED.borrow().interrupts.min(1);
-    until(|received| received.interrupts > counted).await;
+    wait_until(|received| received.interrupts > counted).await;
 }
 
 /// Runs `work` until it is done or interrupted.
-///
-/// # Errors
-///
-/// Those of `work`, or [`Failure::Interrupted`].
-pub async fn either<T>(work: impl Future<Output = Result<T, Failure>>) -> Result<T, Failure> {
+pub async fn either<T, E>(work: impl Future<Output = Result<T, E>>) -> Result<T, Failure>
+where
+    Failure: From<E>,
+{
     tokio::select! {
         biased;
-        outcome = work => outcome,
-        () = pressed() => Err(Failure::Interrupted { left: None }),
+        outcome = work => Ok(outcome?),
+        () = interrupted() => Err(Failure::interrupted()),
     }
 }
 
-/// Runs `work`, unless it is interrupted before it began, and for up to `grace` after that: for a
-/// request whose effect can only be undone with its reply. `left` says what may go on without it.
-///
-/// # Errors
-///
-/// Those of `work`, or [`Failure::Interrupted`].
-pub async fn after_grace<T>(
+/// Runs `work` until it is done, or until `grace` after an interruption; does not start it
+/// if it was interrupted before. For a request whose effect can only be undone with its
+/// reply; `left` describes what may continue.
+pub async fn after_grace<T, E>(
     grace: Duration,
     left: &str,
-    work: impl Future<Output = Result<T, Failure>>,
-) -> Result<T, Failure> {
+    work: impl Future<Output = Result<T, E>>,
+) -> Result<T, Failure>
+where
+    Failure: From<E>,
+{
     if RECEIVED.borrow().is_any() {
-        return Err(Failure::Interrupted { left: None });
+        return Err(Failure::interrupted());
     }
     let mut work = pin!(work);
     tokio::select! {
         biased;
-        outcome = &mut work => return outcome,
-        () = pressed() => {}
+        outcome = &mut work => return Ok(outcome?),
+        () = interrupted() => {}
     }
-    let left = Some(left.to_owned());
-    let ended = tokio::time::timeout(grace, work).await;
-    ended.unwrap_or(Err(Failure::Interrupted { left }))
+    match tokio::time::timeout(grace, work).await {
+        Ok(outcome) => Ok(outcome?),
+        Err(_) => Err(Failure::interrupted_leaving(left)),
+    }
 }
 
-/// Runs a whole verb on a task of its own, so that Ctrl-C works even while nobody reads stdout.
+/// Runs a verb on its own thread, so that Ctrl-C works even while stdout blocks.
 /// Then it has `grace` to end, unless Ctrl-C is pressed again.
-///
-/// # Errors
-///
-/// Those of `verb`, or [`Failure::Interrupted`].
-pub async fn watched(
+pub async fn run_interruptible<V>(
     grace: Duration,
-    verb: impl Future<Output = Result<(), Failure>> + Send + 'static,
-) -> Result<(), Failure> {
-    let mut task = tokio::spawn(verb);
+    verb: impl FnOnce() -> V + Send + 'static,
+) -> Result<(), Failure>
+where
+    V: Future<Output = Result<(), Failure>>,
+{
+    let runtime = Handle::current();
+    let mut task = tokio::task::spawn_blocking(move || runtime.block_on(verb()));
     let ended = tokio::select! {
         biased;
         ended = &mut task => Some(ended),
-        () = pressed() => tokio::select! {
+        () = interrupted() => tokio::select! {
             biased;
             ended = tokio::time::timeout(grace, &mut task) => ended.ok(),
-            () = pressed_again() => None,
+            () = interrupted_again() => None,
         },
     };
     match ended {
         Some(Ok(outcome)) => outcome,
         Some(Err(error)) => Err(Failure::defect(error)),
-        None => Err(Failure::Interrupted { left: None }),
+        None => Err(Failure::interrupted()),
     }
 }

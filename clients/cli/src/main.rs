@@ -1,16 +1,24 @@
-//! `jostle`: arguments in, one request to a daemon, a table or JSON out.
+//! `jostle`: reads arguments, sends requests to a daemon, prints a table or JSON.
+
+// A binary: its functions have one error type, and its items are not public API.
+#![allow(missing_docs, clippy::missing_errors_doc)]
 
 mod arguments;
-mod bus;
 mod completion;
+mod connect;
+mod context;
 mod failure;
 mod file;
+#[cfg(test)]
+mod fixtures;
 mod format;
 mod interrupt;
-mod nearest;
 mod output;
+mod progress;
 mod screen;
 mod selection;
+mod stdout;
+mod suggest;
 mod table;
 mod values;
 mod verbs;
@@ -22,7 +30,7 @@ use crate::failure::Failure;
 use crate::output::Output;
 
 fn main() -> ExitCode {
-    completion::complete_if_asked();
+    completion::complete_if_requested(arguments::command);
     let arguments = match Arguments::read(std::env::args_os()) {
         Ok(arguments) => arguments,
         Err(error) => return output::usage(&error),
@@ -30,30 +38,32 @@ fn main() -> ExitCode {
     let output = Output {
         json: arguments.global.json,
     };
-    match carry_out(arguments, output) {
+    match execute(arguments, output) {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => output.failure(&failure),
     }
 }
 
 /// Runs a verb to its end, or until interrupted.
-fn carry_out(arguments: Arguments, output: Output) -> Result<(), Failure> {
-    // zenoh refuses to live on a current-thread runtime.
+fn execute(arguments: Arguments, output: Output) -> Result<(), Failure> {
+    // zenoh panics on a current-thread runtime.
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .worker_threads(2)
         .enable_all()
         .build()
-        .map_err(Failure::Output)?;
+        .map_err(Failure::output)?;
     let context = runtime.enter();
     interrupt::catch_interrupts();
     if verbs::records_to_file(&arguments.verb) {
-        interrupt::catch_endings();
+        interrupt::catch_termination();
     }
     drop(context);
     let grace = verbs::grace(&arguments.verb);
-    let outcome = runtime.block_on(interrupt::watched(grace, verbs::execute(arguments, output)));
-    verbs::give_back_the_terminal();
-    // A thread may still wait for a name server or a reader that never comes.
+    let outcome = runtime.block_on(interrupt::run_interruptible(grace, move || {
+        verbs::execute(arguments, output)
+    }));
+    verbs::restore_terminal();
+    // A thread may still block in a name lookup or in a write to stdout.
     runtime.shutdown_background();
     outcome
 }

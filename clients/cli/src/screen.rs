@@ -1,16 +1,16 @@
-//! A few lines on a terminal that change in place.
+//! Lines on a terminal that are redrawn in place.
 
 use crate::failure::Failure;
 use crate::output;
 
-/// Control sequences of every terminal but a dumb one. Long lines are cut rather than wrapped, or
-/// the number of lines to go up would be wrong.
+/// Control sequences. Long lines are cut rather than wrapped, since the cursor moves up by the number
+/// of lines.
 const DO_NOT_WRAP: &str = "\x1b[?7l";
 const WRAP: &str = "\x1b[?7h";
 const CLEAR_LINE: &str = "\x1b[K";
 const CLEAR_BELOW: &str = "\x1b[J";
 
-/// What was drawn last.
+/// The number of lines drawn last.
 #[derive(Debug, Default)]
 pub struct Screen {
     drawn: usize,
@@ -19,13 +19,9 @@ pub struct Screen {
 impl Screen {
     /// Draws a text and a line below it over what was drawn before. The cursor stays below, where
     /// an echoed ^C does no harm.
-    ///
-    /// # Errors
-    ///
-    /// When it cannot be written.
     pub fn draw(&mut self, text: &str, below: Option<&str>) -> Result<(), Failure> {
         let (height, width) = console::Term::stdout().size();
-        let lines = fitting(text, below, usize::from(height), usize::from(width));
+        let lines = lines_that_fit(text, below, usize::from(height), usize::from(width));
         let mut screen = String::from("\r");
         if self.drawn > 0 {
             screen.push_str(&format!("\x1b[{}A", self.drawn));
@@ -41,9 +37,9 @@ impl Screen {
     }
 }
 
-/// The lines that fit above the cursor's, each cut at the terminal's edge: one that does not wrap
-/// would put the end of a long line into its last column.
-fn fitting(text: &str, below: Option<&str>, height: usize, width: usize) -> Vec<String> {
+/// The lines that fit above the cursor, cut at the width of the terminal: without wrapping a terminal
+/// shows the end of a long line in its last column.
+fn lines_that_fit(text: &str, below: Option<&str>, height: usize, width: usize) -> Vec<String> {
     let room = height
         .saturating_sub(1 + usize::from(below.is_some()))
         .max(1);
@@ -63,15 +59,18 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_does_not_fit_is_cut_and_counted() {
-        assert_eq!(fitting("a\nb", None, 24, 80), ["a", "b"]);
-        assert_eq!(fitting("a\nb", Some("c"), 24, 80), ["a", "b", "c"]);
+    fn lines_that_do_not_fit_are_cut_and_counted() {
+        assert_eq!(lines_that_fit("a\nb", None, 24, 80), ["a", "b"]);
+        assert_eq!(lines_that_fit("a\nb", Some("c"), 24, 80), ["a", "b", "c"]);
         assert_eq!(
-            fitting("a\nb\nc\nd", None, 4, 80),
+            lines_that_fit("a\nb\nc\nd", None, 4, 80),
             ["a", "b", "… 2 more lines"]
         );
-        assert_eq!(fitting("a\nb", None, 3, 80), ["a", "b"]);
-        assert_eq!(fitting("abcdef", None, 24, 4), ["abc…"]);
-        assert_eq!(fitting("a\nb", Some("c"), 0, 80), ["… 2 more lines", "c"]);
+        assert_eq!(lines_that_fit("a\nb", None, 3, 80), ["a", "b"]);
+        assert_eq!(lines_that_fit("abcdef", None, 24, 4), ["abc…"]);
+        assert_eq!(
+            lines_that_fit("a\nb", Some("c"), 0, 80),
+            ["… 2 more lines", "c"]
+        );
     }
 }

@@ -1,13 +1,13 @@
-//! Which individuals a verb is about, and which way they should go.
+//! The selector of individuals.
 
 use std::ops::RangeInclusive;
 
 use clap::{ArgGroup, Args};
 use jostle_proto::verbs::{Foremost, Region, Select};
 
-use crate::values;
+use crate::values::{self, MAX_INDIVIDUALS};
 
-/// Which individuals; exactly one way to say it.
+/// The selector of individuals; exactly one option is given.
 #[derive(Debug, Args)]
 #[group(skip)]
 #[command(
@@ -17,13 +17,13 @@ use crate::values;
         .required(true)
 )]
 pub struct SelectionArguments {
-    /// These, by their ids and ranges of ids, such as 1,4-7
+    /// These ids and ranges of ids, such as 1,4-7
     #[arg(long, value_name = "IDS", value_delimiter = ',', value_parser = values::ids)]
     ids: Option<Vec<RangeInclusive<u32>>>,
-    /// This many, drawn
-    #[arg(long, value_name = "COUNT", allow_negative_numbers = true)]
+    /// This many, drawn at random
+    #[arg(long, value_name = "COUNT", value_parser = values::whole_in::<1, MAX_INDIVIDUALS>, allow_negative_numbers = true)]
     count: Option<u64>,
-    /// This share of them, 0 to 1 or 0% to 100%, drawn
+    /// This share of all, 0 to 1 or 0% to 100%, drawn at random
     #[arg(long, value_name = "SHARE", value_parser = values::share, allow_hyphen_values = true)]
     fraction: Option<f64>,
     /// All whose centre is in a disc
@@ -34,6 +34,7 @@ pub struct SelectionArguments {
         long,
         value_name = "COUNT",
         requires = "along",
+        value_parser = values::whole_in::<1, MAX_INDIVIDUALS>,
         allow_negative_numbers = true
     )]
     foremost: Option<u64>,
@@ -67,7 +68,7 @@ impl SelectionArguments {
     }
 }
 
-/// A direction in radians, given as such or in degrees.
+/// A direction in radians, from radians or degrees.
 pub fn radians(direction: Option<f64>, degrees: Option<f64>) -> Option<f64> {
     direction.or(degrees.map(f64::to_radians))
 }
@@ -113,7 +114,7 @@ mod tests {
     }
 
     #[test]
-    fn none_or_two_ways_at_once_are_refused() {
+    fn no_selector_and_two_selectors_are_rejected() {
         for line in [
             "--count 3 --ids 1",
             "--foremost 3",

@@ -2,13 +2,25 @@
 
 use comfy_table::{CellAlignment, Table, presets::NOTHING};
 use jostle_proto::verbs::SetResult;
-use jostle_proto::{HistoryFrom, ParameterValues, Reply, Status, SwarmSummary, contract};
+use jostle_proto::{HistoryFrom, ParameterValues, Reply, Status, contract};
 use serde_json::Value;
 
 use crate::format;
-use crate::output;
+use crate::stdout;
 
-/// A table of these columns.
+/// The name of a column, and its cell in a row.
+pub type Column<T> = (&'static str, fn(&T) -> String);
+
+/// A table with a line for each of `rows`.
+pub fn of<T, const COLUMNS: usize>(rows: &[T], columns: [Column<T>; COLUMNS]) -> String {
+    let row = |row| columns.map(|(_, cell)| cell(row));
+    table(
+        columns.map(|(name, _)| name),
+        rows.iter().map(row).collect(),
+    )
+}
+
+/// A table with this header.
 pub fn table<const COLUMNS: usize>(
     header: [&str; COLUMNS],
     rows: Vec<[String; COLUMNS]>,
@@ -31,19 +43,14 @@ pub fn table<const COLUMNS: usize>(
     table.trim_fmt()
 }
 
-/// A table with a line of doc about each row: in a column of its own, or below where the terminal
-/// is too narrow for that.
-pub fn documented<const COLUMNS: usize>(
-    header: [&str; COLUMNS],
-    rows: Vec<[String; COLUMNS]>,
-    docs: &[String],
-) -> String {
-    let width = if output::is_terminal() {
+/// A table with a line of documentation per row: in a column, or on a narrow terminal below the row.
+pub fn documented(table: &str, docs: &[String]) -> String {
+    let width = if stdout::is_terminal() {
         usize::from(console::Term::stdout().size().1)
     } else {
         usize::MAX
     };
-    beside_or_below(&table(header, rows), docs, width)
+    beside_or_below(table, docs, width)
 }
 
 fn beside_or_below(table: &str, docs: &[String], width: usize) -> String {
@@ -74,33 +81,6 @@ fn beside_or_below(table: &str, docs: &[String], width: usize) -> String {
     text.trim_end().into()
 }
 
-/// The swarms of a daemon, a line each.
-pub fn swarms(swarms: &[SwarmSummary]) -> String {
-    let rows = swarms.iter().map(|swarm| {
-        [
-            swarm.swarm.clone(),
-            format::phase(swarm.phase).into(),
-            match (&swarm.reason, swarm.replay) {
-                (Some(reason), true) => format!("replay, {reason}"),
-                (None, true) => "replay".into(),
-                (reason, false) => reason.clone().unwrap_or_else(|| format::NONE.into()),
-            },
-            swarm.step.to_string(),
-            format::time(swarm.time),
-            swarm.n.to_string(),
-            swarm.informed.to_string(),
-            format::share(Some(swarm.order)),
-            format::rate(swarm.rate),
-            format::factor(swarm.real_time_factor),
-        ]
-    });
-    let header = [
-        "swarm", "phase", "reason", "step", "time", "n", "informed", "order", "rate", "actual",
-    ];
-    table(header, rows.collect())
-}
-
-/// All that a swarm says about itself.
 pub fn status(reply: &Reply<Status>) -> String {
     let Status {
         reason,
@@ -124,13 +104,7 @@ pub fn status(reply: &Reply<Status>) -> String {
     } = &reply.result;
     let mut lines = vec![
         ("swarm", reply.swarm.clone()),
-        (
-            "phase",
-            match reason {
-                Some(reason) => format!("{} ({reason})", format::phase(reply.phase)),
-                None => format::phase(reply.phase).into(),
-            },
-        ),
+        ("phase", format::phase(reply.phase, reason.as_deref())),
         (
             "step",
             match until_step {
@@ -231,12 +205,12 @@ pub fn status(reply: &Reply<Status>) -> String {
     pairs(&lines)
 }
 
-/// What `set` changed.
+/// The changes of a `set`.
 pub fn changes(result: &SetResult) -> String {
     table(["parameter", "before", "now"], changed(result))
 }
 
-/// The parameters that `set` changed, each before and now.
+/// The parameters that `set` changed, with the previous and the new value.
 pub fn changed(result: &SetResult) -> Vec<[String; 3]> {
     let SetResult { before, now, .. } = result;
     let (before, now) = (fields(before), fields(now));
@@ -246,7 +220,7 @@ pub fn changed(result: &SetResult) -> Vec<[String; 3]> {
         .collect()
 }
 
-/// All parameters that may change, each by its name, as a person writes it.
+/// All parameters that may change, by name.
 fn fields(values: &ParameterValues) -> Vec<(String, String)> {
     // All its numbers are finite and all its keys are strings.
     let Ok(Value::Object(fields)) = serde_json::to_value(values) else {
@@ -267,7 +241,7 @@ fn with_mean(now: Option<f64>, mean: Option<f64>) -> String {
     }
 }
 
-/// Names and values, a line each.
+/// Names and values, one pair per line.
 fn pairs(pairs: &[(&str, String)]) -> String {
     let width = pairs.iter().map(|(name, _)| name.len()).max().unwrap_or(0);
     let lines = pairs
@@ -281,7 +255,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn docs_stand_beside_the_rows_or_below_where_it_is_narrow() {
+    fn docs_are_beside_the_rows_or_below_them_on_a_narrow_terminal() {
         let rows = vec![["pi1".into(), "4".into()], ["seed".into(), "0".into()]];
         let table = table(["name", "now"], rows);
         let docs = ["A ratio".to_owned(), "Of every draw".to_owned()];

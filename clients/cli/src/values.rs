@@ -1,8 +1,10 @@
-//! Values as they are typed: numbers, rates, points, assignments.
+//! Parsers of option values: numbers, rates, points, assignments.
 //!
-//! Only what cannot be sent is refused here; what a value may be, the daemon says.
+//! They reject only what cannot be sent; the daemon checks ranges.
 
+use std::num::NonZero;
 use std::ops::RangeInclusive;
+use std::str::FromStr;
 
 use glob::Pattern;
 use jostle_figures::Kind;
@@ -11,27 +13,35 @@ use jostle_proto::verbs::{MAX_NOTE_CHARS, Pose, Region};
 use jostle_proto::{LARGEST_WHOLE, MAX_LABEL_LENGTH};
 use serde_json::{Value, json};
 
-/// The most ids that a range may have; more than any swarm has individuals.
+use crate::format;
+
+/// The largest range of ids: more than any swarm has individuals.
 const MAX_IDS: u32 = 1_000_000;
+
+/// The most individuals of a swarm, for messages.
+pub const MAX_INDIVIDUALS: u64 = MAX_IDS as u64;
+
+/// The most steps of a command, for messages.
+pub const MAX_STEPS: u64 = 1_000_000_000;
 
 /// Time units per second of wall clock; `None` is as fast as possible.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rate(pub Option<f64>);
 
-/// `name=value`, as `set` takes it.
+/// `name=value`, an argument of `set`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Assignment {
     /// The field on the wire.
     pub field: String,
-    /// A number if it can be read as one, otherwise the text.
+    /// A number if it parses as one, otherwise the text.
     pub value: Value,
 }
 
-/// What an individual turns towards, as a spec has it.
+/// A law of attraction in the form of a spec.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Law(pub Value);
 
-/// The laws of attraction, each with what its number is called.
+/// The laws of attraction, each with the name of its number.
 pub const LAWS: [(&str, Option<&str>); 5] = [
     ("all", Some("accuracy")),
     ("voronoi", None),
@@ -40,29 +50,24 @@ pub const LAWS: [(&str, Option<&str>); 5] = [
     ("power", Some("exponent")),
 ];
 
-/// A swarm, or all whose name matches a pattern.
+/// A name, or a pattern of names.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Names {
-    /// This one.
     One(String),
-    /// Those.
+    /// All swarms that match.
     Matching(Pattern),
 }
 
-/// What to draw.
+/// The kinds of figures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Figure {
     /// A figure of the paper.
     Of(Kind),
-    /// Swarms as they are.
+    /// The current state of swarms.
     Snapshot,
 }
 
-/// Reads which figure to draw.
-///
-/// # Errors
-///
-/// What is wrong with it.
+/// Parses the kind of a figure.
 pub fn figure(text: &str) -> Result<Figure, String> {
     if text == "snapshot" {
         return Ok(Figure::Snapshot);
@@ -74,18 +79,13 @@ pub fn figure(text: &str) -> Result<Figure, String> {
         .ok_or_else(|| format!("`{text}` is none of {}", figures().join(", ")))
 }
 
-/// Every figure there is.
 pub fn figures() -> Vec<String> {
     let numbers = Kind::ALL.into_iter().map(|kind| kind.number().to_string());
     numbers.chain(["snapshot".to_owned()]).collect()
 }
 
-/// Reads the name of a swarm or a node, which becomes part of a key: a wildcard there would be
-/// about every swarm.
-///
-/// # Errors
-///
-/// What is wrong with it.
+/// Parses the name of a swarm or a node. It becomes part of a key, in which a wildcard would address
+/// every swarm.
 pub fn name(text: &str) -> Result<String, String> {
     if is_name(text) {
         Ok(text.into())
@@ -94,11 +94,7 @@ pub fn name(text: &str) -> Result<String, String> {
     }
 }
 
-/// Reads the name of a swarm, or a pattern of names such as `test-*`.
-///
-/// # Errors
-///
-/// What is wrong with it.
+/// Parses the name of a swarm, or a pattern of names such as `test-*`.
 pub fn names(text: &str) -> Result<Names, String> {
     if !text.contains(['*', '?', '[']) {
         return name(text).map(Names::One);
@@ -113,11 +109,7 @@ pub fn names(text: &str) -> Result<Names, String> {
         .map_err(|error| format!("not a pattern: {}", error.msg))
 }
 
-/// Reads a number. JSON has no infinity and no NaN.
-///
-/// # Errors
-///
-/// What is wrong with it.
+/// Parses a number. JSON has no infinity and no NaN.
 pub fn number(text: &str) -> Result<f64, String> {
     match text.trim().parse::<f64>() {
         Ok(number) if number.is_finite() => Ok(number),
@@ -125,11 +117,7 @@ pub fn number(text: &str) -> Result<f64, String> {
     }
 }
 
-/// Reads a share above 0 and at most 1.
-///
-/// # Errors
-///
-/// What is wrong with it.
+/// Parses a share above 0 and at most 1.
 pub fn percentage(text: &str) -> Result<f64, String> {
     match share(text)? {
         share if share > 0.0 && share <= 1.0 => Ok(share),
@@ -137,11 +125,7 @@ pub fn percentage(text: &str) -> Result<f64, String> {
     }
 }
 
-/// Reads a share: `0.1`, or in percent `10%`.
-///
-/// # Errors
-///
-/// What is wrong with it.
+/// Parses a share: `0.1`, or in percent `10%`.
 pub fn share(text: &str) -> Result<f64, String> {
     let share = match text.strip_suffix('%') {
         Some(percent) => number(percent).map(|percent| percent / 100.0),
@@ -150,11 +134,7 @@ pub fn share(text: &str) -> Result<f64, String> {
     share.map_err(|_| format!("`{text}` is not a share: give one such as 0.1 or 10%"))
 }
 
-/// Reads an id, or a range of ids with both its ends: `7` or `1-5`.
-///
-/// # Errors
-///
-/// What is wrong with it.
+/// Parses an id or an inclusive range of ids: `7` or `1-5`.
 pub fn ids(text: &str) -> Result<RangeInclusive<u32>, String> {
     let (first, last) = text.split_once('-').unwrap_or((text, text));
     let is_number = |it: &str| !it.is_empty() && it.bytes().all(|it| it.is_ascii_digit());
@@ -175,11 +155,7 @@ pub fn ids(text: &str) -> Result<RangeInclusive<u32>, String> {
     Ok(first..=last)
 }
 
-/// Reads a positive number of seconds, such as `20` or `20s`.
-///
-/// # Errors
-///
-/// What is wrong with it.
+/// Parses a positive number of seconds, such as `20` or `20s`.
 pub fn seconds(text: &str) -> Result<f64, String> {
     match number(text.strip_suffix('s').unwrap_or(text)) {
         Ok(seconds) if seconds > 0.0 && seconds <= 1e9 => Ok(seconds),
@@ -189,11 +165,7 @@ pub fn seconds(text: &str) -> Result<f64, String> {
     }
 }
 
-/// Reads a number of bytes, such as `500MB`, `2GiB` or `4096`.
-///
-/// # Errors
-///
-/// What is wrong with it.
+/// Parses a number of bytes, such as `500MB`, `2GiB` or `4096`.
 pub fn size(text: &str) -> Result<u64, String> {
     const UNITS: [(&str, u64); 7] = [
         ("KiB", 1 << 10),
@@ -219,33 +191,39 @@ pub fn size(text: &str) -> Result<u64, String> {
     Ok(bytes)
 }
 
-/// Reads a whole number, 0 or more.
-///
-/// # Errors
-///
-/// What is wrong with it.
+/// Parses a whole number; the range is for the message, since the daemon checks ranges.
+fn parsed<T: FromStr>(text: &str, least: u64, most: u64) -> Result<T, String> {
+    let most = format::number(most as f64);
+    text.parse()
+        .map_err(|_| format!("give a whole number from {least} to {most}"))
+}
+
+/// Parses a whole number that the daemon accepts from `LEAST` to `MOST`.
+pub fn whole_in<const LEAST: u64, const MOST: u64>(text: &str) -> Result<u64, String> {
+    parsed(text, LEAST, MOST)
+}
+
+/// Parses a whole number.
 pub fn whole(text: &str) -> Result<u64, String> {
-    text.parse()
-        .map_err(|_| format!("`{text}` is not a whole number"))
+    parsed(text, 0, LARGEST_WHOLE)
 }
 
-/// Reads how many, at least one.
-///
-/// # Errors
-///
-/// What is wrong with it.
+/// Parses a whole number above 0.
+pub fn positive(text: &str) -> Result<u64, String> {
+    parsed(text, 1, LARGEST_WHOLE).map(NonZero::<u64>::get)
+}
+
+/// Parses a count, at least one.
 pub fn count(text: &str) -> Result<usize, String> {
-    text.parse()
-        .ok()
-        .filter(|&count| count > 0)
-        .ok_or_else(|| format!("`{text}` is not a whole number above 0"))
+    nonzero(text).map(NonZero::get)
 }
 
-/// Reads what names a request or its sender in events and in the journal.
-///
-/// # Errors
-///
-/// What is wrong with it.
+/// Parses a count, at least one.
+pub fn nonzero(text: &str) -> Result<NonZero<usize>, String> {
+    parsed(text, 1, LARGEST_WHOLE)
+}
+
+/// Parses a request id or the name of a sender.
 pub fn label(text: &str) -> Result<String, String> {
     match text {
         "" => Err("it is empty".into()),
@@ -257,11 +235,6 @@ pub fn label(text: &str) -> Result<String, String> {
     }
 }
 
-/// Reads a note.
-///
-/// # Errors
-///
-/// What is wrong with it.
 pub fn note(text: &str) -> Result<String, String> {
     match text {
         "" => Err("it is empty".into()),
@@ -275,11 +248,7 @@ pub fn note(text: &str) -> Result<String, String> {
     }
 }
 
-/// Reads a rate: a number, or `max`.
-///
-/// # Errors
-///
-/// What is wrong with it.
+/// Parses a rate: a number, or `max`.
 pub fn rate(text: &str) -> Result<Rate, String> {
     if text == "max" {
         return Ok(Rate(None));
@@ -289,11 +258,7 @@ pub fn rate(text: &str) -> Result<Rate, String> {
         .map_err(|_| format!("`{text}` is neither a number nor `max`"))
 }
 
-/// Reads a law of attraction: `voronoi`, or with a number `metric=3`.
-///
-/// # Errors
-///
-/// What is wrong with it.
+/// Parses a law of attraction: `voronoi`, or with a number `metric=3`.
 pub fn law(text: &str) -> Result<Law, String> {
     let (kind, number) = match text.split_once('=') {
         Some((kind, number)) => (kind, Some(number)),
@@ -308,38 +273,26 @@ pub fn law(text: &str) -> Result<Law, String> {
     let mut law = json!({ "kind": kind });
     match (field, number) {
         (Some(field), Some(text)) => law[field] = assignment(&format!("{field}={text}"))?.value,
-        (None, Some(_)) => return Err(format!("{kind} takes no number")),
-        // Only of `all` the number may be left out, and the daemon says so.
+        (None, Some(_)) => return Err(format!("{kind} takes no number: leave it out")),
+        // Only for `all` the number is optional; the daemon checks that.
         (_, None) => {}
     }
     Ok(Law(law))
 }
 
-/// Reads `X,Y,RADIUS`.
-///
-/// # Errors
-///
-/// What is wrong with it.
+/// Parses `X,Y,RADIUS`.
 pub fn region(text: &str) -> Result<Region, String> {
     let [x, y, radius] = triple(text, "X,Y,RADIUS")?;
     Ok(Region { x, y, radius })
 }
 
-/// Reads `X,Y,ALPHA`.
-///
-/// # Errors
-///
-/// What is wrong with it.
+/// Parses `X,Y,ALPHA`.
 pub fn pose(text: &str) -> Result<Pose, String> {
     let [x, y, alpha] = triple(text, "X,Y,ALPHA")?;
     Ok(Pose { x, y, alpha })
 }
 
-/// Reads `name=value`.
-///
-/// # Errors
-///
-/// What is wrong with it.
+/// Parses `name=value`.
 pub fn assignment(text: &str) -> Result<Assignment, String> {
     let (field, value) = text
         .split_once('=')
@@ -349,7 +302,7 @@ pub fn assignment(text: &str) -> Result<Assignment, String> {
         let field = field.to_owned();
         return law(value).map(|Law(value)| Assignment { field, value });
     }
-    // An integer stays one: fields that count would refuse 5.0.
+    // An integer stays one: counts are rejected as 5.0.
     let value = serde_json::from_str::<serde_json::Number>(value)
         .map(Value::Number)
         .or_else(|_| number(value).map(Value::from))
@@ -412,7 +365,7 @@ mod tests {
     }
 
     #[test]
-    fn names_that_would_reach_every_swarm_stay_here() {
+    fn names_that_would_address_every_swarm_are_rejected() {
         for text in ["*", "**", "a/b", "@node", "A", ""] {
             assert!(name(text).is_err(), "{text:?}");
         }
@@ -436,7 +389,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_json_cannot_carry_are_refused() {
+    fn numbers_without_a_json_form_are_rejected() {
         for text in ["nan", "inf", "-inf", "1e999", "", "1,2"] {
             assert!(number(text).is_err(), "{text:?}");
         }
@@ -456,7 +409,12 @@ mod tests {
     #[test]
     fn counts_and_labels_are_what_the_wire_takes() {
         assert_eq!(whole("0"), Ok(0));
-        assert!(whole("-1").is_err() && whole("1.5").is_err());
+        let range = Err("give a whole number from 0 to 2^53-1".to_owned());
+        assert_eq!([whole("-1"), whole("1.5")], [range.clone(), range]);
+        let range = Err("give a whole number from 1 to 1e9".to_owned());
+        assert_eq!(whole_in::<1, MAX_STEPS>("ten"), range);
+        let range = Err("give a whole number from 1 to 2^53-1".to_owned());
+        assert_eq!([positive("0"), positive("many")], [range.clone(), range]);
         assert_eq!(count("1"), Ok(1));
         assert!(count("0").is_err() && count("many").is_err());
         assert_eq!(label("ada@desk").as_deref(), Ok("ada@desk"));

@@ -1,4 +1,4 @@
-//! The arguments of the verbs about experiments and their figures.
+//! The arguments of `experiment` and `figure`.
 
 use std::path::PathBuf;
 
@@ -9,42 +9,39 @@ use crate::arguments::{PlanArguments, SenderArguments};
 use crate::completion;
 use crate::values;
 
-/// What to do with experiments.
 #[derive(Debug, Args)]
 #[command(arg_required_else_help = true, subcommand_value_name = "WHAT")]
 pub struct ExperimentArguments {
-    /// What to do.
     #[command(subcommand)]
     pub what: Experiment,
 }
 
-/// What to do with experiments.
 #[derive(Debug, Subcommand)]
 pub enum Experiment {
-    /// Has the daemon carry out an experiment, and shows how far it is; Ctrl-C only stops showing
+    /// Starts an experiment on the daemon and shows its progress, which Ctrl-C ends
     Run(RunExperimentArguments),
     /// Splits an experiment into parts that several machines execute, without a daemon
     Plan(PlanArguments),
-    /// Lists experiments and how far they are
+    /// Lists the experiments with their progress
     List,
-    /// Shows how far an experiment is
+    /// Shows the progress of an experiment
     Status(ExperimentNameArguments),
-    /// Shows how far an experiment is until it is over
+    /// Shows the progress of an experiment until it ends
     Attach(ExperimentNameArguments),
-    /// Has the runs of an experiment stand still; the next experiment begins
+    /// Pauses the runs of an experiment; the next experiment starts
     Pause(ChangeExperimentArguments),
-    /// Has a paused experiment go on, or one that was cancelled or failed
+    /// Resumes an experiment that was paused, was cancelled or has failed
     Resume(ChangeExperimentArguments),
-    /// Ends an experiment; what is finished is kept
+    /// Cancels an experiment and keeps the finished runs
     Cancel(ChangeExperimentArguments),
-    /// Deletes an experiment that is over, with its results
+    /// Deletes an experiment that has ended, with its results
     Delete(ChangeExperimentArguments),
-    /// Shows what came of an experiment so far, or writes its tables
+    /// Shows the results of an experiment so far, or writes its tables
     Results(ResultsArguments),
 }
 
 impl Experiment {
-    /// The experiment that it is about, if that is on the daemon already.
+    /// The name of an experiment that the daemon should have.
     pub fn name(&self) -> Option<&str> {
         match self {
             Experiment::Run(_) | Experiment::Plan(_) | Experiment::List => None,
@@ -73,25 +70,23 @@ Such a file, of 18 runs:
   [measure]
   order_every = 50";
 
-/// Which experiment to carry out.
 #[derive(Debug, Args)]
 #[command(after_help = EXAMPLE)]
 pub struct RunExperimentArguments {
-    /// The file that describes it, TOML; - for stdin
+    /// The experiment file, TOML; - for stdin
     #[arg(value_hint = ValueHint::FilePath)]
     pub file: PathBuf,
-    /// What to call it [default: its name in the file]
+    /// Its name [default: the one in the file]
     #[arg(long, value_name = "NAME", value_parser = values::name)]
     pub name: Option<String>,
-    /// Do not show how far it is
+    /// Do not show its progress
     #[arg(long)]
     pub detach: bool,
-    /// Who sends it.
     #[command(flatten)]
     pub sender: SenderArguments,
 }
 
-/// Which experiment.
+/// The name of an experiment.
 #[derive(Debug, Args)]
 pub struct ExperimentNameArguments {
     /// The experiment
@@ -99,18 +94,16 @@ pub struct ExperimentNameArguments {
     pub name: String,
 }
 
-/// Which experiment to change.
+/// The arguments of the verbs that change an experiment.
 #[derive(Debug, Args)]
 pub struct ChangeExperimentArguments {
     /// The experiment
     #[arg(value_parser = values::name, add = ArgValueCompleter::new(completion::experiments))]
     pub name: String,
-    /// Who sends it.
     #[command(flatten)]
     pub sender: SenderArguments,
 }
 
-/// Whose results to show or write where.
 #[derive(Debug, Args)]
 pub struct ResultsArguments {
     /// The experiment
@@ -120,6 +113,9 @@ pub struct ResultsArguments {
     /// FILE.csv
     #[arg(short, long, value_name = "FOLDER|FILE", value_hint = ValueHint::AnyPath)]
     pub out: Option<PathBuf>,
+    /// Replace tables of another experiment, or with runs that these results do not have
+    #[arg(long, requires = "out")]
+    pub force: bool,
     /// Print a row for each run as CSV instead of a line for each condition
     #[arg(long, conflicts_with = "out")]
     pub csv: bool,
@@ -128,16 +124,15 @@ pub struct ResultsArguments {
     pub order: Option<String>,
 }
 
-/// What to draw, of what, to where.
 #[derive(Debug, Args)]
 pub struct FigureArguments {
-    /// The paper's figure, 2, 4, 5 or 6, or `snapshot` of swarms as they are now
+    /// The figure of the paper, 2, 4, 5 or 6, or `snapshot` for the current state of swarms
     #[arg(value_parser = values::figure, add = ArgValueCompleter::new(completion::figures))]
     pub kind: values::Figure,
-    /// A folder with results, results.parquet or results.csv; of `snapshot` swarms
+    /// A folder with results, results.parquet or results.csv; for `snapshot` names of swarms
     #[arg(required = true, value_name = "RESULTS|SWARM", value_hint = ValueHint::AnyPath, add = ArgValueCompleter::new(completion::swarms))]
     pub of: Vec<String>,
-    /// The picture, FILE.svg or FILE.png
+    /// The output, FILE.svg or FILE.png
     #[arg(short, long, value_name = "FILE", value_hint = ValueHint::FilePath)]
     pub out: PathBuf,
 }

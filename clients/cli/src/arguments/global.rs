@@ -1,20 +1,16 @@
-//! The options that verbs have in common, each offered by the verbs on which it has an effect.
+//! The command line as a whole: each verb offers those common options that have an effect on it.
 
-use std::ffi::OsString;
-use std::path::PathBuf;
+use std::ffi::{OsStr, OsString};
 
-use clap::builder::TypedValueParser as _;
 use clap::error::ErrorKind;
 use clap::parser::ValueSource;
 use clap::{Arg, ArgMatches, Args, Command, CommandFactory, FromArgMatches};
-use clap_complete::engine::ArgValueCompleter;
-use jostle_proto::keys::DEFAULT_PREFIX;
+use clap_complete::engine::{ArgValueCompleter, CompletionCandidate};
 
-use crate::arguments::Arguments;
+use crate::arguments::{Arguments, EXAMPLES, GlobalArguments, TOPICS};
 use crate::completion;
-use crate::values;
 
-/// The names of these options.
+/// The options that several verbs have.
 const OPTIONS: [&str; 6] = [
     "endpoint",
     "credentials",
@@ -25,10 +21,10 @@ const OPTIONS: [&str; 6] = [
 ];
 
 /// The options that reach a daemon.
-const CONNECTION: [&str; 5] = ["endpoint", "credentials", "node", "prefix", "timeout"];
+const CONNECTION_OPTIONS: [&str; 5] = ["endpoint", "credentials", "node", "prefix", "timeout"];
 
-/// The verbs that send requests to a daemon rather than to a swarm, which is found by its name.
-const OF_A_DAEMON: [&str; 22] = [
+/// The verbs with requests to a daemon, which --node selects. A swarm is found by its name.
+const DAEMON_VERBS: [&str; 22] = [
     "auth can",
     "auth link",
     "auth whoami",
@@ -53,58 +49,35 @@ const OF_A_DAEMON: [&str; 22] = [
     "watch",
 ];
 
-/// The options that verbs have in common.
-#[derive(Debug, Args)]
-#[command(next_help_heading = "Connection and output")]
-pub struct GlobalArguments {
-    /// Where the daemon listens [default: where the credentials say, or tcp/127.0.0.1:7447]
-    #[arg(short, long, env = "JOSTLE_ENDPOINT", hide_env_values = true)]
-    pub endpoint: Option<String>,
-    /// Folder with your credentials, as written by `jostled auth`
-    #[arg(
-        long,
-        env = "JOSTLE_CREDENTIALS",
-        hide_env_values = true,
-        value_name = "FOLDER",
-        value_parser = clap::builder::OsStringValueParser::new().map(PathBuf::from),
-        value_hint = clap::ValueHint::DirPath
-    )]
-    pub credentials: Option<PathBuf>,
-    /// Which daemon, if several are reached there
-    #[arg(long, value_name = "NAME", value_parser = values::name, add = ArgValueCompleter::new(completion::nodes))]
-    pub node: Option<String>,
-    /// The first chunk of the daemon's keys
-    #[arg(long, value_name = "NAME", default_value = DEFAULT_PREFIX, value_parser = values::name)]
-    pub prefix: String,
-    /// How long to wait for an answer; the daemon finishes its work anyway
-    #[arg(long, value_name = "SECS", default_value = "5", value_parser = values::seconds, allow_negative_numbers = true)]
-    pub timeout: f64,
-    /// Print replies as they came, streams as JSON Lines
-    #[arg(long)]
-    pub json: bool,
-}
-
 /// Whether an option has an effect on a verb, such as `experiment list`.
 fn has_effect(option: &str, verb: &str) -> bool {
     match verb {
-        "completions" | "man" | "claims" | "results merge" | "experiment plan" => {
-            !CONNECTION.contains(&option)
+        "completions" | "man" | "help" | "claims" | "results merge" | "experiment plan" => {
+            !CONNECTION_OPTIONS.contains(&option)
         }
         "auth link" => option != "json",
-        verb => option != "node" || OF_A_DAEMON.contains(&verb),
+        verb => option != "node" || DAEMON_VERBS.contains(&verb),
     }
 }
 
 /// The command line.
 pub fn command() -> Command {
-    let options = GlobalArguments::augment_args(Command::new("options"));
+    let with_nodes = |command: Command| {
+        command.mut_arg("node", |it| {
+            it.add(ArgValueCompleter::new(completion::nodes))
+        })
+    };
+    let options = with_nodes(GlobalArguments::augment_args(Command::new("options")));
     let options: Vec<Arg> = options.get_arguments().cloned().collect();
-    offer(Arguments::command(), "", &options)
+    let completer = ArgValueCompleter::new(verbs_and_topics);
+    let command = with_nodes(Arguments::command())
+        .mut_subcommand("help", |it| it.mut_arg("words", |arg| arg.add(completer)));
+    add_options(command, "", &options)
 }
 
-/// Adds to each subcommand of `command` the options that have an effect on it or on one of its own
-/// subcommands.
-fn offer(command: Command, of: &str, options: &[Arg]) -> Command {
+/// Adds to each subcommand of `command` its example, and the options that have an effect on it or on
+/// one of its own subcommands.
+fn add_options(command: Command, of: &str, options: &[Arg]) -> Command {
     command.mut_subcommands(|verb| {
         let name = joined(of, verb.get_name());
         let verbs: Vec<String> = match verb.has_subcommands() {
@@ -118,9 +91,22 @@ fn offer(command: Command, of: &str, options: &[Arg]) -> Command {
             let option = option.get_id().as_str();
             verbs.iter().any(|verb| has_effect(option, verb))
         };
-        let verb = verb.args(options.iter().filter(is_of_use).cloned());
-        offer(verb, &name, options)
+        let mut verb = verb.args(options.iter().filter(is_of_use).cloned());
+        if let Some((_, example)) = EXAMPLES.iter().find(|(verb, _)| *verb == name) {
+            let more = verb.get_after_help().map(|more| format!("\n\n{more}"));
+            let example = format!("Example:\n  jostle {example}{}", more.unwrap_or_default());
+            verb = verb.after_help(example);
+        }
+        add_options(verb, &name, options)
     })
+}
+
+/// Completes the words of `jostle help`.
+fn verbs_and_topics(typed: &OsStr) -> Vec<CompletionCandidate> {
+    let command = command();
+    let verbs = command.get_subcommands().map(|it| it.get_name().to_owned());
+    let topics = TOPICS.iter().map(|it| it.name.to_owned());
+    completion::beginning_with(typed, verbs.chain(topics).chain(["topics".to_owned()]))
 }
 
 fn joined(of: &str, verb: &str) -> String {
@@ -129,14 +115,18 @@ fn joined(of: &str, verb: &str) -> String {
 
 impl Arguments {
     /// Reads a command line.
-    ///
-    /// # Errors
-    ///
-    /// What is wrong with it, or the help that it asks for.
-    pub fn read(
-        words: impl IntoIterator<Item = impl Into<OsString> + Clone>,
-    ) -> Result<Self, clap::Error> {
+    pub fn read(words: impl IntoIterator<Item = impl Into<OsString>>) -> Result<Self, clap::Error> {
         let mut command = command();
+        let mut words: Vec<OsString> = words.into_iter().map(Into::into).collect();
+        // `experiment help run` is `help experiment run`.
+        if let [_, group, help, ..] = words.as_slice()
+            && help == "help"
+            && command
+                .find_subcommand(group)
+                .is_some_and(Command::has_subcommands)
+        {
+            words.swap(1, 2);
+        }
         let matches = command.try_get_matches_from_mut(words)?;
         let read = Arguments::from_arg_matches(&matches);
         let mut arguments = read.map_err(|error| error.format(&mut command))?;
@@ -145,7 +135,7 @@ impl Arguments {
         while let Some((name, deeper)) = level.subcommand() {
             (verb, level) = (joined(&verb, name), deeper);
             for option in self::given(level) {
-                arguments.global.take(option, level);
+                arguments.global.set(option, level);
                 given.push(option);
             }
         }
@@ -154,13 +144,14 @@ impl Arguments {
             let problem = format!("--{option} has no effect on `jostle {verb}`: leave it out");
             return Err(command.error(ErrorKind::ArgumentConflict, problem));
         }
+        arguments.global.is_timeout_given = given.contains(&"timeout");
         Ok(arguments)
     }
 }
 
 impl GlobalArguments {
-    /// Takes an option as it stands after a verb.
-    fn take(&mut self, option: &str, matches: &ArgMatches) {
+    /// Takes over the value of an option given after a verb.
+    fn set(&mut self, option: &str, matches: &ArgMatches) {
         let text = || matches.get_one::<String>(option).cloned();
         match option {
             "endpoint" => self.endpoint = text(),
@@ -173,7 +164,7 @@ impl GlobalArguments {
     }
 }
 
-/// The options that are on the command line, and not only in the environment.
+/// The options given on the command line, not only by the environment.
 fn given(matches: &ArgMatches) -> Vec<&'static str> {
     let is_given = |option: &&str| {
         let is_known = matches.ids().any(|id| id.as_str() == *option);
@@ -213,7 +204,7 @@ mod tests {
         let mut command = command();
         command.build();
         let verbs = verbs(&command, "");
-        for name in OF_A_DAEMON {
+        for name in DAEMON_VERBS {
             assert!(verbs.iter().any(|(verb, _)| verb == name), "no verb {name}");
         }
         for (name, verb) in verbs {
@@ -271,5 +262,16 @@ mod tests {
         }
         let left_out = read("--timeout 7 status demo").unwrap();
         assert_eq!(left_out.global.timeout.to_bits(), 7.0_f64.to_bits());
+    }
+
+    #[test]
+    fn verbs_and_topics_are_completed() {
+        let completed = |typed: &str| {
+            let candidates = verbs_and_topics(OsStr::new(typed)).into_iter();
+            let words = candidates.map(|it| it.get_value().to_str().unwrap().to_owned());
+            words.collect::<Vec<_>>()
+        };
+        assert_eq!(completed("exi"), ["exit-codes"]);
+        assert_eq!(completed("top"), ["top", "topics"]);
     }
 }

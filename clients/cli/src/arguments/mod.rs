@@ -1,11 +1,12 @@
-//! What may be typed.
+//! The command line.
 
 mod auth;
 mod claims;
-mod copies;
+mod connection;
 mod experiment;
 mod global;
-mod looking;
+mod help;
+mod inspect;
 mod parts;
 mod recording;
 mod replay;
@@ -16,60 +17,18 @@ use clap::{Parser, Subcommand};
 
 pub use self::auth::*;
 pub use self::claims::*;
-pub use self::copies::*;
+pub use self::connection::*;
 pub use self::experiment::*;
-pub use self::global::*;
-pub use self::looking::*;
+pub use self::global::command;
+pub use self::help::{EXAMPLES, HelpArguments, TOPICS, topics};
+pub use self::inspect::*;
 pub use self::parts::*;
 pub use self::recording::*;
 pub use self::replay::*;
 pub use self::sending::*;
 pub use self::verbs::*;
 
-/// Where a daemon listens unless told otherwise.
-pub const DEFAULT_ENDPOINT: &str = "tcp/127.0.0.1:7447";
-
-const EXAMPLES_AND_EXIT_CODES: &str = "\
-Examples:
-  jostle create demo --n 50 --seed 1
-  jostle inform demo --fraction 0.1 --direction 0
-  jostle run demo --until 100 --rate max --wait
-  jostle watch demo
-  jostle --json watch demo --frames --count 3
-  jostle set demo pi1=6 --make-room --at-step 9000
-  jostle status demo --watch
-  jostle record demo -o demo.mcap --for 20s
-  jostle record demo --at-daemon --every 50
-  jostle replay demo.mcap --as tape
-  jostle fork demo other --at-step 5000
-  jostle diff demo other
-  jostle snapshot demo -o demo.snapshot
-  jostle experiment run order.toml
-  jostle experiment results order -o results
-  jostle figure 2 results -o figure-2.svg
-  jostle doctor
-
-Lengths are in body sizes, speeds in free speeds, times in their quotient; angles are radians
-counter-clockwise from +x. Data goes to stdout, talk to stderr. With --json a reply is printed
-as it came, a stream as a line per sample or event, and an error as an object on stderr. A command
-whose answer is lost, or that comes when too much is going on, is sent again under its request_id
-until --timeout; the daemon carries it out once.
-
-Exit codes:
-    0  done
-    1  failed: a defect, or the swarm faulted (internal, faulted)
-    2  the command line or an argument is wrong (invalid_argument)
-    3  no such swarm or node (not_found)
-    4  not in this state (conflict, contested, incorrect_state, already_exists)
-    5  not permitted (permission_denied)
-    6  no daemon, or no answer in time (unreachable, deadline_exceeded, timeout)
-    7  too much (busy, resource_exhausted)
-    8  the disk is full, the daemon's or here (storage_full)
-    9  a replay has other hashes, or a mean lies outside its band (mismatch)
-  130  interrupted by Ctrl-C; `record` to a file takes SIGTERM and SIGHUP as Ctrl-C, ends the file
-       and then ends with 0";
-
-/// Watches and steers swarms hosted by a daemon, `jostled`
+/// Observes and steers swarms that a daemon, `jostled`, hosts
 #[derive(Debug, Parser)]
 #[command(
     name = "jostle",
@@ -78,89 +37,103 @@ Exit codes:
     arg_required_else_help = true,
     subcommand_value_name = "VERB",
     subcommand_help_heading = "Verbs",
-    after_help = EXAMPLES_AND_EXIT_CODES
+    disable_help_subcommand = true,
+    after_help = help::overview()
 )]
 pub struct Arguments {
-    /// The options that verbs have in common.
     #[command(flatten)]
     pub global: GlobalArguments,
-    /// What to do.
     #[command(subcommand)]
     pub verb: Verb,
 }
 
-/// What to do.
+/// The verbs.
 #[derive(Debug, Subcommand)]
 pub enum Verb {
-    /// Creates a swarm, paused
+    /// Creates a paused swarm
     Create(CreateArguments),
-    /// Looks.
-    #[command(flatten)]
-    Look(Look),
-    /// Shows what happened to a swarm
+    /// Lists the swarms of a daemon
+    List,
+    /// Shows the status of a swarm: phase, step, order, certificate
+    Status(SwarmArguments),
+    /// Lists the parameters of a swarm: values, ranges, units, and the verbs that change them
+    Parameters(SwarmArguments),
+    /// Lists the controllers of a swarm and how long it waits for each
+    Controllers(SwarmArguments),
+    /// Prints the spec of a swarm, as `create --spec` reads it
+    Spec(SwarmArguments),
+    /// Lists the commands that a swarm has applied
+    Journal(JournalArguments),
+    /// Lists the reachable daemons
+    Nodes,
+    /// Shows the load and the speed of a daemon and its swarms, live
+    Top(TopArguments),
+    /// Lists the events of a swarm
     Events(EventsArguments),
-    /// Watches swarms live; on a terminal a view that steers them, too
+    /// Shows swarms live; on a terminal in a full-screen view that also steers them
     Watch(WatchArguments),
-    /// Records a swarm to a file, every k-th state of it, or has the daemon record it
+    /// Records the states of a swarm, to a file or on the daemon
     Record(RecordArguments),
-    /// Shows a recording as if it were a swarm: to watch, pause, step and seek
+    /// Plays a recording as a swarm that can be watched, paused, stepped and sought
     Replay(ReplayArguments),
-    /// Has a replay go somewhere else in its recording
+    /// Moves a playback to another place in its recording
     Seek(SeekArguments),
-    /// Lets a swarm run; changes target and rate of one that runs
+    /// Runs a swarm, or changes the end and the rate of a running one
     Run(RunArguments),
     /// Pauses a swarm
-    Pause(PauseArguments),
-    /// Runs a paused swarm some steps on, as fast as it can
+    Pause(CommandArguments),
+    /// Executes steps of a paused swarm, as fast as possible
     Step(StepArguments),
-    /// Puts a swarm back to its start, paused
+    /// Resets a swarm to its initial state, paused
     Reset(ResetArguments),
-    /// Changes parameters of a swarm and leaves the others
+    /// Sets parameters of a swarm
     Set(SetArguments),
-    /// Gives individuals a direction of their own
+    /// Gives individuals a preferred direction
     Inform(InformArguments),
-    /// Takes individuals' direction away
+    /// Removes the preferred direction of individuals
     Uninform(SelectArguments),
-    /// Adds individuals where they overlap nobody
+    /// Adds individuals at free positions
     Inject(InjectArguments),
-    /// Takes individuals out of the group
+    /// Removes individuals
     Remove(SelectArguments),
-    /// Applies several changes at one step, or none
+    /// Applies several changes atomically, at one step
     Batch(BatchArguments),
-    /// Has a controller leave a swarm, so that nobody waits for it
+    /// Removes a controller, so that the swarm no longer waits for it
     Leave(LeaveArguments),
-    /// Writes a note into the journal and the events of a swarm; changes nothing else
+    /// Writes a note to the journal and the events of a swarm
     Annotate(AnnotateArguments),
     /// Deletes swarms
     Delete(DeleteArguments),
-    /// Makes another swarm as this one is or was, paused: one future until treated differently
+    /// Creates a paused copy of a swarm, at its current or an earlier step
     Fork(ForkArguments),
-    /// Shows where and how two swarms part: what they were told, where they are
+    /// Compares two swarms: specs, commands, positions and order
     Diff(DiffArguments),
-    /// Writes a swarm with all that its future depends on to a file
+    /// Writes the complete state of a swarm to a file
     Snapshot(SnapshotArguments),
-    /// Makes a swarm from such a file, on a daemon of the same model version, paused
+    /// Creates a paused swarm from a snapshot file of the same model version
     Restore(RestoreArguments),
-    /// Tells a swarm's kept history again and says whether it comes out the same
-    Verify(VerifyArguments),
-    /// Says who you are to the daemon, and what you may
+    /// Replays the history of a swarm and compares state hashes
+    Verify(SwarmArguments),
+    /// Shows your identity and your permissions on the daemon
     Auth(AuthArguments),
-    /// Carries out experiments: grids of runs, on the daemon, whether anybody looks on or not
+    /// Executes experiments on the daemon: grids of runs
     Experiment(ExperimentArguments),
     /// Merges results of experiments that several machines executed
     Results(ResultsVerbArguments),
-    /// Draws a figure of the paper from results, or swarms as they are
+    /// Draws a figure of the paper from results, or a snapshot of swarms
     Figure(FigureArguments),
-    /// Holds results against the paper's claims, or against the bands of earlier ones
+    /// Compares results with the claims of the paper, or with bands of earlier results
     Claims(ClaimsArguments),
-    /// Finds out whether everything works from here, and what to do if not
+    /// Checks the connection to a daemon and suggests remedies
     Doctor,
-    /// Describes the messages on the wire, as JSON Schemas
+    /// Prints the JSON Schemas of the messages on the wire
     Schema(SchemaArguments),
-    /// Prints the line that makes a shell complete verbs, options, swarms and parameters
+    /// Prints the line that enables completion of verbs, options and names in a shell
     Completions(CompletionsArguments),
     /// Prints the manual page, or writes one for each verb
     Man(ManArguments),
+    /// Describes a verb or a topic; `help topics` lists the topics
+    Help(HelpArguments),
 }
 
 #[cfg(test)]
@@ -286,7 +259,7 @@ mod tests {
             "create demo --n 3 --at-step 4",
             "pause demo --at-step -1",
             "run demo --until 3 --wait --at-step 4",
-            "status demo --watch 0",
+            "status demo --watch",
             "events demo --limit 0",
             "completions tcsh",
             "fork demo",

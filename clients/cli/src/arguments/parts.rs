@@ -7,14 +7,13 @@ use clap::{Args, Subcommand, ValueEnum, ValueHint};
 
 use crate::values;
 
-/// How to split an experiment.
 #[derive(Debug, Args)]
 pub struct PlanArguments {
-    /// The file that describes it, TOML
+    /// The experiment file, TOML
     #[arg(value_hint = ValueHint::FilePath)]
     pub file: PathBuf,
     /// Number of parts, of nearly equal expected time [default: 1]
-    #[arg(long, value_name = "COUNT", conflicts_with = "secs")]
+    #[arg(long, value_name = "COUNT", value_parser = values::nonzero, conflicts_with = "secs")]
     pub parts: Option<NonZero<usize>>,
     /// Expected seconds of a part on one core; determines the number of parts
     #[arg(long, value_name = "SECS", value_parser = values::seconds)]
@@ -32,7 +31,7 @@ pub struct PlanArguments {
     pub out: Option<String>,
 }
 
-/// What to print of a plan.
+/// The formats of `experiment plan --emit`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Emit {
     /// A batch script for `sbatch`.
@@ -41,23 +40,19 @@ pub enum Emit {
     Jsonl,
 }
 
-/// What to do with results.
 #[derive(Debug, Args)]
 #[command(arg_required_else_help = true, subcommand_value_name = "WHAT")]
 pub struct ResultsVerbArguments {
-    /// What to do.
     #[command(subcommand)]
     pub what: Results,
 }
 
-/// What to do with results.
 #[derive(Debug, Subcommand)]
 pub enum Results {
     /// Merges the parts of an experiment that several machines executed
     Merge(MergeArguments),
 }
 
-/// Which parts to merge, and where to.
 #[derive(Debug, Args)]
 pub struct MergeArguments {
     /// The folders of all parts, as `jostled run --part` wrote them, or one folder that contains them
@@ -71,6 +66,6 @@ pub struct MergeArguments {
     #[arg(long, value_name = "SHARE", value_parser = values::percentage)]
     pub verify: Option<f64>,
     /// Number of runs to verify in parallel [default: number of cores]
-    #[arg(long, value_name = "COUNT", requires = "verify")]
+    #[arg(long, value_name = "COUNT", value_parser = values::nonzero, requires = "verify")]
     pub threads: Option<NonZero<usize>>,
 }

@@ -9,7 +9,6 @@ use crate::arguments::SenderArguments;
 use crate::completion;
 use crate::values;
 
-/// What to record where, and for how long.
 #[derive(Debug, Args)]
 pub struct RecordArguments {
     /// The swarm
@@ -20,7 +19,7 @@ pub struct RecordArguments {
     pub out: Option<PathBuf>,
     /// Record the states whose step is a multiple of this [default: the swarm's publish_every; with
     /// --published every state that arrives]
-    #[arg(long, value_name = "STEPS", value_parser = clap::value_parser!(u64).range(1..), allow_negative_numbers = true)]
+    #[arg(long, value_name = "STEPS", value_parser = values::positive, allow_negative_numbers = true)]
     pub every: Option<u64>,
     /// Drop and count states while the daemon's disk is too slow [default: the swarm waits for the
     /// disk]
@@ -37,37 +36,36 @@ pub struct RecordArguments {
     /// End after this long [default: at Ctrl-C, or when the swarm is deleted]
     #[arg(long = "for", value_name = "SECS", value_parser = values::seconds, allow_negative_numbers = true)]
     pub for_secs: Option<f64>,
-    /// End when the swarm has taken so many steps
-    #[arg(long, value_parser = clap::value_parser!(u64).range(1..), allow_negative_numbers = true)]
+    /// End after this many steps of the swarm
+    #[arg(long, value_parser = values::positive, allow_negative_numbers = true)]
     pub steps: Option<u64>,
-    /// Replace a file that is there
+    /// Replace an existing file
     #[arg(long)]
     pub force: bool,
     /// Recover FILE after its recording process was killed; needs no daemon
     #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath, conflicts_with_all = ["name", "out", "every", "drop_when_behind", "max_size", "published", "fetch", "for_secs", "steps", "at_daemon", "list", "stop", "delete", "request_id", "client"])]
     pub recover: Option<PathBuf>,
-    /// Have the daemon record into its data directory, until it is stopped or the swarm is deleted
+    /// Record on the daemon, into its data directory, until --stop or until the swarm is deleted
     #[arg(long, help_heading = AT_DAEMON, conflicts_with_all = ["for_secs", "force"])]
     pub at_daemon: bool,
-    /// What to call the daemon's recording [default: the swarm's name and a number]
+    /// The name of the daemon's recording [default: the swarm's name and a number]
     #[arg(long = "as", value_name = "NAME", help_heading = AT_DAEMON, requires = "at_daemon", value_parser = values::name)]
     pub as_name: Option<String>,
     /// Fetch one of the daemon's recordings into -o FILE, such as one whose client was killed
     #[arg(long, value_name = "NAME", help_heading = AT_DAEMON, requires = "out", conflicts_with_all = ["name", "every", "drop_when_behind", "max_size", "published", "for_secs", "steps", "at_daemon", "list", "stop", "delete"], value_parser = values::name, add = ArgValueCompleter::new(completion::recordings))]
     pub fetch: Option<String>,
-    /// List the daemon's recordings and how they stand
+    /// List the daemon's recordings with their status
     #[arg(long, help_heading = AT_DAEMON, conflicts_with_all = ["name", "every", "drop_when_behind", "max_size", "for_secs", "steps", "force", "at_daemon", "stop", "delete", "request_id", "client"])]
     pub list: bool,
-    /// End one of the daemon's recordings; what was recorded is kept
+    /// End one of the daemon's recordings and keep its files
     #[arg(long, value_name = "NAME", help_heading = AT_DAEMON, conflicts_with_all = ["name", "every", "drop_when_behind", "max_size", "for_secs", "steps", "force", "at_daemon", "delete"], value_parser = values::name, add = ArgValueCompleter::new(completion::recordings))]
     pub stop: Option<String>,
-    /// Remove one of the daemon's recordings with its files; one that goes on is ended
+    /// Delete one of the daemon's recordings with its files, also one that is running
     #[arg(long, value_name = "NAME", help_heading = AT_DAEMON, conflicts_with_all = ["name", "every", "drop_when_behind", "max_size", "for_secs", "steps", "force", "at_daemon"], value_parser = values::name, add = ArgValueCompleter::new(completion::recordings))]
     pub delete: Option<String>,
-    /// Who sends it.
     #[command(flatten)]
     pub sender: SenderArguments,
 }
 
-/// Above the options of what the daemon records.
+/// The heading of the options about recordings of the daemon.
 const AT_DAEMON: &str = "Recordings of the daemon";

@@ -1,4 +1,4 @@
-//! The arguments of the verbs that show recordings.
+//! The arguments of the verbs about playbacks.
 
 use std::path::PathBuf;
 
@@ -9,40 +9,35 @@ use crate::arguments::SenderArguments;
 use crate::completion;
 use crate::values::{self, Rate};
 
-/// Which recording to show, as what.
 #[derive(Debug, Args)]
 pub struct ReplayArguments {
     /// The recording, .mcap
     #[arg(value_hint = ValueHint::FilePath, required_unless_present = "recording")]
     pub file: Option<PathBuf>,
-    /// One that the daemon has recorded, instead of a file
+    /// A recording of the daemon, instead of a file
     #[arg(long, value_name = "NAME", value_parser = values::name, conflicts_with = "file")]
     pub recording: Option<String>,
-    /// What to show it as [default: what the file or the recording is called]
+    /// The name of the playback [default: the name of the file or recording]
     #[arg(long = "as", value_name = "NAME", value_parser = values::name)]
     pub name: Option<String>,
-    /// Time units per second of wall clock, or max [default: that of the swarm when the recording began, 1 if
-    /// it was max]
+    /// Time units per second of wall clock, or max [default: the rate of the swarm when the recording
+    /// began, 1 if it was max]
     #[arg(long, value_parser = values::rate, allow_negative_numbers = true)]
     pub rate: Option<Rate>,
     /// Stay at the first frame
     #[arg(long, conflicts_with = "rate")]
     pub paused: bool,
-    /// Who sends it.
     #[command(flatten)]
     pub sender: SenderArguments,
 }
 
-/// Where a replay is to go.
 #[derive(Debug, Args)]
 pub struct SeekArguments {
-    /// The replay
+    /// The playback
     #[arg(value_parser = values::name, add = ArgValueCompleter::new(completion::swarms))]
     pub name: String,
-    /// Where: as long as it is not later.
     #[command(flatten)]
     pub place: PlaceArguments,
-    /// Who sends it.
     #[command(flatten)]
     pub sender: SenderArguments,
 }

@@ -1,35 +1,56 @@
-//! How a command is sent: when it applies, what it expects and who sends it.
+//! The swarm and the options of a request: when it applies, its preconditions and its sender.
 
 use clap::Args;
+use clap_complete::engine::ArgValueCompleter;
 
+use crate::completion;
 use crate::values;
 
-/// How a command to a swarm is sent.
+/// The swarm of a verb.
+#[derive(Debug, Args)]
+pub struct SwarmArguments {
+    /// The swarm
+    #[arg(value_parser = values::name, add = ArgValueCompleter::new(completion::swarms))]
+    pub name: String,
+}
+
+/// A swarm, and the options of a command to it.
+#[derive(Debug, Args)]
+pub struct CommandArguments {
+    /// The swarm
+    #[arg(value_parser = values::name, add = ArgValueCompleter::new(completion::swarms))]
+    pub name: String,
+    #[command(flatten)]
+    pub sending: SendingArguments,
+}
+
+/// The options of a command to a swarm.
 #[derive(Clone, Debug, Default, Args)]
-#[command(next_help_heading = "How it is sent")]
 pub struct SendingArguments {
-    /// Carry it out at this step; one that lies ahead is acknowledged at once
-    #[arg(long, value_name = "STEP", value_parser = values::whole, allow_negative_numbers = true)]
+    /// Apply it at this step; the daemon acknowledges a future step at once
+    #[arg(long, help_heading = REQUEST, value_name = "STEP", value_parser = values::whole, allow_negative_numbers = true)]
     pub at_step: Option<u64>,
-    /// Refuse with `conflict` unless the swarm is in this epoch
-    #[arg(long, value_name = "EPOCH", value_parser = values::whole, allow_negative_numbers = true)]
+    /// Reject it with `conflict` unless the swarm is in this epoch
+    #[arg(long, help_heading = REQUEST, value_name = "EPOCH", value_parser = values::whole, allow_negative_numbers = true)]
     pub expect_epoch: Option<u64>,
-    /// Refuse with `conflict` unless the swarm is at this step
-    #[arg(long, value_name = "STEP", value_parser = values::whole, allow_negative_numbers = true)]
+    /// Reject it with `conflict` unless the swarm is at this step
+    #[arg(long, help_heading = REQUEST, value_name = "STEP", value_parser = values::whole, allow_negative_numbers = true)]
     pub expect_step: Option<u64>,
-    /// Who sends it.
     #[command(flatten)]
     pub sender: SenderArguments,
 }
 
-/// Who sends a command, and what it is called.
+/// The sender and the id of a request.
 #[derive(Clone, Debug, Default, Args)]
-#[command(next_help_heading = "How it is sent")]
 pub struct SenderArguments {
-    /// What to call the request; the same one again is not carried out twice [default: a new one]
-    #[arg(long, value_name = "ID", value_parser = values::label)]
+    /// The id of the request; the daemon executes each id once [default: a new id]
+    #[arg(long, help_heading = REQUEST, value_name = "ID", value_parser = values::label)]
     pub request_id: Option<String>,
-    /// Who the daemon is told has sent it, your user@host if left out
-    #[arg(long, value_name = "NAME", value_parser = values::label)]
+    /// The sender, as shown in events and the journal (default: your user@host)
+    #[arg(long, help_heading = REQUEST, value_name = "NAME", value_parser = values::label)]
     pub client: Option<String>,
 }
+
+/// The heading of these options. As `next_help_heading` it would also apply to the arguments after a
+/// flattened struct.
+const REQUEST: &str = "Request";

@@ -4,56 +4,43 @@ use std::path::PathBuf;
 
 use clap::{ArgGroup, Args, ValueHint};
 use clap_complete::engine::ArgValueCompleter;
+use jostle_proto::LARGEST_WHOLE;
 use jostle_proto::verbs::{Pose, Region};
 
-use crate::arguments::{SenderArguments, SendingArguments};
+use crate::arguments::{CommandArguments, SenderArguments, SendingArguments};
 use crate::completion;
 use crate::selection::SelectionArguments;
-use crate::values::{self, Assignment, Law, Names, Rate};
+use crate::values::{self, Assignment, Law, MAX_INDIVIDUALS, MAX_STEPS, Names, Rate};
 
-/// Which swarm to pause.
-#[derive(Debug, Args)]
-pub struct PauseArguments {
-    /// The swarm
-    #[arg(value_parser = values::name, add = ArgValueCompleter::new(completion::swarms))]
-    pub name: String,
-    /// How it is sent.
-    #[command(flatten)]
-    pub sending: SendingArguments,
-}
-
-/// A swarm and some of its individuals.
 #[derive(Debug, Args)]
 pub struct SelectArguments {
     /// The swarm
     #[arg(value_parser = values::name, add = ArgValueCompleter::new(completion::swarms))]
     pub name: String,
-    /// Whom.
     #[command(flatten)]
     pub selection: SelectionArguments,
-    /// How it is sent.
     #[command(flatten)]
     pub sending: SendingArguments,
 }
 
-/// What a swarm is made from.
 #[derive(Debug, Args)]
 pub struct CreateArguments {
     /// Its name: lower case letters, digits, - and _
     pub name: String,
-    /// How many individuals
+    /// The number of individuals
     #[arg(
         short,
         long,
         value_name = "COUNT",
         required_unless_present = "spec",
-        allow_negative_numbers = true
+        allow_negative_numbers = true,
+        value_parser = values::whole_in::<1, MAX_INDIVIDUALS>
     )]
     pub n: Option<u64>,
     /// Length over width of a body, 1 (a disc) to 32 [the daemon's default: 4]
     #[arg(long, value_name = "RATIO", value_parser = values::number, allow_hyphen_values = true)]
     pub pi1: Option<f64>,
-    /// Weight of the direction of those informed without one [default: 0.5]
+    /// Weight of the preferred direction of informed individuals, unless `inform` has one [default: 0.5]
     #[arg(long, value_name = "WEIGHT", value_parser = values::number, allow_hyphen_values = true)]
     pub pi2: Option<f64>,
     /// Body size over turning radius [default: 1]
@@ -71,22 +58,23 @@ pub struct CreateArguments {
     /// What a contact limits: `position`, or the `velocity` of closing [default: position]
     #[arg(long, value_name = "RULE", add = ArgValueCompleter::new(completion::steppings))]
     pub stepping: Option<String>,
-    /// Solve another program about what the first one predicts: less overlap
+    /// Solve this many more programs per step, linearised at the predicted positions: less overlap
     #[arg(
         long,
         value_name = "PROGRAMS",
         num_args = 0..=1,
         require_equals = true,
         default_missing_value = "1",
-        allow_negative_numbers = true
+        allow_negative_numbers = true,
+        value_parser = values::whole_in::<0, 1>
     )]
     pub relinearise: Option<u64>,
     /// What an individual turns towards: all, voronoi, metric=RADIUS, topological=NEIGHBOURS or
     /// power=EXPONENT of the distance [default: all]
     #[arg(long, value_name = "LAW", value_parser = values::law, add = ArgValueCompleter::new(completion::laws))]
     pub attraction: Option<Law>,
-    /// About how far off the attraction to all may be, 1e-9 to 1e-3 (measured, no bound); quicker
-    /// from some thousand individuals on [default: exact to rounding]
+    /// Approximate error of the attraction to all, 1e-9 to 1e-3 (measured, not a bound); faster from a
+    /// few thousand individuals on [default: exact to rounding]
     #[arg(
         long,
         value_name = "ERROR",
@@ -99,13 +87,13 @@ pub struct CreateArguments {
     #[arg(long, value_name = "INTENSITY", value_parser = values::number, allow_hyphen_values = true)]
     pub noise: Option<f64>,
     /// The seed of every draw [default: 0]
-    #[arg(long, allow_negative_numbers = true)]
+    #[arg(long, allow_negative_numbers = true, value_parser = values::whole)]
     pub seed: Option<u64>,
-    /// The radius of the disc they start in [√n, at least 1]
+    /// The radius of the disc of the initial positions [default: √n, at least 1]
     #[arg(long, value_name = "LENGTH", value_parser = values::number, allow_hyphen_values = true)]
     pub radius: Option<f64>,
     /// Steps between two published states [default: 5]
-    #[arg(long, value_name = "STEPS", allow_negative_numbers = true)]
+    #[arg(long, value_name = "STEPS", allow_negative_numbers = true, value_parser = values::whole_in::<1, LARGEST_WHOLE>)]
     pub publish_every: Option<u64>,
     /// Time units per second of wall clock, or `max` [default: 1]
     #[arg(long, value_name = "RATE", value_parser = values::rate, allow_hyphen_values = true)]
@@ -113,20 +101,17 @@ pub struct CreateArguments {
     /// A JSON file with the spec, - for stdin; the options above override it
     #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath)]
     pub spec: Option<PathBuf>,
-    /// Be content with a swarm of that name and an equal spec
+    /// Succeed if a swarm of this name with an equal spec exists
     #[arg(long)]
     pub exist_ok: bool,
-    /// Who sends it.
     #[command(flatten)]
     pub sender: SenderArguments,
 }
 
-/// How a swarm should run.
 #[derive(Debug, Args)]
 pub struct RunArguments {
-    /// The swarm
-    #[arg(value_parser = values::name, add = ArgValueCompleter::new(completion::swarms))]
-    pub name: String,
+    #[command(flatten)]
+    pub command: CommandArguments,
     /// Pause at the first step at or after this time
     #[arg(long, value_name = "TIME", value_parser = values::number, allow_hyphen_values = true)]
     pub until: Option<f64>,
@@ -135,184 +120,192 @@ pub struct RunArguments {
         long,
         value_name = "STEP",
         conflicts_with = "until",
-        allow_negative_numbers = true
+        allow_negative_numbers = true,
+        value_parser = values::whole
     )]
     pub until_step: Option<u64>,
-    /// Time units per second of wall clock, or `max`; left out, no change
+    /// Time units per second of wall clock, or `max` [default: no change]
     #[arg(long, value_name = "RATE", value_parser = values::rate, allow_hyphen_values = true)]
     pub rate: Option<Rate>,
-    /// Return only when it is there; without an end, when it is paused
+    /// Return when it has reached the end, or without an end when it is paused; a --timeout that is
+    /// given bounds the wait
     #[arg(long, conflicts_with = "at_step")]
     pub wait: bool,
-    /// How it is sent.
-    #[command(flatten)]
-    pub sending: SendingArguments,
 }
 
-/// How far to step.
 #[derive(Debug, Args)]
 pub struct StepArguments {
-    /// The swarm
-    #[arg(value_parser = values::name, add = ArgValueCompleter::new(completion::swarms))]
-    pub name: String,
-    /// How many steps
-    #[arg(default_value_t = 1, allow_negative_numbers = true)]
+    #[command(flatten)]
+    pub command: CommandArguments,
+    /// The number of steps
+    #[arg(default_value_t = 1, allow_negative_numbers = true, value_parser = values::whole_in::<1, MAX_STEPS>)]
     pub steps: u64,
     /// Print the state reached, as JSON
     #[arg(long)]
     pub state: bool,
-    /// How it is sent.
-    #[command(flatten)]
-    pub sending: SendingArguments,
 }
 
-/// How to begin anew.
 #[derive(Debug, Args)]
 pub struct ResetArguments {
-    /// The swarm
-    #[arg(value_parser = values::name, add = ArgValueCompleter::new(completion::swarms))]
-    pub name: String,
-    /// A new seed; left out, the old one
-    #[arg(long, allow_negative_numbers = true)]
-    pub seed: Option<u64>,
-    /// How it is sent.
     #[command(flatten)]
-    pub sending: SendingArguments,
+    pub command: CommandArguments,
+    /// A new seed [default: the current one]
+    #[arg(long, allow_negative_numbers = true, value_parser = values::whole)]
+    pub seed: Option<u64>,
 }
 
-/// What to change.
 #[derive(Debug, Args)]
 pub struct SetArguments {
-    /// The swarm
-    #[arg(value_parser = values::name, add = ArgValueCompleter::new(completion::swarms))]
-    pub name: String,
+    #[command(flatten)]
+    pub command: CommandArguments,
     /// pi1 to pi4, contacts, stepping, relinearise, attraction, noise or publish_every, such as
     /// pi1=6 or attraction=metric=3
     #[arg(required = true, value_name = "NAME=VALUE", value_parser = values::assignment, add = ArgValueCompleter::new(completion::assignments))]
     pub assignments: Vec<Assignment>,
-    /// With pi1: spread the individuals by the least factor that makes room
+    /// With pi1: scale the positions by the least factor that avoids overlap
     #[arg(long)]
     pub make_room: bool,
-    /// How it is sent.
-    #[command(flatten)]
-    pub sending: SendingArguments,
 }
 
-/// Whom to give which direction.
 #[derive(Debug, Args)]
 #[command(group = ArgGroup::new("towards").args(["direction", "degrees"]).required(true))]
 pub struct InformArguments {
     /// The swarm
     #[arg(value_parser = values::name, add = ArgValueCompleter::new(completion::swarms))]
     pub name: String,
-    /// Their direction, counter-clockwise from +x
+    /// The direction, counter-clockwise from +x
     #[arg(long, value_name = "RADIANS", value_parser = values::number, allow_hyphen_values = true)]
     pub direction: Option<f64>,
-    /// Their direction in degrees
+    /// The direction in degrees
     #[arg(long, value_name = "DEGREES", value_parser = values::number, allow_hyphen_values = true)]
     pub degrees: Option<f64>,
-    /// How much it counts beside attraction [default: the swarm's pi2]
+    /// The weight of the direction relative to attraction [default: the swarm's pi2]
     #[arg(long, value_parser = values::number, allow_hyphen_values = true)]
     pub weight: Option<f64>,
-    /// After this long they are uninformed again
+    /// Uninform them after this time
     #[arg(long, value_name = "TIME", value_parser = values::number, allow_hyphen_values = true)]
     pub for_time: Option<f64>,
-    /// Whom.
     #[command(flatten)]
     pub selection: SelectionArguments,
-    /// How it is sent.
     #[command(flatten)]
     pub sending: SendingArguments,
 }
 
-/// Whom to add where.
 #[derive(Debug, Args)]
 #[command(
     group = ArgGroup::new("whom").args(["count", "at"]).required(true),
     group = ArgGroup::new("towards").args(["direction", "degrees"])
 )]
 pub struct InjectArguments {
-    /// The swarm
-    #[arg(value_parser = values::name, add = ArgValueCompleter::new(completion::swarms))]
-    pub name: String,
-    /// This many, at the border of the group or in --within
-    #[arg(long, value_name = "COUNT", allow_negative_numbers = true)]
+    #[command(flatten)]
+    pub command: CommandArguments,
+    /// The number of individuals, placed at the border of the group or in --within
+    #[arg(long, value_name = "COUNT", allow_negative_numbers = true, value_parser = values::whole_in::<1, MAX_INDIVIDUALS>)]
     pub count: Option<u64>,
-    /// One exactly there; once for each
+    /// The position and angle of one individual; may be repeated
     #[arg(long, value_name = "X,Y,ALPHA", value_parser = values::pose, allow_hyphen_values = true)]
     pub at: Vec<Pose>,
-    /// With --count: the disc they are drawn in
+    /// With --count: the disc in which positions are drawn
     #[arg(long, value_name = "X,Y,RADIUS", value_parser = values::region, allow_hyphen_values = true)]
     pub within: Option<Region>,
-    /// Informs them: their direction, counter-clockwise from +x
+    /// Inform them with this direction, counter-clockwise from +x
     #[arg(long, value_name = "RADIANS", value_parser = values::number, allow_hyphen_values = true)]
     pub direction: Option<f64>,
-    /// Informs them: their direction in degrees
+    /// Inform them with this direction in degrees
     #[arg(long, value_name = "DEGREES", value_parser = values::number, allow_hyphen_values = true)]
     pub degrees: Option<f64>,
-    /// How much their direction counts beside attraction [default: the swarm's pi2]
+    /// The weight of their direction relative to attraction [default: the swarm's pi2]
     #[arg(long, value_parser = values::number, allow_hyphen_values = true)]
     pub weight: Option<f64>,
-    /// How it is sent.
-    #[command(flatten)]
-    pub sending: SendingArguments,
 }
 
-/// Several changes at once.
 #[derive(Debug, Args)]
 pub struct BatchArguments {
-    /// The swarm
-    #[arg(value_parser = values::name, add = ArgValueCompleter::new(completion::swarms))]
-    pub name: String,
-    /// A JSON list such as [{"verb": "set", "args": {"pi3": 2}}], - for stdin; set, inform,
-    /// uninform, inject and remove are the verbs
+    #[command(flatten)]
+    pub command: CommandArguments,
+    /// A JSON list such as [{"verb": "set", "args": {"pi3": 2}}], - for stdin; the verbs are set, inform,
+    /// uninform, inject and remove
     #[arg(value_hint = ValueHint::FilePath)]
     pub file: PathBuf,
-    /// How it is sent.
-    #[command(flatten)]
-    pub sending: SendingArguments,
 }
 
-/// Which controller is to leave.
 #[derive(Debug, Args)]
 pub struct LeaveArguments {
-    /// The swarm
-    #[arg(value_parser = values::name, add = ArgValueCompleter::new(completion::swarms))]
-    pub name: String,
+    #[command(flatten)]
+    pub command: CommandArguments,
     /// The controller
     #[arg(value_parser = values::name)]
     pub controller: String,
-    /// How it is sent.
-    #[command(flatten)]
-    pub sending: SendingArguments,
 }
 
-/// The note for a swarm.
 #[derive(Debug, Args)]
-#[command(after_help = "Example:\n  jostle annotate school \"camera 2 replaced\"")]
 pub struct AnnotateArguments {
-    /// The swarm
-    #[arg(value_parser = values::name, add = ArgValueCompleter::new(completion::swarms))]
-    pub name: String,
+    #[command(flatten)]
+    pub command: CommandArguments,
     /// The note: 1 to 1000 characters in one line
     #[arg(value_parser = values::note)]
     pub text: String,
-    /// How it is sent.
-    #[command(flatten)]
-    pub sending: SendingArguments,
 }
 
-/// Which swarms to delete.
 #[derive(Debug, Args)]
 pub struct DeleteArguments {
     /// Names of swarms, or quoted patterns with `*`, `?` and `[abc]`, such as 'test-*'. With --node
     /// only swarms of that daemon are deleted
     #[arg(required = true, value_name = "NAME", value_parser = values::names, add = ArgValueCompleter::new(completion::swarms))]
     pub names: Vec<Names>,
-    /// Delete what a pattern matches without asking
+    /// Delete matches of a pattern without confirmation
     #[arg(short, long)]
     pub yes: bool,
-    /// How it is sent.
     #[command(flatten)]
     pub sending: SendingArguments,
+}
+
+#[derive(Debug, Args)]
+pub struct ForkArguments {
+    /// The swarm
+    #[arg(value_parser = values::name, add = ArgValueCompleter::new(completion::swarms))]
+    pub name: String,
+    /// The new swarm's name
+    #[arg(value_parser = values::name)]
+    pub copy: String,
+    /// Copy its state at this step, before the commands applied there [default: its current state]
+    #[arg(long, value_name = "STEP", value_parser = values::whole, allow_negative_numbers = true)]
+    pub at_step: Option<u64>,
+    #[command(flatten)]
+    pub sender: SenderArguments,
+}
+
+#[derive(Debug, Args)]
+pub struct DiffArguments {
+    /// The first swarm
+    #[arg(value_parser = values::name, add = ArgValueCompleter::new(completion::swarms))]
+    pub one: String,
+    /// The second swarm
+    #[arg(value_parser = values::name, add = ArgValueCompleter::new(completion::swarms))]
+    pub other: String,
+}
+
+#[derive(Debug, Args)]
+pub struct SnapshotArguments {
+    /// The swarm
+    #[arg(value_parser = values::name, add = ArgValueCompleter::new(completion::swarms))]
+    pub name: String,
+    /// The file
+    #[arg(short, long, value_name = "FILE", value_hint = ValueHint::FilePath)]
+    pub out: PathBuf,
+    /// Replace an existing file
+    #[arg(long)]
+    pub force: bool,
+}
+
+#[derive(Debug, Args)]
+pub struct RestoreArguments {
+    /// The file that `snapshot` wrote
+    #[arg(value_hint = ValueHint::FilePath)]
+    pub file: PathBuf,
+    /// The new swarm's name [default: the one in the file]
+    #[arg(value_parser = values::name)]
+    pub name: Option<String>,
+    #[command(flatten)]
+    pub sender: SenderArguments,
 }

@@ -1,53 +1,49 @@
-//! Who one is to the daemon.
+//! `auth`: the identity and the permissions of this client.
 
 use std::net::IpAddr;
 
-use jostle_proto::role::refused;
+use jostle_client::Client;
+use jostle_proto::role::rejection;
 use jostle_proto::{Hello, NodeReply, WhoAmI};
+use serde_json::Value;
 
 use crate::arguments::AuthVerb;
-use crate::bus::Bus;
+use crate::context::Context;
 use crate::failure::Failure;
-use crate::output::Output;
 
-/// Says who one is and what one may.
-///
-/// # Errors
-///
-/// What the daemon says, or that something is not permitted.
-pub async fn auth(bus: &Bus, output: Output, what: &AuthVerb) -> Result<(), Failure> {
+/// Executes a verb of `auth`.
+pub async fn auth(context: &Context, what: &AuthVerb) -> Result<(), Failure> {
+    let Context { client, output } = context;
     if let AuthVerb::Link { page } = what {
-        return link(bus, output, page.as_deref()).await;
+        return link(context, page.as_deref()).await;
     }
-    let answer = bus.get_node("whoami").await?;
+    let answer = client.get_node("whoami").await?;
     let NodeReply { node, result: who } = answer.read::<NodeReply<WhoAmI>>()?;
     match what {
         AuthVerb::Can { verb } => {
             if !who.verbs.contains(verb) && !who.node_verbs.contains(verb) {
                 let person = who.person.as_deref().zip(who.role);
-                return Err(Failure::refused(refused(person, verb)));
+                return Err(Failure::rejected(rejection(person, verb)));
             }
-            match output.json {
-                true => output.data(answer.json()?),
-                false => output.data(&format!("you may {verb}")),
-            }
+            output.reply(&answer, |_: &Value| format!("you may {verb}"))
         }
-        _ if output.json => output.data(answer.json()?),
-        _ => output.data(&told(&node, &who, bus.token().is_some())),
+        _ => output.reply(&answer, |_: &Value| {
+            describe(&node, &who, client.token().is_some())
+        }),
     }
 }
 
-/// Who one is, in words.
-fn told(node: &str, who: &WhoAmI, has_token: bool) -> String {
+/// Describes the identity and the permissions.
+fn describe(node: &str, who: &WhoAmI, has_token: bool) -> String {
     let may = |verbs: &[String]| match verbs {
         [] => "nothing".to_owned(),
         verbs => verbs.join(", "),
     };
     let first = match (&who.person, who.role) {
         (Some(person), Some(role)) => format!("{person}, {role} on {node}"),
-        (None, Some(_)) => format!("{node} knows no people: whoever reaches it may do everything"),
-        _ if has_token => format!("nobody that {node} knows: these credentials are out of date"),
-        _ => format!("nobody that {node} knows: --credentials FOLDER says who you are"),
+        (None, Some(_)) => format!("{node} has no authentication: every client may do everything"),
+        _ if has_token => format!("not a user of {node}: these credentials are out of date"),
+        _ => format!("not a user of {node}: pass your credentials, --credentials FOLDER"),
     };
     format!(
         "{first}\nof swarms: watch{}{}\nof the daemon: {}",
@@ -57,32 +53,34 @@ fn told(node: &str, who: &WhoAmI, has_token: bool) -> String {
     )
 }
 
-/// The link to the page, which the token opens. It is what was asked for, and goes nowhere else.
-async fn link(bus: &Bus, output: Output, page: Option<&str>) -> Result<(), Failure> {
-    let Some(token) = bus.token() else {
-        return Err(Failure::Argument {
-            argument: "--credentials".into(),
-            problem: "is not given, and the token in the link is theirs".into(),
-        });
+/// Prints the link to the page. It contains the token, so it is printed nowhere else.
+async fn link(context: &Context, page: Option<&str>) -> Result<(), Failure> {
+    let Context { client, output } = context;
+    let Some(token) = client.token() else {
+        return Err(Failure::argument(
+            "--credentials",
+            "is required: the link contains the token of the credentials",
+        ));
     };
     let page = match page {
         Some(page) => page.trim_end_matches('/').to_owned(),
-        None => page_of(bus).await?,
+        None => page_of(client).await?,
     };
     output.data(&format!("{page}/#token={token}"))
 }
 
 /// The HTTP URL that the daemon reports, with a host that is reachable from this machine.
-async fn page_of(bus: &Bus) -> Result<String, Failure> {
-    let answer = bus.get_node("hello").await?;
+async fn page_of(client: &Client) -> Result<String, Failure> {
+    let answer = client.get_node("hello").await?;
     let hello: NodeReply<Hello> = answer.read()?;
-    let served = hello.result.http.ok_or_else(|| Failure::Argument {
-        argument: "--page".into(),
-        problem: "is not given, and the daemon serves no HTTP (or is older than this command \
-                  line): start it with --http ADDRESS"
-            .into(),
+    let served = hello.result.http.ok_or_else(|| {
+        Failure::argument(
+            "--page",
+            "is required, since the daemon reports no HTTP address (it serves none, or its version \
+             is older): start it with --http ADDRESS",
+        )
     })?;
-    Ok(reached_by(&served, bus.page(), bus.endpoint()))
+    Ok(reached_by(&served, client.page(), client.endpoint()))
 }
 
 /// Replaces the host of the served URL by one that is reachable from this machine: the host in the

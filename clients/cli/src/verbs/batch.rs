@@ -1,42 +1,32 @@
-//! `batch`: several changes at one step, or none.
+//! `batch`: several changes applied atomically.
 
 use jostle_proto::Reply;
 use jostle_proto::verbs::{BatchResult, Changed};
 use serde_json::Value;
 use serde_json::value::RawValue;
 
-use crate::arguments::BatchArguments;
-use crate::bus::Bus;
+use crate::arguments::{BatchArguments, CommandArguments};
+use crate::context::Context;
 use crate::failure::Failure;
 use crate::file;
 use crate::format;
-use crate::nearest::did_you_mean;
-use crate::output::Output;
+use crate::suggest::did_you_mean;
 use crate::table;
-use crate::verbs::individuals::whom;
-use crate::verbs::print_outcome;
+use crate::verbs::individuals::individuals;
 use crate::verbs::steer::advice_on_set;
 
-/// The verbs that a batch may hold.
+/// The verbs that a batch may contain.
 const CHANGES: [&str; 5] = ["set", "inform", "uninform", "inject", "remove"];
 
-/// Applies several changes.
-///
-/// # Errors
-///
-/// Why nothing was changed.
-pub async fn batch(bus: &Bus, output: Output, arguments: &BatchArguments) -> Result<(), Failure> {
-    let BatchArguments {
-        name,
-        file,
-        sending,
-    } = arguments;
+pub async fn batch(context: &Context, arguments: &BatchArguments) -> Result<(), Failure> {
+    let BatchArguments { command, file } = arguments;
+    let CommandArguments { name, sending } = command;
     let text = file::read(file).map_err(wrong)?;
     let args = args(&text).map_err(|problem| wrong(format!("{}: {problem}", file.display())))?;
     let meant: Value = serde_json::from_str(args.get()).unwrap_or_default();
-    let answer = bus.command(name, "batch", &args, sending).await;
-    let answer = answer.map_err(|failure| failure.with_advice(advice(&meant)))?;
-    print_outcome(output, &answer, "batch", |reply: &Reply<BatchResult>| {
+    let answer = context.client.command(name, "batch", &args, sending).await;
+    let answer = answer.map_err(|error| Failure::from(error).with_advice(advice(&meant)))?;
+    let describe = |reply: &Reply<BatchResult>| {
         let results = &reply.result.results;
         let rows = results.iter().zip(1_u64..).map(|(changed, number)| {
             let (verb, outcome) = outcome(changed);
@@ -48,22 +38,23 @@ pub async fn batch(bus: &Bus, output: Output, arguments: &BatchArguments) -> Res
             "{count} applied to {} at step {}\n{table}",
             reply.swarm, reply.step
         )
-    })
+    };
+    context.output.outcome(&answer, "batch", describe)
 }
 
-/// The arguments on the wire: a list of changes, or an object around it. The text goes as it is,
-/// so that the daemon sees a field that is given twice.
+/// The arguments on the wire: a list of changes, or an object with it. The text is sent unchanged, so
+/// that the daemon can reject a duplicate field.
 fn args(text: &str) -> Result<Box<RawValue>, String> {
     let whole = match serde_json::from_str(text) {
         Ok(Value::Array(_)) => Ok(format!("{{\"commands\": {text}}}")),
         Ok(Value::Object(_)) => Ok(text.to_owned()),
         Ok(_) => Err("is neither a JSON list nor {\"commands\": …}".into()),
-        Err(error) => Err(format!("is no JSON: {error}")),
+        Err(error) => Err(format!("is not JSON: {error}")),
     };
     RawValue::from_string(whole?).map_err(|error| error.to_string())
 }
 
-/// What people may have meant by a verb or a field that there is not.
+/// A suggestion for an unknown verb or field.
 fn advice(args: &Value) -> Option<String> {
     let commands = args["commands"].as_array()?;
     commands.iter().find_map(|command| {
@@ -76,7 +67,7 @@ fn advice(args: &Value) -> Option<String> {
     })
 }
 
-/// The verb of a change, and what it came to.
+/// The verb of a change, and its outcome.
 fn outcome(changed: &Changed) -> (&'static str, String) {
     match changed {
         Changed::Set(result) => {
@@ -90,18 +81,15 @@ fn outcome(changed: &Changed) -> (&'static str, String) {
                 changes => ("set", changes.join(", ")),
             }
         }
-        Changed::Inform(result) => ("inform", whom(&result.ids)),
-        Changed::Uninform(result) => ("uninform", whom(&result.ids)),
-        Changed::Inject(result) => ("inject", whom(&result.ids)),
-        Changed::Remove(result) => ("remove", whom(&result.ids)),
+        Changed::Inform(result) => ("inform", individuals(&result.ids)),
+        Changed::Uninform(result) => ("uninform", individuals(&result.ids)),
+        Changed::Inject(result) => ("inject", individuals(&result.ids)),
+        Changed::Remove(result) => ("remove", individuals(&result.ids)),
     }
 }
 
 fn wrong(problem: String) -> Failure {
-    Failure::Argument {
-        argument: "FILE".into(),
-        problem,
-    }
+    Failure::argument("FILE", problem)
 }
 
 #[cfg(test)]
@@ -120,7 +108,7 @@ mod tests {
         let object = format!(r#"{{"commands": {list}}}"#);
         assert_eq!(args(list).unwrap().get(), object);
         assert_eq!(args(&object).unwrap().get(), object);
-        // The daemon is to see what is there twice.
+        // The daemon rejects duplicate fields.
         let twice = r#"{"commands": [{"verb": "set", "args": {"pi3": 1, "pi3": 2}}]}"#;
         assert_eq!(args(twice).unwrap().get(), twice);
         for text in ["", "3", "\"set\"", "[", "null"] {
@@ -129,7 +117,7 @@ mod tests {
     }
 
     #[test]
-    fn a_slip_in_a_verb_or_a_field_is_recognised() {
+    fn a_typing_error_in_a_verb_or_a_field_is_recognised() {
         let advice = |commands: Value| advice(&json!({ "commands": commands })).unwrap_or_default();
         assert!(advice(json!([{"verb": "infrom", "args": {}}])).contains("`inform`"));
         let set = json!([{"verb": "inform", "args": {}}, {"verb": "set", "args": {"pi_1": 2}}]);

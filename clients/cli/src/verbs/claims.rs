@@ -1,4 +1,4 @@
-//! `claims`: results beside what the paper says, or beside the bands they should fall into.
+//! `claims`: compares results with the claims of the paper, or with bands.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -6,17 +6,17 @@ use std::path::{Path, PathBuf};
 use jostle_figures::{Kind, draw, save};
 use jostle_results::claims::page::{Origin, page};
 use jostle_results::claims::{Evidence, bands, claims, rules};
-use jostle_results::touch::{self, Touch};
+use jostle_results::contact_statistics::{self, ContactStatistics};
 use jostle_results::{ResultRow, table};
-use serde_json::{Value, json};
+use serde_json::json;
 
 use crate::arguments::ClaimsArguments;
 use crate::failure::Failure;
 use crate::format;
 use crate::output::Output;
-use crate::table::table as columns;
+use crate::table as columns;
 
-/// What a page's results are made by, in the order of its sections.
+/// The commands that produce the results of a page, in the order of its sections.
 const COMMANDS: &str = "\
 cargo build --release
 export PATH=\"$PWD/target/release:$PATH\"
@@ -26,53 +26,56 @@ jostled run paper/animations.toml -o target/reproduction/animations
 jostle claims target/reproduction/series1 target/reproduction/series2 \\
   --animations target/reproduction/animations --page docs/reproduction.md";
 
+/// The duration of the paper's runs.
+const PAPER_TIME: f64 = 1000.0;
+
 const FIGURES: [Kind; 4] = [Kind::Order, Kind::Intervals, Kind::Clusters, Kind::Drift];
 
-/// Holds results against claims or bands; needs no daemon.
-///
-/// # Errors
-///
-/// What cannot be read or written, or [`Failure::OutsideBands`].
-pub fn judge(output: Output, arguments: &ClaimsArguments) -> Result<(), Failure> {
+/// Compares results with claims or bands; needs no daemon.
+pub fn compare(output: Output, arguments: &ClaimsArguments) -> Result<(), Failure> {
     let mut runs = Vec::new();
     for place in &arguments.results {
-        runs.extend(table::read(place).map_err(wrong)?);
+        runs.extend(table::read(place).map_err(Failure::results)?);
     }
     if let Some(path) = &arguments.bands {
-        let bands = bands::read(path).map_err(wrong)?;
-        return against_bands(output, &bands, &runs, &touches(&arguments.results)?);
+        let bands = bands::read(path).map_err(Failure::results)?;
+        return compare_with_bands(output, &bands, &runs, &contact_rows(&arguments.results)?);
     }
     if let Some(path) = &arguments.make_bands {
-        let touches = touches(&arguments.results)?;
-        let bands = bands::make(&runs, &touches, arguments.runs.get());
-        bands::write(path, &bands).map_err(wrong)?;
+        let contact_rows = contact_rows(&arguments.results)?;
+        let bands = bands::make(&runs, &contact_rows, arguments.runs.get());
+        bands::write(path, &bands).map_err(Failure::results)?;
         return output.data(&format!("{} bands in {}", bands.len(), path.display()));
     }
-    let touches = touches(arguments.animations.as_slice())?;
+    let contact_rows = contact_rows(arguments.animations.as_slice())?;
     if let Some(path) = &arguments.page {
-        return write_page(output, path, &runs, &touches);
+        return write_page(output, path, &runs, &contact_rows);
     }
-    tell(output, &runs, &touches)
+    print_claims(output, &runs, &contact_rows)
 }
 
-/// What contacts did, of those results that tell.
-fn touches(places: &[PathBuf]) -> Result<Vec<Touch>, Failure> {
-    let mut touches = Vec::new();
+/// The contact data of those results that have them.
+fn contact_rows(places: &[PathBuf]) -> Result<Vec<ContactStatistics>, Failure> {
+    let mut contact_rows = Vec::new();
     for place in places {
-        touches.extend(touch::read(place).map_err(wrong)?);
+        contact_rows.extend(contact_statistics::read(place).map_err(Failure::results)?);
     }
-    Ok(touches)
+    Ok(contact_rows)
 }
 
-fn tell(output: Output, runs: &[ResultRow], touches: &[Touch]) -> Result<(), Failure> {
+fn print_claims(
+    output: Output,
+    runs: &[ResultRow],
+    contact_rows: &[ContactStatistics],
+) -> Result<(), Failure> {
+    let mut documents = Vec::new();
     let mut rows = Vec::new();
-    let mut told = Vec::new();
     for rule in rules(runs) {
-        let evidence = Evidence::new(&rule, runs, touches);
+        let evidence = Evidence::new(&rule, runs, contact_rows);
         for claim in claims() {
-            let answer = (claim.ask)(&evidence);
-            told.push(json!({
-                "claim": claim.name, "says": claim.says, "criterion": claim.criterion,
+            let answer = (claim.judge)(&evidence);
+            documents.push(json!({
+                "claim": claim.name, "says": claim.statement, "criterion": claim.criterion,
                 "contacts": rule.contacts, "dt": rule.dt, "measured": answer.measured,
                 "verdict": answer.verdict.to_string(),
             }));
@@ -84,54 +87,64 @@ fn tell(output: Output, runs: &[ResultRow], touches: &[Touch]) -> Result<(), Fai
             ]);
         }
     }
-    if output.json {
-        return output.data(&Value::from(told).to_string());
-    }
     rows.sort_by(|one, other| one[0].cmp(&other[0]));
-    output.data(&columns(["claim", "contacts", "verdict", "measured"], rows))
+    let text = columns::table(["claim", "contacts", "verdict", "measured"], rows);
+    output.print(&documents, &text)?;
+    let short = runs.iter().filter(|run| run.time < PAPER_TIME).count();
+    if short > 0 {
+        let runs = format::count(runs.len() as u64, "run");
+        output.note(&format!(
+            "{short} of {runs} are shorter than the paper's {PAPER_TIME} time units: these verdicts \
+             are not about the paper's runs"
+        ));
+    }
+    Ok(())
 }
 
-fn against_bands(
+fn compare_with_bands(
     output: Output,
     bands: &[bands::Band],
     runs: &[ResultRow],
-    touches: &[Touch],
+    contact_rows: &[ContactStatistics],
 ) -> Result<(), Failure> {
-    let judged = bands::judge(bands, runs, touches);
+    let judged = bands::judge(bands, runs, contact_rows);
     let outside = judged.iter().filter(|it| !it.is_inside()).count();
-    if output.json {
-        let told = judged.iter().map(|it| {
-            json!({
-                "quantity": it.band.quantity, "pi1": it.band.pi1, "n": it.band.n,
-                "low": it.band.low, "high": it.band.high, "mean": it.mean,
-                "inside": it.is_inside(),
-            })
-        });
-        output.data(&Value::from(told.collect::<Vec<_>>()).to_string())?;
-    } else {
-        let rows = judged.iter().map(|it| {
-            [
-                it.band.quantity.clone(),
-                it.band.pi1.to_string(),
-                it.band.n.to_string(),
-                format!("{:.4}", it.band.low),
-                it.mean.map_or("-".to_owned(), |mean| format!("{mean:.4}")),
-                format!("{:.4}", it.band.high),
-                if it.is_inside() { "" } else { "outside" }.to_owned(),
-            ]
-        });
-        let header = ["quantity", "pi1", "n", "low", "mean", "high", ""];
-        output.data(&columns(header, rows.collect()))?;
-    }
+    let documents = judged.iter().map(|it| {
+        json!({
+            "quantity": it.band.quantity, "pi1": it.band.pi1, "n": it.band.n,
+            "low": it.band.low, "high": it.band.high, "mean": it.mean,
+            "inside": it.is_inside(),
+        })
+    });
+    let text = columns::of(
+        &judged,
+        [
+            ("quantity", |it| it.band.quantity.clone()),
+            ("pi1", |it| it.band.pi1.to_string()),
+            ("n", |it| it.band.n.to_string()),
+            ("low", |it| format!("{:.4}", it.band.low)),
+            ("mean", |it| {
+                format::or_none(it.mean.map(|mean| format!("{mean:.4}")))
+            }),
+            ("high", |it| format!("{:.4}", it.band.high)),
+            ("", |it| {
+                if it.is_inside() { "" } else { "outside" }.to_owned()
+            }),
+        ],
+    );
+    output.print(&documents.collect::<Vec<_>>(), &text)?;
     let count = judged.len();
     let unmeasured = judged.iter().filter(|it| it.mean.is_none()).count();
     if unmeasured > 0 {
-        return Err(wrong(format!(
+        return Err(Failure::results(format!(
             "for {unmeasured} of {count} bands the results have no run"
         )));
     }
     if outside > 0 {
-        return Err(Failure::OutsideBands { outside, count });
+        return Err(Failure::new(
+            "mismatch",
+            format!("{outside} of {count} means lie outside their bands"),
+        ));
     }
     Ok(())
 }
@@ -140,18 +153,18 @@ fn write_page(
     output: Output,
     path: &Path,
     runs: &[ResultRow],
-    touches: &[Touch],
+    contact_rows: &[ContactStatistics],
 ) -> Result<(), Failure> {
     let folder = path.with_extension("");
     let name = folder.file_name().unwrap_or_default().to_string_lossy();
-    let system = |error: std::io::Error| wrong(format!("{}: {error}", path.display()));
+    let system = |error: std::io::Error| Failure::results(format!("{}: {error}", path.display()));
     fs::create_dir_all(&folder).map_err(system)?;
     let mut figures = Vec::new();
     for kind in FIGURES {
-        // A table may lack what a figure shows.
+        // A table may lack the data of a figure.
         if let Ok(svg) = draw(kind, runs) {
             let file = format!("figure{}.svg", kind.number());
-            save(&svg, &folder.join(&file)).map_err(wrong)?;
+            save(&svg, &folder.join(&file)).map_err(Failure::results)?;
             figures.push((
                 format!("Figure {}", kind.number()),
                 format!("{name}/{file}"),
@@ -162,13 +175,8 @@ fn write_page(
         commands: COMMANDS.to_owned(),
         figures,
     };
-    fs::write(path, page(runs, touches, &origin)).map_err(system)?;
+    fs::write(path, page(runs, contact_rows, &origin)).map_err(system)?;
     let count = format::count(runs.len() as u64, "run");
-    let told = format!("{count} on {}", path.display());
-    output.data(&told)
-}
-
-#[expect(clippy::needless_pass_by_value, reason = "`map_err` hands it over")]
-fn wrong(error: impl ToString) -> Failure {
-    Failure::Results(error.to_string())
+    let text = format!("{count} on {}", path.display());
+    output.data(&text)
 }

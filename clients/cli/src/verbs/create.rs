@@ -7,43 +7,46 @@ use jostle_proto::verbs::CreateResult;
 use serde_json::{Map, Value, json};
 
 use crate::arguments::CreateArguments;
-use crate::bus::Bus;
+use crate::context::Context;
 use crate::failure::Failure;
 use crate::file;
 use crate::format;
-use crate::output::Output;
 use crate::values::{Law, Rate};
-use crate::verbs::{place, print};
 
-/// Creates a swarm.
-///
-/// # Errors
-///
-/// Why it was not created.
-pub async fn create(bus: &Bus, output: Output, arguments: &CreateArguments) -> Result<(), Failure> {
+pub async fn create(context: &Context, arguments: &CreateArguments) -> Result<(), Failure> {
+    let Context { client, output } = context;
     let args = json!({
         "name": arguments.name,
         "spec": spec(arguments)?,
         "exist_ok": arguments.exist_ok,
     });
-    let answer = bus.command_node("create", &args, &arguments.sender).await?;
-    print(output, &answer, |reply: &Reply<CreateResult>| {
+    let answer = client
+        .command_node("create", &args, &arguments.sender)
+        .await?;
+    output.reply(&answer, |reply: &Reply<CreateResult>| {
         let CreateResult {
             created,
             spec,
             state_hash,
         } = &reply.result;
-        let (swarm, place) = (&reply.swarm, place(reply));
+        let (swarm, position) = (&reply.swarm, format::position(reply));
         if *created {
             let n = format::count(spec.n, "individual");
-            format!("created {swarm} of {n}, {place}\nstate hash {state_hash}")
+            format!("created {swarm} of {n}, {position}\nstate hash {state_hash}")
         } else {
-            format!("{swarm} is there already, made from an equal spec, {place}")
+            format!("{swarm} already exists with an equal spec, {position}")
         }
     })
 }
 
-/// The spec of the file, if there is one, with the options on top; the daemon judges it.
+/// The new swarm of a `fork` or a `restore`.
+pub fn describe_copy(verb: &str, from: &str, reply: &Reply<CreateResult>) -> String {
+    let (swarm, position) = (&reply.swarm, format::position(reply));
+    let hash = &reply.result.state_hash;
+    format!("{verb} {swarm}{from}, {position}\nstate hash {hash}")
+}
+
+/// The spec of the file, if given, overridden by the options; the daemon validates it.
 fn spec(arguments: &CreateArguments) -> Result<Map<String, Value>, Failure> {
     let mut spec = match &arguments.spec {
         Some(path) => read(path)?,
@@ -77,13 +80,10 @@ fn spec(arguments: &CreateArguments) -> Result<Map<String, Value>, Failure> {
 }
 
 fn read(path: &Path) -> Result<Map<String, Value>, Failure> {
-    let wrong = |problem: String| Failure::Argument {
-        argument: "--spec".into(),
-        problem,
-    };
+    let wrong = |problem: String| Failure::argument("--spec", problem);
     let text = file::read(path).map_err(wrong)?;
     serde_json::from_str(&text)
-        .map_err(|error| wrong(format!("{} is no JSON object: {error}", path.display())))
+        .map_err(|error| wrong(format!("{} is not a JSON object: {error}", path.display())))
 }
 
 #[cfg(test)]
@@ -136,7 +136,7 @@ mod tests {
         assert_eq!(
             spec,
             json!({"n": 5, "pi1": -3.0, "rate": null, "colour": "red"}),
-            "what is wrong with it the daemon says"
+            "the daemon reports what is wrong with it"
         );
     }
 }

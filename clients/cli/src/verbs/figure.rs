@@ -1,71 +1,50 @@
-//! `figure`: pictures from tables of results, and of swarms as they are.
+//! `figure`: figures of tables of results, and of the current state of swarms.
 
 use std::path::Path;
 
+use jostle_client::Client;
 use jostle_figures::{Group, Member, draw, save, snapshot as draw_snapshot};
-use jostle_proto::{Reply, State, Status};
+use jostle_proto::State;
 use jostle_results::table;
 use serde_json::json;
 
 use crate::arguments::FigureArguments;
-use crate::bus::Bus;
+use crate::context::Context;
 use crate::failure::Failure;
 use crate::format;
 use crate::output::Output;
 use crate::values::Figure;
 
 /// Draws a figure of the paper from a table; needs no daemon.
-///
-/// # Errors
-///
-/// Why there is no picture.
 pub fn of_results(output: Output, arguments: &FigureArguments) -> Result<(), Failure> {
     let (Figure::Of(kind), [results]) = (arguments.kind, arguments.of.as_slice()) else {
-        return Err(Failure::Argument {
-            argument: "RESULTS".into(),
-            problem: "a figure is drawn from one table: name one folder or file".into(),
-        });
+        return Err(Failure::argument(
+            "RESULTS",
+            "a figure is drawn from one table: name one folder or file",
+        ));
     };
-    let runs = table::read(Path::new(results)).map_err(wrong)?;
-    let svg = draw(kind, &runs).map_err(wrong)?;
-    write(
-        output,
-        arguments,
-        &svg,
-        &format!(
-            "figure {} of {}",
-            kind.number(),
-            format::count(runs.len() as u64, "run")
-        ),
-    )
+    let runs = table::read(Path::new(results)).map_err(Failure::results)?;
+    let svg = draw(kind, &runs).map_err(Failure::results)?;
+    let count = format::count(runs.len() as u64, "run");
+    let what = format!("figure {} of {count}", kind.number());
+    write(output, &arguments.out, &svg, &what)
 }
 
-/// Draws swarms as they are, side by side.
-///
-/// # Errors
-///
-/// Why there is no picture.
-pub async fn snapshot(
-    bus: &Bus,
-    output: Output,
-    arguments: &FigureArguments,
-) -> Result<(), Failure> {
+/// Draws the current state of swarms, side by side.
+pub async fn snapshot(context: &Context, arguments: &FigureArguments) -> Result<(), Failure> {
     let mut groups = Vec::new();
     for swarm in &arguments.of {
-        crate::values::name(swarm).map_err(|problem| Failure::Argument {
-            argument: "SWARM".into(),
-            problem,
-        })?;
-        groups.push(group(bus, swarm).await?);
+        crate::values::name(swarm).map_err(|problem| Failure::argument("SWARM", problem))?;
+        groups.push(group(&context.client, swarm).await?);
     }
-    let svg = draw_snapshot(&groups).map_err(wrong)?;
+    let svg = draw_snapshot(&groups).map_err(Failure::results)?;
     let what = format!("a snapshot of {}", arguments.of.join(", "));
-    write(output, arguments, &svg, &what)
+    write(context.output, &arguments.out, &svg, &what)
 }
 
-async fn group(bus: &Bus, swarm: &str) -> Result<Group, Failure> {
-    let status: Reply<Status> = bus.get(swarm, "status").await?.read()?;
-    let state: State = bus.state(swarm).await?.read()?;
+async fn group(client: &Client, swarm: &str) -> Result<Group, Failure> {
+    let status = client.status(swarm).await?;
+    let state: State = client.state(swarm).await?.read()?;
     let members = (0..state.id.len()).map(|i| Member {
         x: state.x[i],
         y: state.y[i],
@@ -80,21 +59,8 @@ async fn group(bus: &Bus, swarm: &str) -> Result<Group, Failure> {
     })
 }
 
-fn write(
-    output: Output,
-    arguments: &FigureArguments,
-    svg: &str,
-    what: &str,
-) -> Result<(), Failure> {
-    save(svg, &arguments.out).map_err(wrong)?;
-    let out = arguments.out.display().to_string();
-    if output.json {
-        return output.data(&json!({"file": out}).to_string());
-    }
-    output.data(&format!("drew {what} to {out}"))
-}
-
-#[expect(clippy::needless_pass_by_value, reason = "`map_err` hands it over")]
-fn wrong(error: impl ToString) -> Failure {
-    Failure::Results(error.to_string())
+fn write(output: Output, out: &Path, svg: &str, what: &str) -> Result<(), Failure> {
+    save(svg, out).map_err(Failure::results)?;
+    let out = out.display().to_string();
+    output.print(&json!({"file": out}), &format!("drew {what} to {out}"))
 }

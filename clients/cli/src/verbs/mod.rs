@@ -1,9 +1,8 @@
-//! What each verb does: arguments to a request, the answer to words or JSON.
+//! The verbs: each sends requests made from its arguments and prints the replies.
 
 mod auth;
 mod batch;
 mod claims;
-mod copies;
 mod create;
 mod delete;
 mod diff;
@@ -11,49 +10,46 @@ mod doctor;
 mod events;
 mod experiment;
 mod figure;
+mod fork;
+mod help;
 mod individuals;
-mod look;
-mod lookout;
+mod inspect;
+mod outage;
 mod record;
 mod replay;
+mod restore;
 mod results;
 mod run;
 mod schema;
 mod shell;
+mod snapshot;
 mod steer;
 mod verify;
 mod watch;
 
-use std::sync::Arc;
 use std::time::Duration;
 
-use jostle_proto::Reply;
-use jostle_proto::verbs::Scheduled;
-use serde::de::DeserializeOwned;
+use jostle_client::{Client, ConnectOptions};
 
 use crate::arguments::{
     Arguments, Experiment, ExperimentArguments, GlobalArguments, RecordArguments, Verb,
 };
-use crate::bus::{Answer, Bus};
-use crate::failure::Failure;
-use crate::format;
+use crate::context::Context;
+use crate::failure::{Failure, Kind};
 use crate::interrupt;
 use crate::output::Output;
 use crate::values::Figure;
-pub use crate::verbs::watch::give_back_the_terminal;
+pub use crate::verbs::watch::restore_terminal;
 
-/// Connects, does what was asked for and says goodbye.
-///
-/// # Errors
-///
-/// Why it was not done.
+/// Executes a verb.
 pub async fn execute(arguments: Arguments, output: Output) -> Result<(), Failure> {
     let Arguments { global, verb } = arguments;
-    // These need no daemon, or want to see for themselves.
+    // These need no daemon, or connect themselves.
     let verb = match verb {
         Verb::Completions(arguments) => return shell::completions(output, &arguments),
         Verb::Man(arguments) => return shell::man(output, &arguments),
-        Verb::Claims(arguments) => return claims::judge(output, &arguments),
+        Verb::Help(arguments) => return help::help(output, &arguments),
+        Verb::Claims(arguments) => return claims::compare(output, &arguments),
         Verb::Results(arguments) => return results::results(output, &arguments.what),
         Verb::Experiment(ExperimentArguments {
             what: Experiment::Plan(arguments),
@@ -71,14 +67,15 @@ pub async fn execute(arguments: Arguments, output: Output) -> Result<(), Failure
     };
     let records = records_to_file(&verb);
     match connected(global, output, verb).await {
-        Err(Failure::Interrupted { left: None }) if records => Err(Failure::Interrupted {
-            left: Some("nothing was recorded".into()),
-        }),
+        Err(Failure {
+            kind: Kind::Interrupted,
+            ..
+        }) if records => Err(Failure::interrupted_leaving("nothing was recorded")),
         outcome => outcome,
     }
 }
 
-/// Whether a verb makes a recording in a file, which it completes before it ends.
+/// Whether a verb records to a file, which it completes before it ends.
 pub fn records_to_file(verb: &Verb) -> bool {
     let Verb::Record(arguments) = verb else {
         return false;
@@ -86,19 +83,22 @@ pub fn records_to_file(verb: &Verb) -> bool {
     arguments.name.is_some() && arguments.out.is_some()
 }
 
-/// Does what needs a connection, and says goodbye.
+/// Connects, executes a verb and closes the session.
 async fn connected(global: GlobalArguments, output: Output, verb: Verb) -> Result<(), Failure> {
-    let bus = Arc::new(interrupt::either(Bus::open(global)).await?);
+    let timeout = global.is_timeout_given.then_some(global.timeout);
+    let client = interrupt::either(Client::connect(ConnectOptions::from(&global))).await?;
+    let context = Context { client, output };
     let outcome = match verb {
-        // These have something to say when interrupted.
-        Verb::Run(arguments) => run::run(&bus, output, &arguments).await,
-        Verb::Watch(arguments) => watch::watch(&bus, output, &arguments).await,
-        Verb::Record(arguments) => record::record(&bus, output, &arguments).await,
-        Verb::Experiment(arguments) => experiment::experiment(&bus, output, &arguments.what).await,
-        verb => interrupt::either(once(&bus, output, verb)).await,
+        // These handle interrupts themselves.
+        Verb::Run(arguments) => run::run(&context, &arguments, timeout).await,
+        Verb::Step(arguments) => steer::step(&context, &arguments).await,
+        Verb::Watch(arguments) => watch::watch(&context, &arguments).await,
+        Verb::Record(arguments) => record::record(&context, &arguments).await,
+        Verb::Experiment(arguments) => experiment::experiment(&context, &arguments.what).await,
+        verb => interrupt::either(interruptible(&context, verb)).await,
     };
-    if !matches!(outcome, Err(Failure::Interrupted { .. })) {
-        bus.close().await;
+    if !matches!(&outcome, Err(failure) if failure.code() == "interrupted") {
+        context.client.close().await;
     }
     outcome
 }
@@ -106,42 +106,49 @@ async fn connected(global: GlobalArguments, output: Output, verb: Verb) -> Resul
 /// How long a verb may take to end once it is interrupted.
 pub fn grace(verb: &Verb) -> Duration {
     match verb {
-        // All of it is to be on the disk, however slow that is.
-        // The first Ctrl-C fetches the rest; a second one leaves the rest on the daemon.
+        // The whole file must be written, however slow the disk is. The first Ctrl-C fetches the rest,
+        // a second one leaves it on the daemon.
         Verb::Record(_) => Duration::from_secs(3600),
         _ => interrupt::GRACE,
     }
 }
 
 /// The verbs that end at once when interrupted.
-async fn once(bus: &Bus, output: Output, verb: Verb) -> Result<(), Failure> {
+async fn interruptible(context: &Context, verb: Verb) -> Result<(), Failure> {
     match verb {
-        Verb::Create(arguments) => create::create(bus, output, &arguments).await,
-        Verb::Look(arguments) => look::look(bus, output, &arguments).await,
-        Verb::Events(arguments) => events::events(bus, output, &arguments).await,
-        Verb::Pause(arguments) => steer::pause(bus, output, &arguments).await,
-        Verb::Step(arguments) => steer::step(bus, output, &arguments).await,
-        Verb::Reset(arguments) => steer::reset(bus, output, &arguments).await,
-        Verb::Set(arguments) => steer::set(bus, output, &arguments).await,
-        Verb::Leave(arguments) => steer::leave(bus, output, &arguments).await,
-        Verb::Annotate(arguments) => steer::annotate(bus, output, &arguments).await,
-        Verb::Delete(arguments) => delete::delete(bus, output, &arguments).await,
-        Verb::Inform(arguments) => individuals::inform(bus, output, &arguments).await,
-        Verb::Uninform(arguments) => individuals::uninform(bus, output, &arguments).await,
-        Verb::Inject(arguments) => individuals::inject(bus, output, &arguments).await,
-        Verb::Remove(arguments) => individuals::remove(bus, output, &arguments).await,
-        Verb::Batch(arguments) => batch::batch(bus, output, &arguments).await,
-        Verb::Fork(arguments) => copies::fork(bus, output, &arguments).await,
-        Verb::Snapshot(arguments) => copies::snapshot(bus, output, &arguments).await,
-        Verb::Restore(arguments) => copies::restore(bus, output, &arguments).await,
-        Verb::Replay(arguments) => replay::replay(bus, output, &arguments).await,
-        Verb::Seek(arguments) => replay::seek(bus, output, &arguments).await,
-        Verb::Auth(arguments) => auth::auth(bus, output, &arguments.what).await,
-        Verb::Diff(arguments) => diff::diff(bus, output, &arguments).await,
-        Verb::Verify(arguments) => verify::verify(bus, output, &arguments).await,
-        Verb::Figure(arguments) => figure::snapshot(bus, output, &arguments).await,
-        Verb::Schema(arguments) => schema::schema(bus, output, &arguments).await,
+        Verb::Create(arguments) => create::create(context, &arguments).await,
+        Verb::List => inspect::list(context).await,
+        Verb::Status(arguments) => inspect::status(context, &arguments.name).await,
+        Verb::Parameters(arguments) => inspect::parameters(context, &arguments.name).await,
+        Verb::Controllers(arguments) => inspect::controllers(context, &arguments.name).await,
+        Verb::Spec(arguments) => inspect::spec(context, &arguments.name).await,
+        Verb::Journal(arguments) => inspect::journal(context, &arguments).await,
+        Verb::Nodes => inspect::nodes(context).await,
+        Verb::Top(arguments) => inspect::top(context, &arguments).await,
+        Verb::Events(arguments) => events::events(context, &arguments).await,
+        Verb::Pause(arguments) => steer::pause(context, &arguments).await,
+        Verb::Reset(arguments) => steer::reset(context, &arguments).await,
+        Verb::Set(arguments) => steer::set(context, &arguments).await,
+        Verb::Leave(arguments) => steer::leave(context, &arguments).await,
+        Verb::Annotate(arguments) => steer::annotate(context, &arguments).await,
+        Verb::Delete(arguments) => delete::delete(context, &arguments).await,
+        Verb::Inform(arguments) => individuals::inform(context, &arguments).await,
+        Verb::Uninform(arguments) => individuals::uninform(context, &arguments).await,
+        Verb::Inject(arguments) => individuals::inject(context, &arguments).await,
+        Verb::Remove(arguments) => individuals::remove(context, &arguments).await,
+        Verb::Batch(arguments) => batch::batch(context, &arguments).await,
+        Verb::Fork(arguments) => fork::fork(context, &arguments).await,
+        Verb::Snapshot(arguments) => snapshot::snapshot(context, &arguments).await,
+        Verb::Restore(arguments) => restore::restore(context, &arguments).await,
+        Verb::Replay(arguments) => replay::replay(context, &arguments).await,
+        Verb::Seek(arguments) => replay::seek(context, &arguments).await,
+        Verb::Auth(arguments) => auth::auth(context, &arguments.what).await,
+        Verb::Diff(arguments) => diff::diff(context, &arguments).await,
+        Verb::Verify(arguments) => verify::verify(context, &arguments.name).await,
+        Verb::Figure(arguments) => figure::snapshot(context, &arguments).await,
+        Verb::Schema(arguments) => schema::schema(context, &arguments).await,
         Verb::Run(_)
+        | Verb::Step(_)
         | Verb::Watch(_)
         | Verb::Record(_)
         | Verb::Experiment(_)
@@ -149,55 +156,9 @@ async fn once(bus: &Bus, output: Output, verb: Verb) -> Result<(), Failure> {
         | Verb::Results(_)
         | Verb::Doctor
         | Verb::Completions(_)
-        | Verb::Man(_) => {
-            unreachable!("these are carried out elsewhere")
+        | Verb::Man(_)
+        | Verb::Help(_) => {
+            unreachable!("these are executed elsewhere")
         }
     }
-}
-
-/// Prints an answer as it came, or in the words of `tell`.
-fn print<T: DeserializeOwned>(
-    output: Output,
-    answer: &Answer,
-    tell: impl FnOnce(&T) -> String,
-) -> Result<(), Failure> {
-    if output.json {
-        output.data(answer.json()?)
-    } else {
-        output.data(&tell(&answer.read()?))
-    }
-}
-
-/// Prints the answer to a command as it came, that it waits for its step, or in the words of
-/// `tell`.
-fn print_outcome<T: DeserializeOwned>(
-    output: Output,
-    answer: &Answer,
-    verb: &str,
-    tell: impl FnOnce(&T) -> String,
-) -> Result<(), Failure> {
-    match scheduled(answer) {
-        Some(reply) if !output.json => output.data(&format!(
-            "{verb} will be applied at step {}; {} is {}",
-            reply.result.applies_at_step,
-            reply.swarm,
-            place(&reply)
-        )),
-        _ => print(output, answer, tell),
-    }
-}
-
-/// The answer to a command that waits for its step; no other answer says when it applies.
-fn scheduled(answer: &Answer) -> Option<Reply<Scheduled>> {
-    answer.read().ok()
-}
-
-/// Where a swarm stands, as the end of a sentence.
-fn place<T>(reply: &Reply<T>) -> String {
-    format!(
-        "{} at step {}, time {}",
-        format::phase(reply.phase),
-        reply.step,
-        format::time(reply.time)
-    )
 }

@@ -1,4 +1,4 @@
-//! `replay` and `seek`: a recording shown as if it were a swarm.
+//! `replay` and `seek`: playback of a recording as a swarm.
 
 use std::fs::File;
 use std::io::{ErrorKind, Read};
@@ -6,48 +6,44 @@ use std::path::Path;
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use jostle_proto::verbs::{DeleteArgs, EmptyResult, RunArgs, RunResult};
 use jostle_proto::{
     NodeReply, OpenArgs, Replay, ReplayArgs, ReplayResult, Reply, SeekArgs, UploadArgs, keys,
 };
 use jostle_results::recording::{self, PARTIAL};
 
-use crate::arguments::{ReplayArguments, SeekArguments, SenderArguments, SendingArguments};
-use crate::bus::Bus;
+use crate::arguments::{ReplayArguments, SeekArguments, SenderArguments};
+use crate::context::Context;
 use crate::failure::Failure;
 use crate::format;
-use crate::output::Output;
+use crate::progress;
 use crate::values::Rate;
 use crate::verbs::record::check_fetched;
-use crate::verbs::{place, print};
 
-/// A piece of a file, in bytes: in base64 it passes every daemon's limit.
-const PIECE: usize = 180 * 1024;
+/// The bytes of a file per message: in base64 below every daemon's limit.
+const CHUNK: u64 = 180 * 1024;
 
-/// Shows a recording.
-///
-/// # Errors
-///
-/// Why it is not shown.
-pub async fn replay(bus: &Bus, output: Output, arguments: &ReplayArguments) -> Result<(), Failure> {
+pub async fn replay(context: &Context, arguments: &ReplayArguments) -> Result<(), Failure> {
+    let Context { client, output } = context;
     if let Some(file) = &arguments.file {
         check_finished(file)?;
     }
     let name = name(arguments)?;
-    // A request has its name alone; the one that begins the replay has the name given.
+    // A request id is unique; the request that opens the playback has the one given.
     let unnamed = SenderArguments {
         request_id: None,
         ..arguments.sender.clone()
     };
     if let Some(file) = &arguments.file {
-        upload(bus, output, file, &name, &unnamed).await?;
+        upload(context, file, &name, &unnamed).await?;
     }
     let open = ReplayArgs::Open(OpenArgs {
         name: name.clone(),
         recording: arguments.recording.clone(),
     });
-    let answer = bus.command_node("replay", &open, &arguments.sender).await?;
+    let answer = client
+        .command_node("replay", &open, &arguments.sender)
+        .await?;
     let opened: NodeReply<ReplayResult> = answer.read()?;
     let mut rate = None;
     if !arguments.paused {
@@ -55,51 +51,40 @@ pub async fn replay(bus: &Bus, output: Output, arguments: &ReplayArguments) -> R
             rate: arguments.rate.map(|Rate(rate)| rate),
             ..RunArgs::default()
         };
-        let sending = SendingArguments {
-            sender: unnamed,
-            ..SendingArguments::default()
-        };
-        let answer = match bus.command(&name, "run", &args, &sending).await {
+        let answer = match client.command(&name, "run", &args, &unnamed).await {
             Ok(answer) => answer,
-            Err(failure) => {
-                // Nothing is left of what was not done.
-                let _ = bus.command(&name, "delete", &DeleteArgs {}, &sending).await;
-                return Err(failure);
+            Err(error) => {
+                // Deletes the playback that could not be started.
+                let _ = client
+                    .command(&name, "delete", &DeleteArgs {}, &unnamed)
+                    .await;
+                return Err(error.into());
             }
         };
         let reply: Reply<RunResult> = answer.read()?;
         rate = Some(reply.result.rate);
     }
-    print(output, &answer, |_: &NodeReply<ReplayResult>| {
-        tell(&name, opened.result.replay.as_ref(), rate)
+    output.reply(&answer, |_: &NodeReply<ReplayResult>| {
+        describe(&name, opened.result.replay.as_ref(), rate)
     })
 }
 
-/// Has a replay go somewhere.
-///
-/// # Errors
-///
-/// Why it does not go there.
-pub async fn seek(bus: &Bus, output: Output, arguments: &SeekArguments) -> Result<(), Failure> {
-    let place_ = &arguments.place;
+pub async fn seek(context: &Context, arguments: &SeekArguments) -> Result<(), Failure> {
+    let SeekArguments {
+        name,
+        place,
+        sender,
+    } = arguments;
     let args = SeekArgs {
-        step: place_.step,
-        time: place_.time,
-        fraction: place_.fraction,
+        step: place.step,
+        time: place.time,
+        fraction: place.fraction,
     };
-    let sending = SendingArguments {
-        sender: arguments.sender.clone(),
-        ..SendingArguments::default()
-    };
-    let answer = bus
-        .command(&arguments.name, "seek", &args, &sending)
-        .await?;
-    print(output, &answer, |reply: &Reply<EmptyResult>| {
-        format!("{} is {}", reply.swarm, place(reply))
-    })
+    let answer = context.client.command(name, "seek", &args, sender).await?;
+    let describe = format::standing::<EmptyResult>;
+    context.output.reply(&answer, describe)
 }
 
-/// What it is to be called.
 fn name(arguments: &ReplayArguments) -> Result<String, Failure> {
     if let Some(name) = &arguments.name {
         return Ok(name.clone());
@@ -113,13 +98,13 @@ fn name(arguments: &ReplayArguments) -> Result<String, Failure> {
     if keys::is_name(&stem) {
         return Ok(stem);
     }
-    Err(Failure::Argument {
-        argument: file.display().to_string(),
-        problem: "its name cannot be a swarm's: say what to show it as with --as NAME".into(),
-    })
+    Err(Failure::argument(
+        file.display(),
+        "its name is not a valid name of a swarm: name the playback with --as NAME",
+    ))
 }
 
-/// Refuses a recording that has no end, with the command that makes a whole file of it.
+/// Rejects an incomplete recording, with the command that recovers it.
 fn check_finished(path: &Path) -> Result<(), Failure> {
     check_fetched(path)?;
     let partial = recording::partial(path);
@@ -132,54 +117,54 @@ fn check_finished(path: &Path) -> Result<(), Failure> {
         return Ok(());
     };
     let file = unfinished.display().to_string();
-    Err(Failure::Argument {
-        problem: format!(
+    Err(Failure::argument(
+        &file,
+        format!(
             "is incomplete: its recorder was killed or is still running; if it was killed, \
              `jostle record --recover {file}` recovers it"
         ),
-        argument: file,
-    })
+    ))
 }
 
-/// Sends a file to the daemon, piece by piece.
+/// Sends a file to the daemon in pieces.
 async fn upload(
-    bus: &Bus,
-    output: Output,
+    context: &Context,
     path: &Path,
     name: &str,
     sender: &SenderArguments,
 ) -> Result<(), Failure> {
-    let wrong = |problem: &str| Failure::Argument {
-        argument: path.display().to_string(),
-        problem: problem.to_owned(),
-    };
+    let wrong = |problem: &str| Failure::argument(path.display(), problem.to_owned());
     if path.extension().is_some_and(|it| it == "parquet") {
         return Err(wrong(
-            "is Parquet, which is for data frames: record to .mcap what is to be replayed",
+            "is Parquet, which is for data frames: record to .mcap to replay it",
         ));
     }
     let unreadable = |error: std::io::Error| match error.kind() {
-        ErrorKind::NotFound => wrong("is not there"),
+        ErrorKind::NotFound => wrong("does not exist"),
         _ => wrong(&error.to_string()),
     };
     let metadata = path.metadata().map_err(unreadable)?;
     if !metadata.is_file() {
-        return Err(wrong("is no file"));
+        return Err(wrong("is not a file"));
     }
     let length = metadata.len();
     let mut file = File::open(path).map_err(unreadable)?;
-    let bar = bar(output, length, name);
-    let (mut piece, mut offset) = (vec![0; PIECE], 0);
+    let template = "{prefix} {bar:20} {percent:>3}%  {bytes} of {total_bytes} {eta} left";
+    let bar = progress::bar(context.output, Some(length), template, name);
+    let mut offset = 0;
     loop {
-        let bytes = fill(&mut file, &mut piece).map_err(unreadable)?;
+        let mut chunk = Vec::new();
+        let read = (&mut file).take(CHUNK).read_to_end(&mut chunk);
+        let bytes = read.map_err(unreadable)? as u64;
         let args = ReplayArgs::Upload(UploadArgs {
             name: name.to_owned(),
             offset,
             length,
-            bytes: STANDARD.encode(&piece[..bytes]),
+            bytes: STANDARD.encode(&chunk),
         });
-        bus.command_node("replay", &args, sender).await?;
-        offset += bytes as u64;
+        let client = &context.client;
+        client.command_node("replay", &args, sender).await?;
+        offset += bytes;
         bar.set_position(offset);
         if offset >= length || bytes == 0 {
             bar.finish_and_clear();
@@ -188,23 +173,9 @@ async fn upload(
     }
 }
 
-/// Reads until the piece is full or the file at its end.
-fn fill(file: &mut File, piece: &mut [u8]) -> std::io::Result<usize> {
-    let mut filled = 0;
-    while filled < piece.len() {
-        match file.read(&mut piece[filled..]) {
-            Ok(0) => break,
-            Ok(bytes) => filled += bytes,
-            Err(error) if error.kind() == ErrorKind::Interrupted => {}
-            Err(error) => return Err(error),
-        }
-    }
-    Ok(filled)
-}
-
-fn tell(name: &str, replay: Option<&Replay>, rate: Option<Option<f64>>) -> String {
+fn describe(name: &str, replay: Option<&Replay>, rate: Option<Option<f64>>) -> String {
     let Some(replay) = replay else {
-        return format!("{name} is shown");
+        return format!("{name} is playing");
     };
     let goes = match rate {
         Some(rate) => format!("runs at rate {}", format::rate(rate)),
@@ -212,21 +183,9 @@ fn tell(name: &str, replay: Option<&Replay>, rate: Option<Option<f64>>) -> Strin
     };
     format!(
         "{name} replays {}, {} over {} of time, and {goes}\n`jostle watch {name}` shows it, \
-         `jostle seek {name} --time T` goes elsewhere, `jostle delete {name}` ends it",
+         `jostle seek {name} --time T` moves it, `jostle delete {name}` ends it",
         replay.of,
         format::count(replay.frames, "frame"),
         format::time(replay.duration)
     )
-}
-
-/// How much of the file is sent; hidden unless stderr is a terminal.
-fn bar(output: Output, bytes: u64, name: &str) -> ProgressBar {
-    if output.json {
-        return ProgressBar::hidden();
-    }
-    let bar = ProgressBar::with_draw_target(Some(bytes), ProgressDrawTarget::stderr());
-    let template = "{prefix} {bar:20} {percent:>3}%  {bytes} of {total_bytes} {eta} left";
-    bar.set_style(ProgressStyle::with_template(template).expect("a constant"));
-    bar.set_prefix(name.to_owned());
-    bar
 }

@@ -5,7 +5,6 @@ use std::num::NonZero;
 use std::thread;
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use indicatif::{ProgressBar, ProgressStyle};
 use jostle_experiment::{FolderError, MergeError, Parts};
 use jostle_results::table::TableError;
 use serde_json::json;
@@ -14,12 +13,8 @@ use crate::arguments::{MergeArguments, Results};
 use crate::failure::Failure;
 use crate::format;
 use crate::output::Output;
+use crate::progress;
 
-/// Executes the verb.
-///
-/// # Errors
-///
-/// A folder that cannot be read, merged or written.
 pub fn results(output: Output, what: &Results) -> Result<(), Failure> {
     match what {
         Results::Merge(arguments) => merge(output, arguments),
@@ -35,12 +30,8 @@ fn merge(output: Output, arguments: &MergeArguments) -> Result<(), Failure> {
     };
     let folder = parts.write(&arguments.out).map_err(failure)?;
     let (runs, count) = (parts.plan().runs().len(), parts.count());
-    if output.json {
-        return output.data(
-            &json!({"runs": runs, "parts": count, "verified": verified, "folder": folder.path()})
-                .to_string(),
-        );
-    }
+    let document =
+        json!({"runs": runs, "parts": count, "verified": verified, "folder": folder.path()});
     let mut text = format!(
         "merged {} from {} into {}",
         format::count(runs as u64, "run"),
@@ -51,10 +42,10 @@ fn merge(output: Output, arguments: &MergeArguments) -> Result<(), Failure> {
         let verified = format::count(verified as u64, "run");
         text += &format!("; executed {verified} again, with the same results");
     }
-    output.data(&text)
+    output.print(&document, &text)
 }
 
-/// Executes a share of the runs again and returns how many.
+/// Executes a share of the runs again and returns their number.
 fn verify(
     output: Output,
     parts: &Parts,
@@ -70,13 +61,8 @@ fn verify(
     let cores = || thread::available_parallelism().unwrap_or(NonZero::<usize>::MIN);
     let threads = threads.unwrap_or_else(cores).get();
     let count = subset.indices().len();
-    let bar = if output.json {
-        ProgressBar::hidden()
-    } else {
-        ProgressBar::new(count as u64)
-    };
     let template = "verify {bar:30} {pos} of {len} runs";
-    let bar = bar.with_style(ProgressStyle::with_template(template).expect("a constant"));
+    let bar = progress::bar(output, Some(count as u64), template, "");
     let verified = parts.verify(&subset, threads, |done| bar.set_position(done as u64));
     bar.finish_and_clear();
     verified.map_err(failure)?;
@@ -105,8 +91,5 @@ pub fn failure(error: MergeError) -> Failure {
         (_, Some(_)) => "internal",
         _ => "invalid_argument",
     };
-    Failure::Merge {
-        code,
-        message: error.to_string(),
-    }
+    Failure::new(code, error.to_string())
 }

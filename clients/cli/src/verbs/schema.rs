@@ -1,60 +1,56 @@
-//! `schema`: the messages on the wire, as the daemon describes them.
+//! `schema`: the JSON Schemas of the messages, from the daemon.
 
 use jostle_proto::contract::{CHANNELS, Channel, ChannelKind};
 use jostle_proto::{NodeReply, Schemas};
 
 use crate::arguments::SchemaArguments;
-use crate::bus::Bus;
+use crate::context::Context;
 use crate::failure::Failure;
 use crate::format;
-use crate::output::Output;
 use crate::table;
 
-/// Prints the schema of a message, or which there are.
-///
-/// # Errors
-///
-/// Why there is none.
-pub async fn schema(bus: &Bus, output: Output, arguments: &SchemaArguments) -> Result<(), Failure> {
-    let answer = bus.get_node("schema").await?;
+/// Prints the schema of a message, or the list of messages.
+pub async fn schema(context: &Context, arguments: &SchemaArguments) -> Result<(), Failure> {
+    let Context { client, output } = context;
+    let answer = client.get_node("schema").await?;
     let schemas = answer.read::<NodeReply<Schemas>>()?.result.schemas;
     let Some(message) = &arguments.message else {
         if output.json {
             return output.data(answer.json()?);
         }
-        let (rows, docs): (Vec<_>, Vec<_>) = schemas
-            .keys()
-            .map(|message| {
-                let (key, purpose) = purpose(message);
-                ([message.clone(), key], purpose)
-            })
-            .unzip();
-        return output.data(&table::documented(["message", "key"], rows, &docs));
+        let messages: Vec<&String> = schemas.keys().collect();
+        let table = table::of(
+            &messages,
+            [("message", |it| (*it).clone()), ("key", |it| purpose(it).0)],
+        );
+        let docs: Vec<String> = messages.iter().map(|it| purpose(it).1).collect();
+        return output.data(&table::documented(&table, &docs));
     };
     match schemas.get(message) {
-        Some(schema) if output.json => output.data(&schema.to_string()),
-        Some(schema) => output.data(&format!("{schema:#}")),
-        None => Err(Failure::NoMessage {
-            message: message.clone(),
-            there: schemas.into_keys().collect(),
-        }),
+        Some(schema) => output.print(schema, &format!("{schema:#}")),
+        None => {
+            let there: Vec<String> = schemas.into_keys().collect();
+            let what = format!("message {message}");
+            let failure = Failure::unknown(&what, message, &there, "jostle schema");
+            Err(failure.with("message", message.as_str()))
+        }
     }
 }
 
-/// The key a message stands on, if it is one, and what it is for.
+/// The key of a message, if it has one, and its purpose.
 fn purpose(message: &str) -> (String, String) {
     let is_its = |channel: &&Channel| match channel.kind {
         ChannelKind::Published(it)
-        | ChannelKind::Kept(it)
+        | ChannelKind::PublishedAndQueried(it)
         | ChannelKind::Put(it)
         | ChannelKind::Get(it) => it == message,
         ChannelKind::Command(args, reply) => args == message || reply == message,
         ChannelKind::Token | ChannelKind::ClientToken => false,
     };
     let what = match message {
-        "request" => "What may stand around the arguments of a command.",
-        "error" => "Why something was refused or failed.",
-        "scheduled.reply" => "The answer to a command that waits for its `at_step`.",
+        "request" => "The envelope around the arguments of a command.",
+        "error" => "The error reply to a request.",
+        "scheduled.reply" => "The reply to a scheduled command, one with `at_step`.",
         _ => "",
     };
     match CHANNELS.iter().find(is_its) {

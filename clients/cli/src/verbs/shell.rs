@@ -1,4 +1,4 @@
-//! `completions` and `man`: what a shell and `man` read.
+//! `completions` and `man`: integration with shells and `man`.
 
 use std::path::Path;
 
@@ -6,42 +6,33 @@ use clap::Command;
 use clap_mangen::Man;
 use serde_json::json;
 
-use crate::arguments::{self, CompletionsArguments, ManArguments};
+use crate::arguments::{self, CompletionsArguments, ManArguments, TOPICS};
 use crate::completion;
 use crate::failure::Failure;
 use crate::output::{self, Output};
+use crate::stdout;
 
-/// Prints the line that makes a shell complete.
-///
-/// # Errors
-///
-/// When it cannot be written.
+/// Prints the line that enables completion in a shell.
 pub fn completions(output: Output, arguments: &CompletionsArguments) -> Result<(), Failure> {
     let shell = arguments.shell.as_str();
     let (line, file) = completion::line(shell);
-    if output.json {
-        return output.data(&json!({"shell": shell, "line": line, "file": file}).to_string());
-    }
-    if output::is_terminal() {
+    if stdout::is_terminal() && !output.json {
         output.note(&format!("put this line into {file}:"));
     }
-    output.data(&line)
+    let document = json!({"shell": shell, "line": line, "file": file});
+    output.print(&document, &line)
 }
 
 /// Prints the manual page, or writes a page for each verb.
-///
-/// # Errors
-///
-/// When they cannot be written.
 pub fn man(output: Output, arguments: &ManArguments) -> Result<(), Failure> {
     let Some(directory) = &arguments.out else {
         let mut page = Vec::new();
         Man::new(command())
             .render(&mut page)
-            .map_err(Failure::Output)?;
+            .map_err(Failure::output)?;
         let page = String::from_utf8_lossy(&page);
         if output.json {
-            return output.data(&json!({ "page": page }).to_string());
+            return output.document(&json!({ "page": page }));
         }
         return output::write(&page);
     };
@@ -49,29 +40,34 @@ pub fn man(output: Output, arguments: &ManArguments) -> Result<(), Failure> {
     let mut command = command();
     command.build();
     let mut written = vec![write(Man::new(command.clone()), directory)?];
-    for verb in command.get_subcommands().cloned() {
+    for verb in command.get_subcommands().filter(|it| !it.is_hide_set()) {
         let name = format!("jostle-{}", verb.get_name());
-        for of_verb in verb.get_subcommands().filter(|it| it.get_name() != "help") {
+        for of_verb in verb.get_subcommands() {
             let name = format!("{name}-{}", of_verb.get_name());
             written.push(write(
                 Man::new(of_verb.clone().display_name(name)),
                 directory,
             )?);
         }
-        written.push(write(Man::new(verb.display_name(name)), directory)?);
+        written.push(write(Man::new(verb.clone().display_name(name)), directory)?);
     }
-    if output.json {
-        return output.data(&json!({ "written": written }).to_string());
-    }
-    output.data(&written.join("\n"))
+    output.print(&json!({ "written": written }), &written.join("\n"))
 }
 
-/// The command line without `help`, which has no page of its own.
+/// The command line with the topics of `help` in its description instead of a page of its own.
 fn command() -> Command {
-    arguments::command().disable_help_subcommand(true)
+    let command = arguments::command().mut_subcommand("help", |it| it.hide(true));
+    let overview = command
+        .get_after_help()
+        .map_or_else(String::new, ToString::to_string);
+    let topics = TOPICS.iter().filter(|it| !overview.contains(it.text));
+    let topics: String = topics
+        .map(|it| format!("\n\n{}:\n{}", it.about, it.text))
+        .collect();
+    command.after_help(overview + &topics)
 }
 
-#[expect(clippy::needless_pass_by_value, reason = "nobody needs it any more")]
+#[expect(clippy::needless_pass_by_value, reason = "callers are done with it")]
 fn write(page: Man, directory: &Path) -> Result<String, Failure> {
     page.generate_to(directory)
         .map(|path| path.display().to_string())
@@ -79,8 +75,5 @@ fn write(page: Man, directory: &Path) -> Result<String, Failure> {
 }
 
 fn unwritable(path: &Path, error: std::io::Error) -> Failure {
-    Failure::File {
-        path: path.display().to_string(),
-        error,
-    }
+    Failure::file(path.display(), error)
 }

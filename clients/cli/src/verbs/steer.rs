@@ -1,41 +1,34 @@
-//! `pause`, `step`, `reset`, `set`, `leave` and `annotate`: the swarm as a whole.
+//! `pause`, `step`, `reset`, `set`, `leave` and `annotate`: commands to a whole swarm.
 
+use std::time::Duration;
+
+use jostle_client::{Client, Payload};
 use jostle_proto::verbs::{
-    AnnotateArgs, EmptyResult, LeaveArgs, PauseArgs, ResetArgs, ResetResult, Return, SetResult,
-    StepArgs, StepResult,
+    AnnotateArgs, LeaveArgs, PauseArgs, ResetArgs, ResetResult, Return, SetResult, StepArgs,
+    StepResult,
 };
-use jostle_proto::{Error, ErrorCode, Parameter, Reply, State, Status, contract};
+use jostle_proto::{Error, ErrorCode, Metrics, NodeReply, Parameter, Reply, State, contract};
 use serde_json::{Map, Value};
 
 use crate::arguments::{
-    AnnotateArguments, LeaveArguments, PauseArguments, ResetArguments, SetArguments, StepArguments,
+    AnnotateArguments, CommandArguments, LeaveArguments, ResetArguments, SetArguments,
+    StepArguments,
 };
-use crate::bus::Bus;
+use crate::context::Context;
 use crate::failure::Failure;
-use crate::nearest::did_you_mean;
-use crate::output::Output;
+use crate::format::{position, standing};
+use crate::interrupt;
+use crate::output::scheduled;
+use crate::suggest::did_you_mean;
 use crate::table;
-use crate::verbs::{place, print_outcome, scheduled};
 
-/// Pauses a swarm.
-///
-/// # Errors
-///
-/// Why it was not paused.
-pub async fn pause(bus: &Bus, output: Output, arguments: &PauseArguments) -> Result<(), Failure> {
-    let PauseArguments { name, sending } = arguments;
-    let answer = bus.command(name, "pause", &PauseArgs {}, sending).await?;
-    print_outcome(output, &answer, "pause", |reply: &Reply<EmptyResult>| {
-        format!("{} is {}", reply.swarm, place(reply))
-    })
+pub async fn pause(context: &Context, command: &CommandArguments) -> Result<(), Failure> {
+    context.execute(command, &PauseArgs {}, standing).await
 }
 
-/// Runs a paused swarm some steps on.
-///
-/// # Errors
-///
-/// Why it did not step, or that it is not done yet.
-pub async fn step(bus: &Bus, output: Output, arguments: &StepArguments) -> Result<(), Failure> {
+pub async fn step(context: &Context, arguments: &StepArguments) -> Result<(), Failure> {
+    let Context { client, output } = context;
+    let CommandArguments { name, sending } = &arguments.command;
     let args = StepArgs {
         steps: arguments.steps,
         return_: if arguments.state {
@@ -44,10 +37,12 @@ pub async fn step(bus: &Bus, output: Output, arguments: &StepArguments) -> Resul
             Return::None
         },
     };
-    let StepArguments { name, sending, .. } = arguments;
-    let answer = bus.command(name, "step", &args, sending).await?;
+    let left = format!("{name} steps on; `jostle pause {name}` pauses it");
+    let stepped = client.command(name, "step", &args, sending);
+    let answer = interrupt::after_grace(Duration::ZERO, &left, stepped).await?;
     if !arguments.state || scheduled(&answer).is_some() {
-        return print_outcome(output, &answer, "step", |reply: &Reply<StepResult>| {
+        note_not_durable(context, &answer).await;
+        return output.outcome(&answer, "step", |reply: &Reply<StepResult>| {
             let StepResult {
                 steps, state_hash, ..
             } = &reply.result;
@@ -56,40 +51,58 @@ pub async fn step(bus: &Bus, output: Output, arguments: &StepArguments) -> Resul
             } else {
                 String::new()
             };
-            let (swarm, place) = (&reply.swarm, place(reply));
-            format!("{swarm} is {place}{short}{}", hash_line(state_hash))
+            format!("{}{short}{}", standing(reply), hash_line(state_hash))
         });
     }
-    // The answer came as CBOR; either way it is printed as JSON.
+    // The reply is CBOR and is printed as JSON.
     let mut reply: Reply<StepResult> = answer.read()?;
     if reply.result.state.is_none() {
-        reply.result.state = Some(fetch_state(bus, &reply).await?);
+        reply.result.state = Some(fetch_state(client, &reply).await?);
     }
     match output.json {
-        true => output.data(&json(&reply)?),
-        false => output.data(&json(&reply.result.state)?),
+        true => output.document(&reply),
+        false => output.document(&reply.result.state),
     }
 }
 
-/// Queries the state that a remembered reply omits; fails if the swarm has changed.
-async fn fetch_state(bus: &Bus, reply: &Reply<StepResult>) -> Result<State, Failure> {
-    let status = async || {
-        let status = bus.get(&reply.swarm, "status").await?;
-        status.read::<Reply<Status>>()
+/// Notes which steps a daemon with a full disk has not stored.
+async fn note_not_durable(context: &Context, answer: &Payload) {
+    let Ok(reply) = answer.read::<Reply<StepResult>>() else {
+        return;
     };
-    let before = status().await?;
-    let state: State = bus.state(&reply.swarm).await?.read()?;
-    let status = status().await?;
-    // Where no command came between the two statuses, the state between them is theirs.
+    // They differ for a few milliseconds on every daemon.
+    if reply.step > reply.result.durable_step
+        && let Ok(metrics) = context.client.get_node("metrics").await
+        && let Ok(metrics) = metrics.read::<NodeReply<Metrics>>()
+        && let Some(note) = not_durable(reply.result.durable_step, &metrics.result.unwell)
+    {
+        context.output.note(&note);
+    }
+}
+
+fn not_durable(durable_step: u64, unwell: &[String]) -> Option<String> {
+    let mut unwell = unwell.iter();
+    let full = unwell.find(|reason| reason.starts_with("the disk is full"))?;
+    Some(format!(
+        "not yet on the daemon's disk: steps after {durable_step}; {full}"
+    ))
+}
+
+/// Queries the state, which a cached reply omits; fails if the swarm has changed.
+async fn fetch_state(client: &Client, reply: &Reply<StepResult>) -> Result<State, Failure> {
+    let before = client.status(&reply.swarm).await?;
+    let state: State = client.state(&reply.swarm).await?.read()?;
+    let status = client.status(&reply.swarm).await?;
+    // Without a command between the two statuses, the state between them has the same step.
     let is_same = before.seq == status.seq
         && [state.step, status.step] == [reply.step; 2]
         && status.result.state_hash == reply.result.state_hash;
     match is_same {
         true => Ok(state),
-        false => Err(Failure::refused(Error {
+        false => Err(Failure::rejected(Error {
             code: ErrorCode::Conflict,
             message: format!(
-                "the command was carried out and led to step {}, but its reply with the state was \
+                "the command was executed and led to step {}, but its reply with the state was \
                  lost, and the swarm is at step {} now or was changed",
                 reply.step, status.step
             ),
@@ -99,29 +112,18 @@ async fn fetch_state(bus: &Bus, reply: &Reply<StepResult>) -> Result<State, Fail
     }
 }
 
-/// Puts a swarm back to its start.
-///
-/// # Errors
-///
-/// Why it was not put back.
-pub async fn reset(bus: &Bus, output: Output, arguments: &ResetArguments) -> Result<(), Failure> {
+pub async fn reset(context: &Context, arguments: &ResetArguments) -> Result<(), Failure> {
     let args = ResetArgs {
         seed: arguments.seed,
     };
-    let ResetArguments { name, sending, .. } = arguments;
-    let answer = bus.command(name, "reset", &args, sending).await?;
-    print_outcome(output, &answer, "reset", |reply: &Reply<ResetResult>| {
-        format!(
-            "{} is {}, seed {}{}",
-            reply.swarm,
-            place(reply),
-            reply.result.seed,
-            hash_line(&reply.result.state_hash)
-        )
-    })
+    let describe = |reply: &Reply<ResetResult>| {
+        let ResetResult { seed, state_hash } = &reply.result;
+        format!("{}, seed {seed}{}", standing(reply), hash_line(state_hash))
+    };
+    context.execute(&arguments.command, &args, describe).await
 }
 
-/// A line for a hash; none for the zeros of a replay, which has no state.
+/// A line with the hash; empty for the zeros of a playback, which has no state.
 fn hash_line(hash: &str) -> String {
     match hash.bytes().all(|digit| digit == b'0') {
         true => String::new(),
@@ -129,32 +131,22 @@ fn hash_line(hash: &str) -> String {
     }
 }
 
-/// Changes the parameters named.
-///
-/// # Errors
-///
-/// Why nothing was changed.
-pub async fn set(bus: &Bus, output: Output, arguments: &SetArguments) -> Result<(), Failure> {
+pub async fn set(context: &Context, arguments: &SetArguments) -> Result<(), Failure> {
     let mut args = Map::new();
     for assignment in &arguments.assignments {
-        let field = &assignment.field;
-        if args
-            .insert(field.clone(), assignment.value.clone())
-            .is_some()
-        {
-            return Err(Failure::Argument {
-                argument: field.clone(),
-                problem: "is given twice".into(),
-            });
+        let (field, value) = (&assignment.field, assignment.value.clone());
+        if args.insert(field.clone(), value).is_some() {
+            return Err(Failure::argument(field, "is given twice"));
         }
     }
     if arguments.make_room {
         args.insert("make_room".into(), Value::Bool(true));
     }
-    let SetArguments { name, sending, .. } = arguments;
-    let answer = bus.command(name, "set", &args, sending).await;
-    let answer = answer.map_err(|failure| failure.with_advice(advice_on_set(args.keys())))?;
-    print_outcome(output, &answer, "set", |reply: &Reply<SetResult>| {
+    let CommandArguments { name, sending } = &arguments.command;
+    let answer = context.client.command(name, "set", &args, sending).await;
+    let answer =
+        answer.map_err(|error| Failure::from(error).with_advice(advice_on_set(args.keys())))?;
+    let describe = |reply: &Reply<SetResult>| {
         let mut text = table::changes(&reply.result);
         let scaled_by = reply.result.scaled_by;
         if scaled_by > 1.0 {
@@ -163,48 +155,33 @@ pub async fn set(bus: &Bus, output: Output, arguments: &SetArguments) -> Result<
             ));
         }
         text
-    })
+    };
+    context.output.outcome(&answer, "set", describe)
 }
 
-/// Has a controller leave.
-///
-/// # Errors
-///
-/// Why it is still there.
-pub async fn leave(bus: &Bus, output: Output, arguments: &LeaveArguments) -> Result<(), Failure> {
+pub async fn leave(context: &Context, arguments: &LeaveArguments) -> Result<(), Failure> {
     let args = LeaveArgs {
         controller: arguments.controller.clone(),
     };
-    let LeaveArguments { name, sending, .. } = arguments;
-    let answer = bus.command(name, "leave", &args, sending).await?;
-    print_outcome(output, &answer, "leave", |reply: &Reply<EmptyResult>| {
-        let (controller, swarm) = (&arguments.controller, &reply.swarm);
-        format!("{controller} has left {swarm}, which is {}", place(reply))
-    })
+    let describe = |reply: &Reply<_>| {
+        let (controller, swarm) = (&args.controller, &reply.swarm);
+        format!(
+            "{controller} has left {swarm}, which is {}",
+            position(reply)
+        )
+    };
+    context.execute(&arguments.command, &args, describe).await
 }
 
-/// Writes a note into the journal and the events.
-///
-/// # Errors
-///
-/// Why it was not written.
-pub async fn annotate(
-    bus: &Bus,
-    output: Output,
-    arguments: &AnnotateArguments,
-) -> Result<(), Failure> {
+pub async fn annotate(context: &Context, arguments: &AnnotateArguments) -> Result<(), Failure> {
     let args = AnnotateArgs {
         text: arguments.text.clone(),
     };
-    let AnnotateArguments { name, sending, .. } = arguments;
-    let answer = bus.command(name, "annotate", &args, sending).await?;
-    print_outcome(output, &answer, "annotate", |reply: &Reply<EmptyResult>| {
-        format!("{} has the note (seq {})", reply.swarm, reply.seq)
-    })
+    let describe = |reply: &Reply<_>| format!("{} has the note (seq {})", reply.swarm, reply.seq);
+    context.execute(&arguments.command, &args, describe).await
 }
 
-/// What people may have meant by a field that no swarm has; of all others the daemon says what
-/// can be done.
+/// A suggestion for a field that no swarm has; for the others the daemon's error has a remedy.
 pub fn advice_on_set<'a>(fields: impl Iterator<Item = &'a String>) -> Option<String> {
     let parameters = contract::parameters();
     let names = |is_wanted: fn(&Parameter) -> bool| {
@@ -219,16 +196,21 @@ pub fn advice_on_set<'a>(fields: impl Iterator<Item = &'a String>) -> Option<Str
     )
 }
 
-fn json<T: serde::Serialize>(value: &T) -> Result<String, Failure> {
-    serde_json::to_string(value).map_err(Failure::defect)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
-    fn a_slip_in_a_parameter_is_recognised() {
+    fn steps_that_are_not_durable_are_noted_only_if_the_disk_is_full() {
+        let note = |reason: &str| not_durable(7, &[reason.to_owned()]);
+        assert_eq!(not_durable(7, &[]), None);
+        assert_eq!(note("thread x has been executing one task for 9 s"), None);
+        let full = note("the disk is full: free some space").unwrap_or_default();
+        assert!(full.starts_with("not yet on the daemon's disk: steps after 7; the disk"));
+    }
+
+    #[test]
+    fn a_typing_error_in_a_parameter_is_recognised() {
         let advice = |field: &str| advice_on_set([field.to_owned()].iter()).unwrap_or_default();
         assert_eq!(advice("pi3"), "");
         assert_eq!(advice("make_room"), "");

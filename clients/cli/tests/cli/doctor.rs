@@ -1,4 +1,4 @@
-//! What the doctor finds.
+//! `doctor`.
 
 use serde_json::{Value, json};
 
@@ -11,7 +11,7 @@ fn check<'a>(report: &'a Value, name: &str) -> &'a Value {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_daemon_that_is_well_passes_every_check() {
+async fn a_healthy_daemon_passes_every_check() {
     let daemon = Daemon::start().await;
     let report = daemon.reply("doctor").await;
     assert_eq!(report["ok"], true, "{report}");
@@ -42,7 +42,7 @@ async fn a_daemon_that_is_well_passes_every_check() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_is_wrong_is_told_with_its_remedy() {
+async fn a_failed_check_has_a_remedy() {
     let daemon = Daemon::start().await;
     let ended = daemon.jostle("doctor -e tcp/127.0.0.1:1").await;
     assert_eq!(ended.code, Some(6), "{ended:?}");
@@ -84,7 +84,7 @@ async fn a_failed_recording_is_found_and_named() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_this_client_may_not_do_is_found_out() {
+async fn missing_permissions_are_detected() {
     let impostor = Impostor::start(&[], "jostle/x", "jostle/y").await;
     let node = |result: Value| vec![Ok(json!({"node": "a", "result": result}))];
     let limits = json!({
@@ -127,7 +127,7 @@ async fn what_this_client_may_not_do_is_found_out() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn one_client_too_many_is_told_so() {
+async fn a_client_above_the_limit_gets_an_error() {
     let daemon = Daemon::with(&[("max_clients", "1")]).await;
     daemon.said("create demo --n 3").await;
     let mut watching = daemon.begin("watch demo");

@@ -11,7 +11,7 @@ use crate::requests::{bases, files, rows, surface, verb};
 use crate::support::canned::{self, Canned};
 use crate::support::{Ended, Running};
 
-/// What each kind of error of the contract ends with.
+/// The exit code of each error code of the contract.
 const OF_THE_DAEMON: [(&str, i32); 13] = [
     ("internal", 1),
     ("faulted", 1),
@@ -28,16 +28,16 @@ const OF_THE_DAEMON: [(&str, i32); 13] = [
     ("storage_full", 8),
 ];
 
-/// What each kind of error that the command line finds itself ends with.
+/// The exit code of each error code of the client.
 const OF_THE_CLIENT: [(&str, i32); 3] = [("unreachable", 6), ("timeout", 6), ("mismatch", 9)];
 
-/// What ends with the error in its output and code 0: a list of nodes, of which one fails.
+/// The verb that prints errors and exits with 0: a list of nodes, of which one fails.
 const LISTS_ERRORS: &str = "nodes";
 
-/// What does not end with `--timeout`: it is asked once, for as long as the daemon works on it.
+/// The verb without `--timeout`: it queries once and waits for the daemon.
 const WAITS_FOR_THE_DAEMON: &str = "verify";
 
-/// What sends nothing to a daemon, or nothing in the form that the table has.
+/// The verbs without requests, or without requests in the form of the table.
 const LOCAL: [&str; 7] = [
     "auth link",
     "claims",
@@ -62,7 +62,7 @@ const FORMS: [&str; 7] = [
 /// How many command lines run at once.
 const AT_ONCE: usize = 6;
 
-/// A command line, with its verb, and what is expected of it.
+/// A command line, with its verb and its expected error.
 #[derive(Clone)]
 struct Case {
     verb: String,
@@ -161,7 +161,7 @@ impl Case {
             let error = &listed["nodes"][0]["error"];
             assert_eq!(error["code"], self.word, "{line}: {ended:?}");
         } else if self.code == 0 {
-            // A row without values, and what is wrong.
+            // A row without values, and the error.
             assert!(ended.stdout.contains('-'), "{line}: {ended:?}");
             assert!(!ended.stderr.is_empty(), "{line}: {ended:?}");
         } else if is_json {
@@ -255,7 +255,7 @@ async fn every_verb_ends_with_the_code_of_each_kind_of_error() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn every_verb_says_that_no_daemon_answers() {
+async fn every_verb_reports_an_unreachable_daemon() {
     let case = |(verb, line)| Case {
         verb,
         line,
@@ -308,7 +308,7 @@ async fn every_verb_refuses_an_option_that_it_does_not_have() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_is_done_without_a_daemon_has_its_codes_too() {
+async fn verbs_without_a_daemon_have_exit_codes_too() {
     let canned = Canned::start().await;
     let folder = files();
     for (line, code, word) in [
@@ -345,9 +345,8 @@ async fn what_is_done_without_a_daemon_has_its_codes_too() {
     let ended = Running::begin(&canned.endpoint, "verify demo --json", "")
         .end()
         .await;
-    assert_eq!(ended.code, Some(9), "{ended:?}");
-    assert!(ended.stderr.contains("\"mismatch\""), "{ended:?}");
-    let mut unread = Running::begin(&canned.endpoint, "list --watch 0.05 --json", "");
+    ended.assert_stderr(9, "\"mismatch\"");
+    let mut unread = Running::begin(&canned.endpoint, "top --interval 0.05 --json", "");
     unread.lines(1);
     unread.stop_reading();
     assert_eq!(unread.end().await.code, Some(0), "its stdout is closed");

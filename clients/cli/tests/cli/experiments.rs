@@ -1,4 +1,4 @@
-//! `experiment` and `figure`: on the daemon whether anybody looks on or not, and drawn from results.
+//! `experiment` and `figure`.
 
 use std::fs;
 use std::path::Path;
@@ -45,7 +45,7 @@ async fn an_experiment_is_run_listed_and_its_tables_are_those_of_the_daemon() {
     let again = daemon
         .said(&format!("experiment run {small} --detach"))
         .await;
-    assert!(again.starts_with("small is there already"), "{again}");
+    assert!(again.starts_with("small already exists"), "{again}");
     let progress = daemon.reply("experiment status small").await;
     assert_eq!(
         (&progress["phase"], &progress["finished"]),
@@ -66,6 +66,21 @@ async fn an_experiment_is_run_listed_and_its_tables_are_those_of_the_daemon() {
         let theirs = fs::read(data.join("experiments/small").join(name)).unwrap();
         assert!(fs::read(out.join(name)).unwrap() == theirs, "{name}");
     }
+    let again = format!("experiment results small -o {}", out.display());
+    daemon.said(&again).await;
+    let csv = fs::read_to_string(out.join("results.csv")).unwrap();
+    let other = folder.path().join("other.csv");
+    fs::write(&other, csv.replacen("n=8", "n=9", 1)).unwrap();
+    let line = format!("experiment results small -o {}", other.display());
+    let ended = daemon.jostle(&line).await;
+    ended.assert_stderr(2, "has 1 run that these results do not have");
+    daemon.said(&format!("{line} --force")).await;
+    assert_eq!(fs::read_to_string(&other).unwrap(), csv);
+    fs::write(&other, "notes").unwrap();
+    daemon
+        .jostle(&line)
+        .await
+        .assert_stderr(2, "is no table of results");
     let csv = daemon.said("experiment results small --csv").await;
     assert_eq!(
         csv.trim(),
@@ -117,7 +132,7 @@ async fn an_experiment_is_run_listed_and_its_tables_are_those_of_the_daemon() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn it_goes_on_without_the_command_line_until_it_is_cancelled() {
+async fn an_experiment_continues_without_the_command_line_until_it_is_cancelled() {
     let folder = tempfile::tempdir().unwrap();
     let daemon = Daemon::start().await;
     let endless = file(folder.path(), "endless.toml", ENDLESS);
@@ -145,8 +160,15 @@ async fn it_goes_on_without_the_command_line_until_it_is_cancelled() {
         "{cancelled}"
     );
     let ended = attached.end().await;
-    assert_eq!(ended.code, Some(4), "{ended:?}");
-    assert!(ended.stderr.contains("was cancelled"), "{ended:?}");
+    ended.assert_stderr(4, "was cancelled");
+    let tables = folder.path().join("tables");
+    let line = format!("experiment results endless -o {}", tables.display());
+    let wrote = daemon.said(&line).await;
+    assert!(wrote.starts_with("wrote 0 of 4 runs to "), "{wrote}");
+    assert!(
+        wrote.trim_end().ends_with(": endless is cancelled"),
+        "{wrote}"
+    );
 
     let other = file(folder.path(), "other.toml", &ENDLESS.replace("1e6", "1e5"));
     let refused = daemon.refusal(&format!("experiment run {other}")).await;
@@ -157,20 +179,19 @@ async fn it_goes_on_without_the_command_line_until_it_is_cancelled() {
     let wrong = daemon
         .jostle_with("--json experiment run -", "name = \"a\"\nduration = -1\n")
         .await;
-    assert_eq!(wrong.code, Some(2), "{wrong:?}");
-    assert!(wrong.stderr.contains("line 2"), "{wrong:?}");
+    wrong.assert_stderr(2, "line 2");
     daemon.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_is_not_there_is_answered_with_the_command_to_use() {
+async fn an_unknown_name_gets_the_command_that_lists_names() {
     let daemon = Daemon::start().await;
     let ended = daemon.jostle("experiment run nofile.toml").await;
     assert_eq!(ended.code, Some(2), "{ended:?}");
     for command in ["`jostle experiment run --help`", "`jostle experiment list`"] {
         assert!(ended.stderr.contains(command), "{ended:?}");
     }
-    // What that help shows is taken.
+    // The example of the help is accepted.
     let help = daemon.said("experiment run --help").await;
     let example = help.split_once("of 18 runs:\n").unwrap().1;
     let submitted = daemon
@@ -199,14 +220,14 @@ async fn what_is_not_there_is_answered_with_the_command_to_use() {
     }
     let ended = daemon.jostle("experiment results oder").await;
     assert!(ended.stderr.contains("did you mean `order`?"), "{ended:?}");
-    // A run that it has not is another thing.
+    // An unknown run is another error.
     let ended = daemon.jostle("experiment results order --order nope").await;
     assert!(ended.stderr.contains("has no run"), "{ended:?}");
     daemon.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn one_of_a_kind_is_counted_as_one() {
+async fn a_count_of_one_is_singular() {
     let folder = tempfile::tempdir().unwrap();
     let daemon = Daemon::with(&[("max_swarms", "1")]).await;
     let one = file(
@@ -220,11 +241,7 @@ async fn one_of_a_kind_is_counted_as_one() {
     assert!(said.contains("1 of 1 run finished"), "{said}");
     daemon.said("create a --n 1").await;
     let refused = daemon.jostle("create b --n 1").await;
-    assert_eq!(refused.code, Some(7), "{refused:?}");
-    assert!(
-        refused.stderr.contains("hosts 1 swarm already"),
-        "{refused:?}"
-    );
+    refused.assert_stderr(7, "hosts 1 swarm already");
     let refused = daemon.jostle("remove a --count 1").await;
     assert!(
         refused.stderr.contains("1 individual, which is all"),

@@ -1,4 +1,4 @@
-//! Recordings that the daemon makes for a client, which fetches them into a file.
+//! Recordings on the daemon, fetched into a file.
 
 use std::fs;
 use std::path::Path;
@@ -9,14 +9,8 @@ use jostled::auth::folder::Folder;
 use jostled::auth::issue;
 use serde_json::{Value, json};
 
+use crate::recording::{assert_impossible_is_rejected, file, is_whole};
 use crate::support::{Daemon, Ended, object, until};
-
-/// A folder, and the path of a file in it.
-fn file(name: &str) -> (tempfile::TempDir, String) {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join(name).to_str().unwrap().to_owned();
-    (folder, path)
-}
 
 /// Waits until the daemon records, and returns the recording's name.
 async fn begun(daemon: &Daemon) -> String {
@@ -43,7 +37,7 @@ async fn listed(daemon: &Daemon) -> Vec<String> {
         .collect()
 }
 
-/// The steps of a recording in MCAP, and what it says of itself.
+/// The steps and the metadata of a recording in MCAP.
 fn read(path: &str) -> (Vec<u64>, About) {
     let mut steps = Vec::new();
     let about = recording::read(Path::new(path), |message| {
@@ -55,17 +49,6 @@ fn read(path: &str) -> (Vec<u64>, About) {
     (steps, about.unwrap())
 }
 
-/// Whether a file of that kind was ended.
-fn is_whole(path: &str) -> bool {
-    let bytes = fs::read(path).unwrap();
-    let end: &[u8] = if path.ends_with(".mcap") {
-        b"\x89MCAP0\r\n"
-    } else {
-        b"PAR1"
-    };
-    bytes.starts_with(end) && bytes.ends_with(end) && bytes.len() > 100
-}
-
 #[tokio::test(flavor = "multi_thread")]
 async fn a_recording_of_so_many_steps_is_a_whole_file() {
     let daemon = Daemon::start().await;
@@ -75,16 +58,45 @@ async fn a_recording_of_so_many_steps_is_a_whole_file() {
         let recording = daemon.begin(&format!("--json record demo -o {path} --steps 20"));
         begun(&daemon).await;
         daemon.jostle("run demo").await;
-        let told = object(&recording.end().await);
+        let shown = object(&recording.end().await);
         daemon.jostle("pause demo").await;
         assert_eq!(
-            (&told["swarm"], &told["file"]),
+            (&shown["swarm"], &shown["file"]),
             (&json!("demo"), &json!(path))
         );
-        assert_eq!(told["frames"], 21, "{told}");
-        assert_eq!(told["bytes"], fs::metadata(&path).unwrap().len());
+        assert_eq!(shown["frames"], 21, "{shown}");
+        assert_eq!(shown["bytes"], fs::metadata(&path).unwrap().len());
         assert!(is_whole(&path));
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+    }
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_file_that_is_cut_keeps_its_spec() {
+    let daemon = Daemon::start().await;
+    daemon.jostle("create demo --n 10 --publish-every 1").await;
+    for name in ["take.mcap", "take.parquet"] {
+        let (_folder, path) = file(name);
+        let line = format!("record demo -o {path} --every 1 --steps 3000");
+        let recording = daemon.begin(&line);
+        begun(&daemon).await;
+        daemon.said("step demo 3000 --timeout 60").await;
+        assert_eq!(recording.end().await.code, Some(0));
+        let whole = fs::OpenOptions::new().write(true).open(&path).unwrap();
+        whole
+            .set_len(whole.metadata().unwrap().len() * 2 / 3)
+            .unwrap();
+        let ended = daemon.jostle(&format!("record --recover {path}")).await;
+        if name == "take.parquet" {
+            ended.assert_stderr(2, "a Parquet file whose end is missing cannot be read");
+            continue;
+        }
+        assert_eq!(ended.code, Some(0), "{ended:?}");
+        let (steps, about) = read(&path);
+        assert!(about.contains_key("spec"), "{about:?}");
+        assert_eq!(about["frames"], steps.len().to_string());
+        daemon.said(&format!("replay {path} --as shown")).await;
     }
     daemon.stop().await;
 }
@@ -99,8 +111,7 @@ async fn ctrl_c_and_the_swarms_deletion_end_a_recording_whole() {
         begun(&daemon).await;
         recording.interrupt();
         let ended = recording.end().await;
-        assert_eq!(ended.code, Some(0), "{ended:?}");
-        assert!(ended.stderr.contains("fetching the rest"), "{ended:?}");
+        ended.assert_stderr(0, "fetching the rest");
         assert!(ended.stdout.contains("of demo to"), "{ended:?}");
         assert!(is_whole(&path));
 
@@ -117,39 +128,19 @@ async fn ctrl_c_and_the_swarms_deletion_end_a_recording_whole() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_cannot_be_recorded_is_said_and_what_is_there_stays() {
+async fn an_impossible_recording_is_rejected_and_existing_files_stay() {
     let daemon = Daemon::start().await;
     daemon.jostle("create demo --n 10").await;
+    assert_impossible_is_rejected(&daemon, "").await;
     let (folder, path) = file("take.mcap");
-    fs::write(&path, "old").unwrap();
-    let line = format!("record demo -o {path} --for 0.1");
-    let refusal = daemon.refusal(&line).await;
-    assert_eq!(refusal["code"], "invalid_argument");
-    assert!(refusal["message"].as_str().unwrap().contains("--force"));
-    assert_eq!(fs::read(&path).unwrap(), b"old");
-
-    fs::write(format!("{path}.partial"), "").unwrap();
-    let refusal = daemon.refusal(&format!("{line} --force")).await;
-    assert!(
-        refusal["message"]
-            .as_str()
-            .unwrap()
-            .contains(".partial is there")
-    );
-    fs::remove_file(format!("{path}.partial")).unwrap();
-
-    let ended = daemon.jostle(&format!("{line} --force")).await;
-    assert_eq!(ended.code, Some(0), "{ended:?}");
-    assert!(is_whole(&path));
-
-    for asked in [
+    for missing in [
         "record nix --at-daemon".to_owned(),
-        line.replace("demo", "nix") + " --force",
+        format!("record nix -o {path} --for 0.1 --force"),
     ] {
-        let refusal = daemon.refusal(&asked).await;
+        let refusal = daemon.refusal(&missing).await;
         assert_eq!(refusal["code"], "not_found");
         let message = refusal["message"].as_str().unwrap();
-        assert!(message.contains("`jostle list`"), "{asked}: {refusal}");
+        assert!(message.contains("`jostle list`"), "{missing}: {refusal}");
     }
     let live = folder.path().join("live.mcap");
     let (live, draft) = (live.display(), format!("{}.partial", live.display()));
@@ -160,24 +151,11 @@ async fn what_cannot_be_recorded_is_said_and_what_is_there_stays() {
     assert!(message.contains("another recording writes"), "{refusal}");
     recording.interrupt();
     assert_eq!(recording.end().await.code, Some(0));
-
-    let refusal = daemon.refusal("record demo -o take.csv").await;
-    assert!(refusal["message"].as_str().unwrap().contains(".parquet"));
-    let nowhere = folder.path().join("nowhere/take.mcap");
-    let refusal = daemon
-        .refusal(&format!("record demo -o {}", nowhere.display()))
-        .await;
-    assert_eq!(refusal["code"], "internal");
-    let refusal = daemon
-        .refusal(&format!("record missing -o {path} --force"))
-        .await;
-    assert_eq!(refusal["code"], "not_found");
-    assert!(is_whole(&path));
     daemon.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn whoever_is_asked_to_end_ends_the_file_whole() {
+async fn a_signal_completes_the_file() {
     let daemon = Daemon::start().await;
     daemon.jostle("create demo --n 10").await;
     for signal in ["-TERM", "-HUP"] {
@@ -202,18 +180,18 @@ async fn at_rate_max_every_state_is_in_the_file_and_the_daemon_keeps_no_copy() {
         let recording = daemon.begin(&line);
         begun(&daemon).await;
         daemon.said("run demo --rate max --until-step 2500").await;
-        let told = object(&recording.end().await);
+        let shown = object(&recording.end().await);
         assert_eq!(
             (
-                &told["frames"],
-                &told["missed"],
-                &told["every"],
-                &told["source"]
+                &shown["frames"],
+                &shown["missed"],
+                &shown["every"],
+                &shown["source"]
             ),
             (&json!(2001), &json!(0), &json!(1), &json!("steps")),
-            "{told}"
+            "{shown}"
         );
-        assert_eq!(told["kept"], false);
+        assert_eq!(shown["kept"], false);
         assert!(is_whole(&path));
         assert_eq!(
             fs::read_dir(folder.path()).unwrap().count(),
@@ -255,9 +233,9 @@ async fn a_client_that_is_killed_leaves_its_recording_with_the_daemon() {
     let message = refusal["message"].as_str().unwrap();
     assert!(message.contains(&format!("--stop {name}")), "{refusal}");
     daemon.said(&format!("record --stop {name}")).await;
-    let told = daemon.reply(&fetch).await;
+    let shown = daemon.reply(&fetch).await;
     assert_eq!(
-        (&told["frames"], &told["kept"]),
+        (&shown["frames"], &shown["kept"]),
         (&json!(101), &json!(false))
     );
     assert!(read(&path).0.iter().copied().eq(0..=100));
@@ -277,7 +255,7 @@ async fn a_client_that_is_killed_leaves_its_recording_with_the_daemon() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_recording_is_fetched_on_from_where_it_was_and_a_lasting_one_is_kept() {
+async fn an_interrupted_fetch_resumes_and_a_permanent_recording_is_kept() {
     let daemon = Daemon::start().await;
     daemon.jostle("create demo --n 50 --publish-every 1").await;
     daemon
@@ -300,17 +278,17 @@ async fn a_recording_is_fetched_on_from_where_it_was_and_a_lasting_one_is_kept()
     );
     assert_eq!(night["temporary"], false);
     let (folder, path) = file("night.mcap");
-    // What an earlier client had fetched: not what the daemon has, to show that it is not asked again.
+    // The part of an earlier client. It differs from the daemon's, to show that it is not fetched again.
     let parts = format!("{path}.night-{}.parts", night["began_unix_secs"]);
     fs::create_dir(&parts).unwrap();
     let whole = daemon.folder().join("recordings/night/part-00000.mcap");
     let whole = fs::read(whole).unwrap();
     fs::write(format!("{parts}/part-00000.mcap"), &whole[..700_000]).unwrap();
-    let told = daemon
+    let shown = daemon
         .reply(&format!("record --fetch night -o {path}"))
         .await;
     assert_eq!(
-        (&told["frames"], &told["kept"]),
+        (&shown["frames"], &shown["kept"]),
         (&night["frames"], &json!(true))
     );
     let (steps, _) = read(&path);
@@ -323,7 +301,7 @@ async fn a_recording_is_fetched_on_from_where_it_was_and_a_lasting_one_is_kept()
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
     assert_eq!(listed(&daemon).await, ["night"]);
 
-    // Damaged on its way, it is refused and the daemon still has it.
+    // A damaged part is rejected, and the daemon still has the recording.
     fs::create_dir(&parts).unwrap();
     let mut damaged = whole[..700_000].to_vec();
     damaged[350_000] ^= 1;
@@ -360,7 +338,7 @@ async fn a_recording_is_fetched_on_from_where_it_was_and_a_lasting_one_is_kept()
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_recording_goes_on_over_a_restart_of_the_daemon_and_is_fetched_whole() {
+async fn a_recording_continues_after_a_restart_of_the_daemon_and_is_fetched_completely() {
     let daemon = Daemon::start().await;
     daemon.jostle("create demo --n 10 --publish-every 1").await;
     let (folder, path) = file("take.mcap");
@@ -370,7 +348,7 @@ async fn a_recording_goes_on_over_a_restart_of_the_daemon_and_is_fetched_whole()
     let daemon = daemon.restart().await;
     begun(&daemon).await;
     daemon.said("step demo 30").await;
-    // The part that the stop completed is fetched while the recording goes on.
+    // The part that `stop` completed is fetched while the daemon records.
     until("the first part is fetched", async || {
         let beside = fs::read_dir(folder.path()).unwrap();
         let mut beside = beside.map(|entry| entry.unwrap().path());
@@ -387,16 +365,20 @@ async fn a_recording_goes_on_over_a_restart_of_the_daemon_and_is_fetched_whole()
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn who_may_not_record_gets_what_is_published_and_file_and_output_say_so() {
+async fn without_permission_to_record_the_published_states_are_recorded_with_a_note() {
     let base = tempfile::tempdir().unwrap();
-    let people = Folder::at(base.path().join("auth"));
+    let people = Folder::new(base.path().join("auth"));
     let roles = [("vera", Role::Viewer), ("olga", Role::Operator)];
     let named = roles.map(|(name, role)| (name.to_owned(), role));
     issue::init(&people, &[], &named).unwrap();
     let auth = people.path().to_str().unwrap().to_owned();
     let daemon = Daemon::with(&[("auth_dir", auth.as_str())]).await;
-    let by =
-        |person: &str, line: &str| format!("--credentials {} {line}", people.of(person).display());
+    let by = |person: &str, line: &str| {
+        format!(
+            "--credentials {} {line}",
+            people.person_folder(person).display()
+        )
+    };
     daemon
         .said(&by("olga", "create demo --n 5 --publish-every 1"))
         .await;
@@ -410,9 +392,9 @@ async fn who_may_not_record_gets_what_is_published_and_file_and_output_say_so() 
     ] {
         let ended = daemon.jostle(&line).await;
         assert_eq!(ended.code, Some(0), "{ended:?}");
-        let told: Value = serde_json::from_str(ended.stdout.trim()).unwrap();
+        let shown: Value = serde_json::from_str(ended.stdout.trim()).unwrap();
         assert_eq!(
-            (&told["source"], &told["frames"]),
+            (&shown["source"], &shown["frames"]),
             (&json!("published"), &json!(1))
         );
         assert_eq!(read(&path).1["source"], "published");
@@ -428,7 +410,7 @@ async fn who_may_not_record_gets_what_is_published_and_file_and_output_say_so() 
         "{stderr}"
     );
     assert!(stdout.contains("of those that it published"), "{stdout}");
-    // Operators have the daemon record, which says so; a viewer fetches none of it.
+    // An operator records on the daemon; a viewer may not fetch the recording.
     let line = by(
         "olga",
         &format!("--json record demo -o {path} --for 0.3 --force"),

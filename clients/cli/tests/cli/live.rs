@@ -1,11 +1,11 @@
-//! What takes a while: runs that are waited for, and swarms that are watched.
+//! `run --wait` and `watch`.
 
 use serde_json::{Value, json};
 
 use crate::support::{Daemon, object, until};
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_run_is_waited_for_until_it_is_there() {
+async fn a_wait_for_a_run_returns_at_its_end() {
     let daemon = Daemon::start().await;
     daemon.jostle("create demo --n 10").await;
     let ended = daemon
@@ -29,7 +29,7 @@ async fn a_run_is_waited_for_until_it_is_there() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_wait_ends_when_somebody_else_ends_the_run() {
+async fn a_wait_ends_when_another_client_ends_the_run() {
     for (verb, exit_code, code) in [
         ("pause demo", 4, "incorrect_state"),
         ("reset demo", 4, "conflict"),
@@ -56,8 +56,7 @@ async fn ctrl_c_ends_the_wait_and_not_the_swarm() {
     daemon.until_running("demo").await;
     waiting.interrupt();
     let ended = waiting.end().await;
-    assert_eq!(ended.code, Some(130), "{ended:?}");
-    assert!(ended.stderr.contains("demo runs on"), "{ended:?}");
+    ended.assert_stderr(130, "demo runs on");
     let status = object(&daemon.jostle("--json status demo").await);
     assert_eq!(status["phase"], "running");
     daemon.stop().await;
@@ -119,14 +118,13 @@ async fn a_watch_ends_with_the_swarm() {
         watching.lines(2);
         assert_eq!(daemon.jostle("delete demo").await.code, Some(0));
         let ended = watching.end().await;
-        assert_eq!(ended.code, Some(exit_code), "{ended:?}");
-        assert!(ended.stderr.contains("demo was deleted"), "{ended:?}");
+        ended.assert_stderr(exit_code, "demo was deleted");
     }
     daemon.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_watch_outlives_the_daemon_and_tells_what_it_came_back_with() {
+async fn a_watch_survives_a_restart_and_reports_a_swarm_that_was_not_recovered() {
     let daemon = Daemon::start().await;
     daemon.jostle("create demo --n 10").await;
     let mut watching = daemon.begin("watch demo");
@@ -140,13 +138,12 @@ async fn a_watch_outlives_the_daemon_and_tells_what_it_came_back_with() {
     );
     let daemon = Daemon::with(&[("listen", &endpoint)]).await;
     let ended = watching.end().await;
-    assert_eq!(ended.code, Some(3), "{ended:?}");
-    assert!(ended.stderr.contains("back, but without demo"), "{ended:?}");
+    ended.assert_stderr(3, "back, but without demo");
     daemon.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_reader_that_goes_away_ends_a_stream_quietly() {
+async fn a_closed_pipe_ends_a_stream_without_an_error() {
     let daemon = Daemon::start().await;
     daemon.jostle("create demo --n 10").await;
     daemon.jostle("run demo").await;

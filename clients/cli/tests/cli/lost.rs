@@ -1,4 +1,4 @@
-//! Answers that are lost, daemons that are busy or gone: a command is carried out once.
+//! Lost replies, busy daemons, lost connections: the daemon executes a command once.
 
 use std::time::{Duration, Instant};
 
@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 use crate::support::{Daemon, Impostor, Link, Running, object, until};
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_command_whose_answer_is_lost_is_carried_out_once() {
+async fn a_command_whose_reply_is_lost_is_executed_once() {
     let daemon = Daemon::start().await;
     daemon.said("create demo --n 10").await;
     let link = Link::to(&daemon.endpoint);
@@ -27,7 +27,7 @@ async fn a_command_whose_answer_is_lost_is_carried_out_once() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_busy_daemon_is_sent_the_same_request_again() {
+async fn a_request_to_a_busy_daemon_is_retried_unchanged() {
     let impostor = Impostor::start(&["jostle/demo/alive/a"], "jostle/x", "jostle/y").await;
     let busy = || Err(json!({"code": "busy", "message": "too much at once", "details": {}}));
     let reply = json!({
@@ -60,7 +60,7 @@ async fn a_busy_daemon_is_sent_the_same_request_again() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_wait_that_is_answered_early_is_asked_again_after_a_rest() {
+async fn a_wait_with_an_early_reply_is_sent_again_after_a_delay() {
     let fixture = |text: &str| -> Value {
         let mut reply: Value = serde_json::from_str(text).unwrap();
         (reply["swarm"], reply["epoch"]) = (json!("demo"), json!(1));
@@ -84,7 +84,7 @@ async fn a_wait_that_is_answered_early_is_asked_again_after_a_rest() {
     let answer = object(&impostor.jostle(line).await);
     assert_eq!(answer["step"], 100);
     assert_eq!(asked.lock().unwrap().len(), 3, "early, early, there");
-    // Two rests of half a second.
+    // Two retry intervals of half a second.
     assert!(
         began.elapsed() >= Duration::from_secs(1),
         "{:?}",
@@ -94,7 +94,7 @@ async fn a_wait_that_is_answered_early_is_asked_again_after_a_rest() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn those_who_watch_are_told_once_that_the_daemon_is_gone() {
+async fn verbs_that_follow_print_once_that_the_daemon_is_gone() {
     let daemon = Daemon::start().await;
     daemon.said("create demo --n 10").await;
     daemon.said("run demo").await;
@@ -104,7 +104,7 @@ async fn those_who_watch_are_told_once_that_the_daemon_is_gone() {
     watching.lines(2);
     let mut following = begin("events demo --follow");
     following.lines(2);
-    let mut looking = begin("status demo --watch 0.1");
+    let mut looking = begin("top --interval 0.1");
     looking.lines(2);
     let mut waiting = begin("run demo --until 1e6 --wait");
     until("the run has an end", async || {
@@ -129,7 +129,8 @@ async fn those_who_watch_are_told_once_that_the_daemon_is_gone() {
     watching.lines(1);
     looking.lines(1);
     daemon.said("delete demo").await;
-    for (running, code) in [(watching, 0), (following, 0), (looking, 3), (waiting, 3)] {
+    looking.interrupt();
+    for (running, code) in [(watching, 0), (following, 0), (looking, 130), (waiting, 3)] {
         let ended = running.end().await;
         assert_eq!(ended.code, Some(code), "{ended:?}");
         assert!(!ended.stderr.contains("is gone"), "{ended:?}");
@@ -138,7 +139,7 @@ async fn those_who_watch_are_told_once_that_the_daemon_is_gone() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_run_that_is_waited_for_goes_on_when_its_daemon_is_started_again() {
+async fn a_wait_for_a_run_continues_when_its_daemon_is_restarted() {
     let daemon = Daemon::start().await;
     daemon.said("create demo --n 10 --seed 1").await;
     let waiting = daemon.begin("--json run demo --until-step 2000 --rate 10 --wait");

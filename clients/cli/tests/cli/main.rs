@@ -1,18 +1,19 @@
-//! The command line as a shell meets it: the real binary against a daemon in this process.
+//! Tests of the binary `jostle` against a daemon in this process.
 
 #![expect(clippy::unwrap_used, reason = "tests")]
 
 mod claims;
-mod copies;
 mod doctor;
 mod exits;
 mod experiments;
 mod fetching;
+mod forking;
+mod inspect;
 mod live;
-mod looking;
 mod lost;
 mod options;
 mod recording;
+mod recovering;
 mod requests;
 mod rights;
 mod sending;
@@ -22,3 +23,4 @@ mod support;
 mod terminal;
 mod top;
 mod verbs;
+mod verifying;

@@ -14,7 +14,7 @@ use tokio::task::JoinSet;
 
 use crate::support::{Daemon, Ended, Running};
 
-/// A command line for each verb, with a verb of its own where it has any. `{}` is a folder.
+/// A command line for each verb and nested verb. `{}` is a folder.
 const LINES: [&str; 52] = [
     "annotate demo note",
     "auth can pause",
@@ -81,7 +81,7 @@ const NOT_REACHED: [(&str, &str); 3] = [
     ("auth link", "prefix"),
 ];
 
-/// The verbs that have no verbs of their own, off the list of all that a script may use.
+/// The verbs without nested verbs, from the list of all that a script may use.
 fn verbs() -> Vec<&'static str> {
     let surface = include_str!("../../surface.txt").lines();
     let words = surface.filter(|line| !line.contains(['-', '<']) && !line.starts_with("jostle"));
@@ -115,7 +115,7 @@ fn mute() -> String {
     endpoint
 }
 
-/// Checks that an option that is offered has an effect on a line.
+/// Checks that an offered option has an effect on a line.
 async fn check(endpoint: &str, mute: &str, line: &str, option: &str) {
     let said =
         |ended: &Ended, text: &str| format!("{}{}", ended.stdout, ended.stderr).contains(text);
@@ -139,7 +139,7 @@ async fn check(endpoint: &str, mute: &str, line: &str, option: &str) {
             assert!(said(&ended, "`elsewhere`"), "{line}: {ended:?}");
         }
         "timeout" => {
-            // It is 5 s if none is given.
+            // The default is 5 s.
             let began = Instant::now();
             let ended = run(mute, &format!("{line} --timeout 0.1")).await;
             let took = began.elapsed();
@@ -161,6 +161,16 @@ fn prepare(folder: &Path) {
     fs::write(folder.join("batch.json"), batch).unwrap();
     let order = "name = \"order\"\nduration = 1\nspec = { n = 3 }\n";
     fs::write(folder.join("order.toml"), order).unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_unknown_host_a_silent_listener_and_no_listener_have_their_own_messages() {
+    let ended = run("tcp/no-such-host.invalid:7447", "list").await;
+    ended.assert_stderr(6, "no address is known of the host no-such-host.invalid");
+    let ended = run(&mute(), "list --timeout 0.3").await;
+    ended.assert_stderr(6, "it may hang");
+    let ended = run("tcp/127.0.0.1:1", "list").await;
+    ended.assert_stderr(6, "start one with `jostled serve`");
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -221,11 +231,7 @@ async fn an_option_without_effect_is_refused_with_a_reason() {
     daemon.said("create demo --n 3").await;
     for line in ["--node elsewhere status demo", "-e tcp/127.0.0.1:1 man"] {
         let ended = daemon.jostle(line).await;
-        assert_eq!(ended.code, Some(2), "{ended:?}");
-        assert!(
-            ended.stderr.contains("has no effect on `jostle "),
-            "{ended:?}"
-        );
+        ended.assert_stderr(2, "has no effect on `jostle ");
     }
     let ended = daemon.jostle("status demo --node elsewhere").await;
     assert_eq!(ended.code, Some(2), "{ended:?}");

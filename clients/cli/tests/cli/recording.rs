@@ -1,24 +1,63 @@
-//! Recordings: files that are whole however they end.
+//! Recordings: files are complete however the recording ends.
 
 use std::fs;
 use std::path::Path;
 use std::process::Command;
-use std::time::{Duration, Instant};
 
-use jostle_results::recording::{self, partial};
-use serde_json::{Value, json};
+use serde_json::json;
 
-use crate::support::{Daemon, Running, object, until};
+use crate::support::{Daemon, object, until};
 
 /// A folder, and the path of a file in it.
-fn file(name: &str) -> (tempfile::TempDir, String) {
+pub fn file(name: &str) -> (tempfile::TempDir, String) {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join(name).to_str().unwrap().to_owned();
     (folder, path)
 }
 
-/// Whether a file of that kind was ended.
-fn is_whole(path: &str) -> bool {
+/// Waits until this machine records to a file.
+async fn begun(path: &str) {
+    let partial = format!("{path}.partial");
+    let exists = async || fs::exists(&partial).unwrap();
+    until("the recording has begun", exists).await;
+}
+
+/// Checks that recordings with these options are rejected if they are impossible, and that existing
+/// files stay.
+pub async fn assert_impossible_is_rejected(daemon: &Daemon, options: &str) {
+    let (folder, path) = file("take.mcap");
+    fs::write(&path, "old").unwrap();
+    let line = format!("record demo {options}-o {path} --for 0.1");
+    let refusal = daemon.refusal(&line).await;
+    assert_eq!(refusal["code"], "invalid_argument");
+    assert!(refusal["message"].as_str().unwrap().contains("--force"));
+    assert_eq!(fs::read(&path).unwrap(), b"old");
+
+    fs::write(format!("{path}.partial"), "").unwrap();
+    let refusal = daemon.refusal(&format!("{line} --force")).await;
+    let message = refusal["message"].as_str().unwrap();
+    assert!(message.contains(".partial exists"), "{message}");
+    let remedy = format!("`jostle record --recover {path}`");
+    assert!(message.contains(&remedy), "{message}");
+    fs::remove_file(format!("{path}.partial")).unwrap();
+
+    let ended = daemon.jostle(&format!("{line} --force")).await;
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+    assert!(is_whole(&path));
+
+    let line = format!("record demo {options}-o take.csv");
+    let refusal = daemon.refusal(&line).await;
+    assert!(refusal["message"].as_str().unwrap().contains(".parquet"));
+    let nowhere = folder.path().join("nowhere/take.mcap");
+    let line = format!("record demo {options}-o {}", nowhere.display());
+    assert_eq!(daemon.refusal(&line).await["code"], "internal");
+    let line = format!("record missing {options}-o {path} --force");
+    assert_eq!(daemon.refusal(&line).await["code"], "not_found");
+    assert!(is_whole(&path));
+}
+
+/// Whether a file is complete.
+pub fn is_whole(path: &str) -> bool {
     let bytes = fs::read(path).unwrap();
     let end: &[u8] = if path.ends_with(".mcap") {
         b"\x89MCAP0\r\n"
@@ -37,19 +76,16 @@ async fn a_recording_of_so_many_steps_is_a_whole_file() {
         let recording = daemon.begin(&format!(
             "--json record demo --published -o {path} --steps 20"
         ));
-        until("the recording has begun", async || {
-            fs::exists(format!("{path}.partial")).unwrap()
-        })
-        .await;
+        begun(&path).await;
         daemon.jostle("run demo").await;
-        let told = object(&recording.end().await);
+        let text = object(&recording.end().await);
         daemon.jostle("pause demo").await;
         assert_eq!(
-            (&told["swarm"], &told["file"]),
+            (&text["swarm"], &text["file"]),
             (&json!("demo"), &json!(path))
         );
-        assert!(told["frames"].as_u64() > Some(1), "{told}");
-        assert_eq!(told["bytes"], fs::metadata(&path).unwrap().len());
+        assert!(text["frames"].as_u64() > Some(1), "{text}");
+        assert_eq!(text["bytes"], fs::metadata(&path).unwrap().len());
         assert!(is_whole(&path));
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
     }
@@ -63,11 +99,7 @@ async fn ctrl_c_and_the_swarms_deletion_end_a_recording_whole() {
         let (_folder, path) = file(name);
         daemon.jostle("create demo --n 10").await;
         let recording = daemon.begin(&format!("record demo --published -o {path}"));
-        let partial = format!("{path}.partial");
-        until("the recording has begun", async || {
-            fs::exists(&partial).unwrap()
-        })
-        .await;
+        begun(&path).await;
         recording.interrupt();
         let ended = recording.end().await;
         assert_eq!((ended.code, &*ended.stderr), (Some(0), ""), "{ended:?}");
@@ -75,80 +107,42 @@ async fn ctrl_c_and_the_swarms_deletion_end_a_recording_whole() {
         assert!(is_whole(&path));
 
         let recording = daemon.begin(&format!("record demo --published -o {path} --force"));
-        until("the recording has begun", async || {
-            fs::exists(&partial).unwrap()
-        })
-        .await;
+        begun(&path).await;
         daemon.jostle("delete demo").await;
         let ended = recording.end().await;
-        assert_eq!(ended.code, Some(0), "{ended:?}");
-        assert!(ended.stderr.contains("demo was deleted"), "{ended:?}");
+        ended.assert_stderr(0, "demo was deleted");
         assert!(is_whole(&path));
     }
     daemon.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_cannot_be_recorded_is_said_and_what_is_there_stays() {
+async fn an_impossible_recording_is_rejected_and_existing_files_stay() {
     let daemon = Daemon::start().await;
     daemon.jostle("create demo --n 10").await;
-    let (folder, path) = file("take.mcap");
-    fs::write(&path, "old").unwrap();
-    let line = format!("record demo --published -o {path} --for 0.1");
-    let refusal = daemon.refusal(&line).await;
-    assert_eq!(refusal["code"], "invalid_argument");
-    assert!(refusal["message"].as_str().unwrap().contains("--force"));
-    assert_eq!(fs::read(&path).unwrap(), b"old");
-
-    fs::write(format!("{path}.partial"), "").unwrap();
-    let refusal = daemon.refusal(&format!("{line} --force")).await;
-    let message = refusal["message"].as_str().unwrap();
-    assert!(message.contains(".partial is there"), "{message}");
-    let remedy = format!("`jostle record --recover {path}`");
-    assert!(message.contains(&remedy), "{message}");
-    fs::remove_file(format!("{path}.partial")).unwrap();
-
-    let ended = daemon.jostle(&format!("{line} --force")).await;
-    assert_eq!(ended.code, Some(0), "{ended:?}");
-    assert!(is_whole(&path));
-
-    let refusal = daemon.refusal("record demo --published -o take.csv").await;
-    assert!(refusal["message"].as_str().unwrap().contains(".parquet"));
-    let nowhere = folder.path().join("nowhere/take.mcap");
-    let refusal = daemon
-        .refusal(&format!("record demo --published -o {}", nowhere.display()))
-        .await;
-    assert_eq!(refusal["code"], "internal");
-    let refusal = daemon
-        .refusal(&format!("record missing --published -o {path} --force"))
-        .await;
-    assert_eq!(refusal["code"], "not_found");
-    assert!(is_whole(&path));
+    assert_impossible_is_rejected(&daemon, "--published ").await;
     daemon.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_was_recorded_is_replayed_under_a_name_and_sought_through() {
+async fn a_recording_is_played_under_a_name_and_can_be_sought() {
     let daemon = Daemon::start().await;
     daemon.jostle("create demo --n 10 --publish-every 1").await;
     let (folder, path) = file("Take.mcap");
     let recording = daemon.begin(&format!(
         "--json record demo --published -o {path} --steps 40"
     ));
-    until("the recording has begun", async || {
-        fs::exists(format!("{path}.partial")).unwrap()
-    })
-    .await;
+    begun(&path).await;
     daemon.jostle("run demo").await;
     let frames = object(&recording.end().await)["frames"].clone();
 
-    let told = object(
+    let text = object(
         &daemon
             .jostle(&format!("--json replay {path} --paused"))
             .await,
     );
-    assert_eq!(told["result"]["replay"]["of"], "demo");
-    assert_eq!(told["result"]["replay"]["frames"], frames);
+    assert_eq!(text["result"]["replay"]["of"], "demo");
+    assert_eq!(text["result"]["replay"]["frames"], frames);
     let status = object(&daemon.jostle("--json status take").await);
     assert_eq!(
         (&status["phase"], &status["step"]),
@@ -172,14 +166,19 @@ async fn what_was_recorded_is_replayed_under_a_name_and_sought_through() {
         .jostle(&format!("replay {path} --as tape --rate max"))
         .await;
     assert!(tape.stdout.contains("tape replays demo"), "{tape:?}");
-    // What cannot be done to its end leaves nothing behind.
+    // A request that fails leaves nothing behind.
     let refused = daemon
         .refusal(&format!("replay {path} --as never --rate 0"))
         .await;
     assert_eq!(refused["code"], "invalid_argument");
     assert_eq!(daemon.refusal("status never").await["code"], "not_found");
     let refused = daemon.refusal("replay /dev/null --as never").await;
-    assert!(refused["message"].as_str().unwrap().contains("is no file"));
+    assert!(
+        refused["message"]
+            .as_str()
+            .unwrap()
+            .contains("is not a file")
+    );
     let last = object(&daemon.jostle("--json status take").await)["step"].clone();
     for beyond in ["--step 1000000", "--time 1e9"] {
         let ended = daemon.jostle(&format!("seek take {beyond}")).await;
@@ -217,7 +216,12 @@ async fn what_was_recorded_is_replayed_under_a_name_and_sought_through() {
     let refusal = daemon.refusal(&format!("replay {}", table.display())).await;
     assert!(refusal["message"].as_str().unwrap().contains(".mcap"));
     let refusal = daemon.refusal("replay nowhere.mcap").await;
-    assert!(refusal["message"].as_str().unwrap().contains("not there"));
+    assert!(
+        refusal["message"]
+            .as_str()
+            .unwrap()
+            .contains("does not exist")
+    );
     daemon.stop().await;
 }
 
@@ -229,7 +233,7 @@ async fn the_daemon_records_lists_stops_and_deletes() {
         .await;
     let ended = daemon.jostle("record --list").await;
     assert!(
-        ended.stderr.contains("--at-daemon` begins one"),
+        ended.stderr.contains("--at-daemon` starts one"),
         "{ended:?}"
     );
     daemon.jostle("run demo").await;
@@ -271,8 +275,7 @@ async fn the_daemon_records_lists_stops_and_deletes() {
         let line = format!("record {option} table");
         assert_eq!(daemon.refusal(&line).await["code"], "not_found");
         let ended = daemon.jostle(&line).await;
-        assert_eq!(ended.code, Some(3), "{ended:?}");
-        assert!(ended.stderr.contains("`jostle record --list`"), "{ended:?}");
+        ended.assert_stderr(3, "`jostle record --list`");
     }
     let ended = daemon.jostle("record --stop demo-2").await;
     assert!(ended.stderr.contains("did you mean `demo-1`?"), "{ended:?}");
@@ -280,16 +283,13 @@ async fn the_daemon_records_lists_stops_and_deletes() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn whoever_is_asked_to_end_ends_the_file_whole() {
+async fn a_signal_completes_the_file() {
     let daemon = Daemon::start().await;
     daemon.jostle("create demo --n 10").await;
     for signal in ["-TERM", "-HUP"] {
         let (_folder, path) = file("take.parquet");
         let recording = daemon.begin(&format!("record demo --published -o {path}"));
-        until("the recording has begun", async || {
-            fs::exists(format!("{path}.partial")).unwrap()
-        })
-        .await;
+        begun(&path).await;
         recording.signal(signal);
         let ended = recording.end().await;
         assert_eq!(ended.code, Some(0), "{signal}: {ended:?}");
@@ -298,218 +298,14 @@ async fn whoever_is_asked_to_end_ends_the_file_whole() {
     daemon.stop().await;
 }
 
-/// A recording that is to be killed.
-struct Killed {
-    path: String,
-    recorder: Option<Running>,
-    begun: Instant,
-    /// How long after that.
-    after: Duration,
-    /// The step that the swarm had 5 s before the kill, or 0.
-    step_before: u64,
-}
-
-/// Kills a recording, makes a whole file of it, and checks that what is missing is 5 s at most.
-async fn kill_and_recover(daemon: &Daemon, killed: &mut Killed) -> u64 {
-    let recorder = killed.recorder.take().unwrap();
-    recorder.signal("-KILL");
-    assert_eq!(recorder.end().await.code, None);
-    let path = &killed.path;
-    assert!(!Path::new(path).exists());
-    let line = format!("record --recover {path}");
-    if killed.step_before == 0 && killed.after < Duration::from_secs(1) {
-        // It may have been killed before its first state was there.
-        let ended = daemon.jostle(&line).await;
-        let has_none = ended.stderr.contains("holds no state");
-        assert!(ended.code == Some(0) || has_none, "{ended:?}");
-        return 0;
-    }
-    let told = daemon.reply(&line).await;
-    assert_eq!(
-        (&told["file"], &told["recovered"]),
-        (&json!(path), &json!(true))
-    );
-    let last = told["last_step"].as_u64().unwrap();
-    assert!(
-        last >= killed.step_before,
-        "{last} < {}",
-        killed.step_before
-    );
-    assert!(is_whole(path));
-    assert_eq!(told["bytes"], fs::metadata(path).unwrap().len());
-    assert!(!partial(Path::new(path)).exists());
-    if path.ends_with(".mcap") {
-        let mut frames = 0;
-        let about = recording::read(Path::new(path), |message| {
-            frames += u64::from(message.topic == "state");
-            Ok(())
-        });
-        let about = about.unwrap();
-        assert_eq!(
-            (&about["swarm"], &about["recovered"]),
-            (&"demo".into(), &"true".into())
-        );
-        assert_eq!(told["frames"], frames);
-        assert_eq!(about["frames"], frames.to_string());
-        assert_eq!(about["missed"], "0");
-    }
-    last
-}
-
+/// Runs the example of docs/recording.md; Ctrl-C ends its last command.
 #[tokio::test(flavor = "multi_thread")]
-async fn killed_at_any_moment_a_recording_loses_five_seconds_at_most() {
-    const KILLS: u32 = 10;
-    let daemon = Daemon::start().await;
-    daemon
-        .jostle("create demo --n 10 --publish-every 1 --rate 1")
-        .await;
-    daemon.jostle("run demo").await;
-    daemon.until_running("demo").await;
-    let folder = tempfile::tempdir().unwrap();
-    for format in ["mcap", "parquet"] {
-        let mut recordings = Vec::new();
-        for number in 0..KILLS {
-            let path = folder.path().join(format!("take-{number}.{format}"));
-            let path = path.to_str().unwrap().to_owned();
-            let recorder = daemon.begin(&format!("record demo --published -o {path}"));
-            until("the recording has begun", async || {
-                fs::metadata(format!("{path}.partial")).is_ok_and(|it| it.len() > 1000)
-            })
-            .await;
-            // From at once to far beyond what may be lost, at odd moments.
-            let after = Duration::from_millis(u64::from(1 + 1237 * number));
-            let begun = Instant::now();
-            recordings.push(Killed {
-                path,
-                recorder: Some(recorder),
-                begun,
-                after,
-                step_before: 0,
-            });
-        }
-        let mut steps: Vec<(Instant, u64)> = Vec::new();
-        let mut left = recordings.len();
-        let mut recovered = Vec::new();
-        while left > 0 {
-            let status = daemon.reply("status demo").await;
-            let now = Instant::now();
-            steps.push((now, status["step"].as_u64().unwrap()));
-            for killed in &mut recordings {
-                if killed.recorder.is_none() || killed.begun.elapsed() < killed.after {
-                    continue;
-                }
-                let known = steps.iter().rev();
-                let mut known = known
-                    .filter(|(at, _)| at.elapsed() >= Duration::from_secs(5) && *at > killed.begun);
-                killed.step_before = known.next().map_or(0, |(_, step)| *step);
-                recovered.push((kill_and_recover(&daemon, killed).await, killed.step_before));
-                left -= 1;
-            }
-            tokio::time::sleep(Duration::from_millis(50)).await;
-        }
-        let checked = recovered.iter().filter(|(_, before)| *before > 0).count();
-        assert!(checked >= 4, "{recovered:?}");
-    }
-    daemon.stop().await;
-}
-
-#[tokio::test(flavor = "multi_thread")]
-async fn what_meets_an_unfinished_file_names_the_command_that_recovers_it() {
-    let daemon = Daemon::start().await;
-    daemon
-        .jostle("create demo --n 10 --publish-every 1 --rate 1")
-        .await;
-    daemon.jostle("run demo").await;
-    let (folder, path) = file("take.mcap");
-    let recorder = daemon.begin(&format!("record demo --published -o {path}"));
-    let partial = format!("{path}.partial");
-    until("something is flushed", async || {
-        fs::metadata(&partial).is_ok_and(|it| it.len() > 10_000)
-    })
-    .await;
-    let message = |refusal: Value| refusal["message"].as_str().unwrap().to_owned();
-    let said = message(daemon.refusal(&format!("record --recover {path}")).await);
-    assert!(said.contains("another recording writes"), "{said}");
-    let said = message(
-        daemon
-            .refusal(&format!("record demo --published -o {path}"))
-            .await,
-    );
-    assert!(said.contains("another recording writes"), "{said}");
-    recorder.signal("-KILL");
-    recorder.end().await;
-
-    let cut = folder.path().join("cut.mcap");
-    fs::copy(&partial, &cut).unwrap();
-    for (file, named) in [
-        (&*path, &*partial),
-        (&*partial, &*partial),
-        (cut.to_str().unwrap(), cut.to_str().unwrap()),
-    ] {
-        let said = message(daemon.refusal(&format!("replay {file}")).await);
-        let remedy = format!("`jostle record --recover {named}`");
-        assert!(said.contains(&remedy), "{said}");
-    }
-    let said = message(
-        daemon
-            .refusal(&format!("record demo --published -o {path}"))
-            .await,
-    );
-    assert!(
-        said.contains(&format!("`jostle record --recover {path}`")),
-        "{said}"
-    );
-
-    for file in [&partial, cut.to_str().unwrap()] {
-        let said = daemon.said(&format!("record --recover {file}")).await;
-        assert!(said.starts_with("recovered "), "{said}");
-        assert!(said.contains(" up to step "), "{said}");
-    }
-    let again = daemon.said(&format!("record --recover {path}")).await;
-    assert_eq!(again.trim(), format!("nothing to recover: {path} is whole"));
-    for file in [&*path, cut.to_str().unwrap()] {
-        let ended = daemon
-            .jostle(&format!("replay {file} --as tape --paused"))
-            .await;
-        assert_eq!(ended.code, Some(0), "{ended:?}");
-        daemon.said("delete tape").await;
-    }
-
-    let rubbish = folder.path().join("rubbish.mcap");
-    fs::write(&rubbish, "no recording at all").unwrap();
-    let line = format!("record --recover {}", rubbish.display());
-    let said = message(daemon.refusal(&line).await);
-    assert!(said.contains("it is no MCAP file"), "{said}");
-    let nowhere = folder.path().join("nowhere.parquet");
-    let refusal = daemon
-        .refusal(&format!("record --recover {}", nowhere.display()))
-        .await;
-    assert!(message(refusal).contains("nowhere.parquet"));
-    daemon.stop().await;
-}
-
-#[tokio::test(flavor = "multi_thread")]
-async fn a_recording_is_recovered_without_a_daemon() {
-    let (_folder, path) = file("take.mcap");
-    fs::write(format!("{path}.partial"), b"\x89MCAP0\r\n").unwrap();
-    let line = format!("--json record --recover {path}");
-    let ended = Running::begin("tcp/127.0.0.1:1", &line, "").end().await;
-    assert!(ended.stderr.contains("holds no state"), "{ended:?}");
-    for line in ["--for 1", "--list", "--out b.mcap", "demo"] {
-        let line = format!("record --recover {path} {line}");
-        let ended = Running::begin("tcp/127.0.0.1:1", &line, "").end().await;
-        assert_eq!(ended.code, Some(2), "{line}: {ended:?}");
-    }
-}
-
-/// The example of the README runs as it stands there, up to what goes on until Ctrl-C.
-#[tokio::test(flavor = "multi_thread")]
-async fn the_example_of_a_replay_in_the_readme_runs_as_it_is_written() {
+async fn the_example_of_a_replay_in_the_docs_runs_as_it_is_written() {
     let daemon = Daemon::start().await;
     let folder = tempfile::tempdir().unwrap();
-    let readme = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../README.md");
-    let readme = fs::read_to_string(readme).unwrap();
-    let mut blocks = readme.split("```");
+    let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/recording.md");
+    let page = fs::read_to_string(page).unwrap();
+    let mut blocks = page.split("```");
     let block = blocks.find(|block| block.starts_with("sh\n") && block.contains("jostle replay"));
     let block = block.unwrap().trim_start_matches("sh\n").trim();
     let (script, watch) = block.rsplit_once('\n').unwrap();

@@ -1,14 +1,15 @@
-//! A daemon that knows its people, and command lines of theirs.
+//! A daemon with authentication, and command lines of its users.
 
+use std::fs;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
 use jostle_proto::Role;
-use jostled::auth::address::Reach;
+use jostled::auth::address::AddressChange;
 use jostled::auth::folder::Folder;
 use jostled::auth::issue;
 
-use crate::support::Daemon;
+use crate::support::{Daemon, until};
 
 const PEOPLE: [(&str, Role); 3] = [
     ("vera", Role::Viewer),
@@ -16,21 +17,24 @@ const PEOPLE: [(&str, Role); 3] = [
     ("olga", Role::Operator),
 ];
 
-/// A daemon that listens for others, and says who they are by these folders.
+/// A daemon with users, and a function that adds the credentials of a user to a line.
 async fn lab(base: &Path) -> (Daemon, impl Fn(&str, &str) -> String) {
-    let folder = Folder::at(base.join("auth"));
+    let folder = Folder::new(base.join("auth"));
     let people = PEOPLE.map(|(name, role)| (name.to_owned(), role));
     issue::init(&folder, &["lab.example".into()], &people).unwrap();
     let auth = folder.path().to_str().unwrap().to_owned();
     let settings = [("listen", "tls/127.0.0.1:0"), ("auth_dir", auth.as_str())];
     let daemon = Daemon::with(&settings).await;
     let line = move |person: &str, line: &str| {
-        format!("--credentials {} {line}", folder.of(person).display())
+        format!(
+            "--credentials {} {line}",
+            folder.person_folder(person).display()
+        )
     };
     (daemon, line)
 }
 
-/// What `auth whoami` prints, by the table in `docs/security.md`.
+/// The output of `auth whoami`, by the table in `docs/security.md`.
 const WHOAMI: [(&str, &str); 3] = [
     (
         "vera",
@@ -58,7 +62,7 @@ const CAN: [(&str, [bool; 3]); 5] = [
 ];
 
 #[tokio::test(flavor = "multi_thread")]
-async fn whoami_and_can_say_what_each_role_may() {
+async fn whoami_and_can_report_the_permissions_of_each_role() {
     let base = tempfile::tempdir().unwrap();
     let (daemon, by) = lab(base.path()).await;
     for (column, (name, expected)) in WHOAMI.into_iter().enumerate() {
@@ -69,12 +73,12 @@ async fn whoami_and_can_say_what_each_role_may() {
         let whoami = daemon.reply(&by(name, "auth whoami")).await;
         for (verb, may) in CAN {
             let ended = daemon.jostle(&by(name, &format!("auth can {verb}"))).await;
-            let told = format!("{name} {verb}: {ended:?}");
+            let text = format!("{name} {verb}: {ended:?}");
             match may[column] {
-                true => assert_eq!(ended.stdout, format!("you may {verb}"), "{told}"),
-                false => assert!(ended.stderr.contains(&format!("{verb} takes")), "{told}"),
+                true => assert_eq!(ended.stdout, format!("you may {verb}"), "{text}"),
+                false => assert!(ended.stderr.contains(&format!("{verb} takes")), "{text}"),
             }
-            assert_eq!(ended.code, Some(if may[column] { 0 } else { 5 }), "{told}");
+            assert_eq!(ended.code, Some(if may[column] { 0 } else { 5 }), "{text}");
             let verbs = ["verbs", "node_verbs"].map(|field| &whoami["result"][field]);
             let mut verbs = verbs.into_iter().flat_map(|it| it.as_array().unwrap());
             assert_eq!(verbs.any(|it| it == verb), may[column], "{whoami}");
@@ -84,15 +88,15 @@ async fn whoami_and_can_say_what_each_role_may() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn each_may_what_their_role_may_and_hears_what_it_may_not() {
+async fn each_role_is_enforced_and_an_error_names_the_required_role() {
     let base = tempfile::tempdir().unwrap();
     let (daemon, by) = lab(base.path()).await;
     daemon.said(&by("olga", "create s --n 3")).await;
     for (name, role) in PEOPLE {
-        let told = daemon.said(&by(name, "auth whoami")).await;
+        let text = daemon.said(&by(name, "auth whoami")).await;
         assert!(
-            told.starts_with(&format!("{name}, {role} on test\n")),
-            "{told}"
+            text.starts_with(&format!("{name}, {role} on test\n")),
+            "{text}"
         );
         daemon.said(&by(name, "status s")).await;
     }
@@ -102,11 +106,7 @@ async fn each_may_what_their_role_may_and_hears_what_it_may_not() {
     );
     for line in ["pause s", "auth can pause", "delete s"] {
         let ended = daemon.jostle(&by("vera", line)).await;
-        assert_eq!(ended.code, Some(5), "{ended:?}");
-        assert!(
-            ended.stderr.contains("you are vera, a viewer, and "),
-            "{ended:?}"
-        );
+        ended.assert_stderr(5, "you are vera, a viewer, and ");
         assert!(ended.stderr.contains("takes an operator"), "{ended:?}");
     }
     let refusal = daemon.refusal(&by("cleo", "create another --n 3")).await;
@@ -116,23 +116,50 @@ async fn each_may_what_their_role_may_and_hears_what_it_may_not() {
     daemon.said(&by("olga", "step s 2")).await;
     let examined = daemon.said(&by("vera", "doctor")).await;
     assert!(
-        examined.contains("you are vera, viewer, and give none"),
+        examined.contains("you are vera, viewer, which has no commands"),
         "{examined}"
     );
     daemon.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn whoever_is_not_let_in_hears_so_soon() {
+async fn doctor_reports_credentials_that_were_removed() {
+    let base = tempfile::tempdir().unwrap();
+    let (daemon, by) = lab(base.path()).await;
+    daemon.said(&by("vera", "list")).await;
+    let folder = Folder::new(base.path().join("auth"));
+    let theirs = base.path().join("olga");
+    fs::create_dir(&theirs).unwrap();
+    for entry in fs::read_dir(folder.person_folder("olga")).unwrap() {
+        let entry = entry.unwrap();
+        fs::copy(entry.path(), theirs.join(entry.file_name())).unwrap();
+    }
+    issue::remove(&folder, &["olga".into()]).unwrap();
+    let line = format!("--credentials {} doctor", theirs.display());
+    until("her token is rejected", async || {
+        let ended = daemon.jostle(&line).await;
+        assert!(!ended.stdout.contains("no-such-verb"), "{ended:?}");
+        let text = "node test accepts no commands with the credentials of this client";
+        ended.stdout.contains(text)
+    })
+    .await;
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_rejected_client_gets_an_error_within_seconds() {
     let base = tempfile::tempdir().unwrap();
     let (daemon, by) = lab(base.path()).await;
     let elsewhere = tempfile::tempdir().unwrap();
-    let strangers = Folder::at(elsewhere.path().join("auth"));
+    let strangers = Folder::new(elsewhere.path().join("auth"));
     issue::init(&strangers, &[], &[("olga".into(), Role::Operator)]).unwrap();
-    let stranger = format!("--credentials {} list", strangers.of("olga").display());
-    for (line, told) in [
-        ("list".to_owned(), "say who you are: --credentials FOLDER"),
-        (stranger, "does not let olga in"),
+    let stranger = format!(
+        "--credentials {} list",
+        strangers.person_folder("olga").display()
+    );
+    for (line, text) in [
+        ("list".to_owned(), "pass --credentials FOLDER"),
+        (stranger, "rejected olga"),
     ] {
         let began = Instant::now();
         let ended = daemon.jostle(&line).await;
@@ -141,27 +168,27 @@ async fn whoever_is_not_let_in_hears_so_soon() {
             "{:?}",
             began.elapsed()
         );
-        assert_eq!(ended.code, Some(5), "{ended:?}");
-        assert!(ended.stderr.contains(told), "{ended:?}");
+        ended.assert_stderr(5, text);
     }
     let nowhere = base.path().join("nowhere");
     let line = format!("--credentials {} list", nowhere.display());
     let ended = daemon.jostle(&line).await;
-    assert_eq!(ended.code, Some(2), "{ended:?}");
-    assert!(ended.stderr.contains("credentials.json"), "{ended:?}");
+    ended.assert_stderr(2, "credentials.json");
     let line = by("olga", "-e tcp/192.0.2.1:7447 list");
     let ended = daemon.jostle(&line).await;
-    assert_eq!(ended.code, Some(2), "{ended:?}");
-    assert!(ended.stderr.contains("in the clear"), "{ended:?}");
+    ended.assert_stderr(2, "in the clear");
     daemon.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn the_link_names_the_address_that_is_served_on() {
     let base = tempfile::tempdir().unwrap();
-    let folder = Folder::at(base.path().join("auth"));
+    let folder = Folder::new(base.path().join("auth"));
     issue::init(&folder, &[], &[("olga".into(), Role::Operator)]).unwrap();
-    let (auth, olga) = (folder.path().to_str().unwrap(), folder.of("olga"));
+    let (auth, olga) = (
+        folder.path().to_str().unwrap(),
+        folder.person_folder("olga"),
+    );
     let line = |line: &str| format!("--credentials {} {line}", olga.display());
     for (http, scheme) in [("127.0.0.1:0", "http"), ("https://127.0.0.1:0", "https")] {
         let settings = [
@@ -175,7 +202,7 @@ async fn the_link_names_the_address_that_is_served_on() {
         assert_eq!(token, folder.credentials("olga").unwrap().token);
         let (its_scheme, address) = page.split_once("://").unwrap();
         assert_eq!(its_scheme, scheme);
-        // Something listens there, and it is no default.
+        // The port is the daemon's, not the default.
         assert!(!address.ends_with(":8080"), "{address}");
         std::net::TcpStream::connect(address).unwrap();
         let given = daemon
@@ -187,21 +214,23 @@ async fn the_link_names_the_address_that_is_served_on() {
     let settings = [("listen", "tls/127.0.0.1:0"), ("auth_dir", auth)];
     let daemon = Daemon::with(&settings).await;
     let ended = daemon.jostle(&line("auth link")).await;
-    assert_eq!(ended.code, Some(2), "{ended:?}");
-    assert!(ended.stderr.contains("serves no HTTP"), "{ended:?}");
+    ended.assert_stderr(2, "reports no HTTP address");
     daemon.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn an_address_that_the_certificate_does_not_name_is_reported_with_the_remedy() {
     let base = tempfile::tempdir().unwrap();
-    let folder = Folder::at(base.path().join("auth"));
+    let folder = Folder::new(base.path().join("auth"));
     let mut hosts = vec!["lab.example".to_owned(), "fe80::1".to_owned()];
     issue::init(&folder, &hosts, &[("olga".into(), Role::Operator)]).unwrap();
     let auth = folder.path().to_str().unwrap();
     let settings = [("listen", "tls/127.0.0.2:0"), ("auth_dir", auth)];
     let daemon = Daemon::with(&settings).await;
-    let line = format!("--credentials {} list", folder.of("olga").display());
+    let line = format!(
+        "--credentials {} list",
+        folder.person_folder("olga").display()
+    );
     let began = Instant::now();
     let ended = daemon.jostle(&line).await;
     assert!(
@@ -210,12 +239,13 @@ async fn an_address_that_the_certificate_does_not_name_is_reported_with_the_reme
         began.elapsed()
     );
     assert_eq!(ended.code, Some(6), "{ended:?}");
-    for told in [
+    for text in [
         "does not name 127.0.0.2",
         "it names localhost, 127.0.0.1, ::1, lab.example, fe80::1:",
-        "`jostled auth address --host lab.example --host fe80::1 --host 127.0.0.2`",
+        "`jostled auth address --host lab.example --host fe80::1 --host 127.0.0.2 \
+         --auth-dir FOLDER`",
     ] {
-        assert!(ended.stderr.contains(told), "{told}: {ended:?}");
+        assert!(ended.stderr.contains(text), "{text}: {ended:?}");
     }
     let refusal = daemon.refusal(&line).await;
     assert_eq!(refusal["code"], "unreachable", "{refusal}");
@@ -223,9 +253,9 @@ async fn an_address_that_the_certificate_does_not_name_is_reported_with_the_reme
     daemon.stop().await;
     // The remedy.
     hosts.push("127.0.0.2".to_owned());
-    let reach = Reach {
+    let reach = AddressChange {
         hosts,
-        ..Reach::default()
+        ..AddressChange::default()
     };
     issue::readdress(&folder, &reach).unwrap();
     let daemon = Daemon::with(&settings).await;
@@ -234,10 +264,10 @@ async fn an_address_that_the_certificate_does_not_name_is_reported_with_the_reme
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_daemon_that_knows_nobody_says_so() {
+async fn whoami_reports_a_daemon_without_authentication() {
     let daemon = Daemon::start().await;
-    let told = daemon.said("auth whoami").await;
-    assert!(told.contains("test knows no people"), "{told}");
+    let text = daemon.said("auth whoami").await;
+    assert!(text.contains("test has no authentication"), "{text}");
     daemon.said("auth can delete").await;
     daemon.stop().await;
 }

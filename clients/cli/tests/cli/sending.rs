@@ -1,4 +1,4 @@
-//! How a command is sent: when it applies, what it expects, who sends it, and several at once.
+//! The options of commands: schedule, preconditions, sender, batches.
 
 use serde_json::json;
 
@@ -149,7 +149,7 @@ async fn a_step_sent_again_prints_the_state_while_the_swarm_has_it() {
     let step = "--json step demo 3 --state --client me --request-id 1";
     let first = object(&daemon.jostle(step).await);
     assert_eq!(first["result"]["state"]["step"], 3);
-    // The daemon does not remember the state, so the client fetches it.
+    // The cached reply has no state, so the client fetches it.
     assert_eq!(object(&daemon.jostle(step).await), first);
     let step = "step demo 3 --state --client me --request-id 1";
     assert_eq!(object(&daemon.jostle(step).await), first["result"]["state"]);

@@ -1,10 +1,10 @@
-//! What a shell completes, the manual, and what is meant by slips of the finger.
+//! Shell completion, the manual, help, and suggestions for typing errors.
 
 use std::process::Command;
 
-use crate::support::{Daemon, Terminal};
+use crate::support::{Daemon, Running, Terminal, object};
 
-/// What bash would offer for the last of these words.
+/// The candidates that bash gets for the last of these words.
 fn completed(endpoint: &str, words: &[&str]) -> Vec<String> {
     let output = Command::new(env!("CARGO_BIN_EXE_jostle"))
         .args(["--", "jostle"])
@@ -35,7 +35,7 @@ async fn a_shell_completes_the_names_of_swarms_and_parameters() {
         here(&["set", "demo", "pi"]),
         ["pi1=", "pi2=", "pi3=", "pi4="]
     );
-    // As zsh and fish hand it over, and as bash does, which splits it at its `=`.
+    // As zsh and fish pass it, and as bash does, which splits the word at `=`.
     let contacts = ["endpoints", "closest", "clamped"];
     let whole = contacts.map(|it| format!("contacts={it}"));
     assert_eq!(here(&["set", "demo", "contacts="]), whole);
@@ -68,13 +68,13 @@ async fn a_shell_completes_the_names_of_swarms_and_parameters() {
     assert_eq!(here(&["pause", "demo", "--expect-s"]), ["--expect-step"]);
     let named = ["-e", &daemon.endpoint, "status", "des"];
     assert_eq!(completed("tcp/127.0.0.1:1", &named), ["desk"]);
-    let nobody = completed("tcp/127.0.0.1:1", &["status", "de"]);
-    assert_eq!(nobody, [""; 0], "nobody answers, and nothing is said");
+    let unreachable = completed("tcp/127.0.0.1:1", &["status", "de"]);
+    assert_eq!(unreachable, [""; 0], "no daemon, and no error");
     daemon.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn each_shell_is_told_its_line_and_bash_takes_it() {
+async fn each_shell_has_a_line_and_bash_accepts_it() {
     let daemon = Daemon::start().await;
     for shell in ["bash", "zsh", "fish", "elvish", "powershell"] {
         let line = daemon.said(&format!("completions {shell}")).await;
@@ -113,7 +113,7 @@ async fn every_verb_has_a_page_in_the_manual() {
     let surface = include_str!("../../surface.txt");
     let is_word = |word: &str| !word.starts_with(['-', '<']);
     let verbs = surface.lines().filter(|line| {
-        // What belongs to no verb stands with `jostle`.
+        // Options without a verb are listed under `jostle`.
         line.split(' ').all(is_word) && !line.starts_with("jostle ")
     });
     let verbs = verbs.count();
@@ -134,12 +134,44 @@ async fn every_verb_has_a_page_in_the_manual() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_slip_of_the_finger_is_answered_with_what_may_be_meant() {
+async fn help_describes_verbs_and_topics() {
+    let run = |line| Running::begin("tcp/127.0.0.1:1", line, "").end();
+    for (line, text) in [
+        ("help", "Usage: jostle [OPTIONS] <VERB>"),
+        ("help run", "Usage: jostle run [OPTIONS] <NAME>"),
+        ("help experiment run", "Usage: jostle experiment run"),
+        ("experiment help run", "Usage: jostle experiment run"),
+        ("help topics", "  exit-codes "),
+        ("help selectors", "--fraction 10%"),
+        ("help exit-codes", "  130  interrupted"),
+        ("help environment", "JOSTLE_CREDENTIALS"),
+        ("help credentials", "auth whoami"),
+    ] {
+        let ended = run(line).await;
+        assert_eq!(ended.code, Some(0), "{line}: {ended:?}");
+        assert!(ended.stdout.contains(text), "{line}: {ended:?}");
+    }
+    let json = object(&run("--json help selectors").await);
+    assert!(json["help"].as_str().unwrap().contains("--ids"), "{json}");
+    for (line, suggestion) in [
+        ("help selectros", "did you mean `selectors`?"),
+        ("help stauts", "did you mean `status`?"),
+        ("help experiment resulst", "did you mean `results`?"),
+        ("help xyz", "`jostle help topics`"),
+    ] {
+        let ended = run(line).await;
+        assert_eq!(ended.code, Some(2), "{line}: {ended:?}");
+        assert!(ended.stderr.contains(suggestion), "{line}: {ended:?}");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_typing_error_gets_a_suggestion() {
     let daemon = Daemon::start().await;
     daemon.said("create demo --n 3").await;
     for (line, exit_code, meant) in [
         ("stauts demo", 2, "'status'"),
-        ("status demo --wtach", 2, "'--watch'"),
+        ("status demo --tiemout 3", 2, "'--timeout'"),
         ("status dmeo", 3, "did you mean `demo`?"),
         ("pause dem", 3, "did you mean `demo`?"),
         ("list --node tset", 3, "did you mean `test`?"),
@@ -160,7 +192,7 @@ async fn a_slip_of_the_finger_is_answered_with_what_may_be_meant() {
     daemon.stop().await;
 }
 
-/// What stands on the line of a bash that is typed into.
+/// Completes in an interactive bash.
 #[tokio::test(flavor = "multi_thread")]
 async fn bash_completes_the_value_of_an_assignment() {
     let daemon = Daemon::start().await;

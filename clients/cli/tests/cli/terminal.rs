@@ -1,4 +1,4 @@
-//! `watch` on a terminal: keys in, a picture out, and the terminal as it was when it ends.
+//! `watch` on a terminal: keys, drawings, and the restored terminal.
 
 use crate::support::{Daemon, Terminal, object, until};
 
@@ -52,7 +52,7 @@ async fn keys_steer_the_swarm_that_is_watched() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn however_it_ends_the_terminal_is_as_it_was() {
+async fn the_terminal_is_restored_however_the_view_ends() {
     let daemon = Daemon::start().await;
     daemon.said("create demo --n 10").await;
     for (how, code) in [
@@ -85,7 +85,7 @@ async fn however_it_ends_the_terminal_is_as_it_was() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn it_outlives_the_daemon_and_its_swarms() {
+async fn the_view_survives_the_daemon_and_its_swarms() {
     let daemon = Daemon::start().await;
     let mut terminal = Terminal::begin(&daemon.endpoint, "watch");
     terminal.until_seen("no swarms here").await;
@@ -102,7 +102,7 @@ async fn it_outlives_the_daemon_and_its_swarms() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn on_a_terminal_delete_lists_what_a_pattern_matches_and_asks() {
+async fn on_a_terminal_delete_lists_the_matches_of_a_pattern_and_requires_confirmation() {
     let daemon = Daemon::start().await;
     for name in ["test-1", "test-2", "demo"] {
         daemon.said(&format!("create {name} --n 3")).await;
@@ -129,8 +129,8 @@ async fn on_a_terminal_delete_lists_what_a_pattern_matches_and_asks() {
 #[tokio::test(flavor = "multi_thread")]
 async fn verify_shows_its_progress_on_a_terminal_and_nowhere_else() {
     let daemon = Daemon::start().await;
-    daemon.said("create demo --n 150 --seed 2").await;
-    daemon.said("step demo 20000 --timeout 60").await;
+    daemon.said("create demo --n 100 --seed 2").await;
+    daemon.said("step demo 15000 --timeout 60").await;
     let terminal = Terminal::begin(&daemon.endpoint, "verify demo");
     terminal.until_seen("demo is the same").await;
     let seen = terminal.seen();

@@ -1,11 +1,11 @@
-//! `top`: a daemon and its swarms in numbers.
+//! `top`.
 
 use serde_json::json;
 
 use crate::support::{Daemon, object};
 
 #[tokio::test(flavor = "multi_thread")]
-async fn top_shows_what_each_swarm_costs_and_ends_after_so_many_looks() {
+async fn top_shows_the_load_of_each_swarm_and_ends_after_count_screens() {
     let daemon = Daemon::start().await;
     daemon.said("create small --n 5 --rate max").await;
     daemon.said("create large --n 50 --rate max").await;
@@ -25,7 +25,7 @@ async fn top_shows_what_each_swarm_costs_and_ends_after_so_many_looks() {
         ["swarm", "large", "small", "still"]
     );
     assert!(once.starts_with("test  up "), "{once}");
-    // Nothing steps now, whatever was computed since the start.
+    // No swarm steps now, so the rates are 0.
     let row = once
         .lines()
         .find(|line| line.starts_with("large "))
@@ -42,7 +42,7 @@ async fn top_shows_what_each_swarm_costs_and_ends_after_so_many_looks() {
         ["swarm", "large", "small", "still"]
     );
 
-    // One that has a rate it cannot reach comes first by factor.
+    // A swarm that cannot reach its rate comes first by factor.
     daemon.said("run large --rate 1e6").await;
     daemon.until_running("large").await;
     let twice = daemon.said("top -n 2 --interval 0.3 --sort factor").await;
@@ -57,14 +57,14 @@ async fn top_shows_what_each_swarm_costs_and_ends_after_so_many_looks() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn with_json_a_look_is_an_answer_as_it_came() {
+async fn with_json_a_screen_is_a_reply_as_received() {
     let daemon = Daemon::start().await;
     daemon.said("create demo --n 5").await;
     daemon.said("step demo 7").await;
-    let told = object(&daemon.jostle("--json top -n 1").await);
-    assert_eq!(told["node"], "test");
-    assert_eq!(told["result"]["steps"], 7);
-    assert_eq!(told["result"]["swarms"][0]["swarm"], "demo");
+    let shown = object(&daemon.jostle("--json top -n 1").await);
+    assert_eq!(shown["node"], "test");
+    assert_eq!(shown["result"]["steps"], 7);
+    assert_eq!(shown["result"]["swarms"][0]["swarm"], "demo");
     let lines = daemon.jostle("--json top -n 3 --interval 0.05").await;
     assert_eq!(lines.code, Some(0), "{lines:?}");
     let uptimes: Vec<f64> = lines
@@ -80,6 +80,6 @@ async fn with_json_a_look_is_an_answer_as_it_came() {
     assert_eq!(looking.end().await.code, Some(130));
     let refused = daemon.jostle("top --count 0").await;
     assert_eq!(refused.code, Some(2), "{refused:?}");
-    assert_eq!(told["result"]["unwell"], json!([]));
+    assert_eq!(shown["result"]["unwell"], json!([]));
     daemon.stop().await;
 }

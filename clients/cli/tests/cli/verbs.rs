@@ -1,11 +1,11 @@
-//! One request, one answer: in JSON, in words, and what it exits with.
+//! One request and its reply: JSON, text and exit code.
 
 use serde_json::{Value, json};
 
 use crate::support::{Daemon, Impostor, object};
 
 #[tokio::test(flavor = "multi_thread")]
-async fn every_verb_answers_json_as_it_came() {
+async fn with_json_every_verb_prints_the_reply_as_received() {
     let daemon = Daemon::start().await;
     let reply = async |line: &str| daemon.reply(line).await;
 
@@ -73,7 +73,7 @@ async fn every_verb_answers_json_as_it_came() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn people_are_told_in_words_and_tables() {
+async fn output_without_json_is_text_and_tables() {
     let daemon = Daemon::start().await;
     let nothing = daemon.jostle("list").await;
     assert_eq!((nothing.code, nothing.stdout.as_str()), (Some(0), ""));
@@ -101,7 +101,13 @@ async fn people_are_told_in_words_and_tables() {
     assert!(
         said("inform demo --ids 2 --direction 0")
             .await
-            .starts_with("informed 1 (2)")
+            .starts_with("informed 1 (2) towards 0.00 rad (0°) at step 3")
+    );
+    let ended = daemon.jostle("inform demo --ids 2 --direction 90").await;
+    ended.assert_stderr(0, "90 rad is 116.6°: did you mean --degrees 90?");
+    assert!(
+        ended.stdout.contains("towards 90.00 rad (116.6°)"),
+        "{ended:?}"
     );
     assert!(
         said("status demo")
@@ -113,6 +119,27 @@ async fn people_are_told_in_words_and_tables() {
         (&state["step"], &state["weight"][2]),
         (&json!(4), &json!(0.5))
     );
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_ends_a_wait_says_that_the_swarm_continues_and_how_to_pause_it() {
+    let daemon = Daemon::start().await;
+    daemon.said("create demo --n 10").await;
+    let line = "run demo --until-step 100000000 --wait --timeout 0.5";
+    let ended = daemon.jostle(line).await;
+    ended.assert_stderr(6, "did not reach step 100000000 within 0.5 s (--timeout)");
+    let left = "runs on until step 100000000; `jostle pause demo` pauses it";
+    assert!(ended.stderr.contains(left), "{ended:?}");
+    daemon.until_running("demo").await;
+    daemon.said("pause demo").await;
+
+    let stepping = daemon.begin("step demo 900000000 --timeout 60");
+    daemon.until_running("demo").await;
+    stepping.interrupt();
+    let ended = stepping.end().await;
+    ended.assert_stderr(130, "demo steps on; `jostle pause demo` pauses it");
+    daemon.said("pause demo").await;
     daemon.stop().await;
 }
 
@@ -174,7 +201,7 @@ async fn each_kind_of_error_has_its_exit_code_and_a_json_object() {
             7,
             "resource_exhausted",
         ),
-        // Last, for the work goes on.
+        // Last, since the daemon continues to execute it.
         ("step demo 1000000000 --timeout 0.1", 6, "deadline_exceeded"),
     ] {
         let ended = daemon.jostle(&format!("--json {line}")).await;
@@ -191,6 +218,15 @@ async fn each_kind_of_error_has_its_exit_code_and_a_json_object() {
                 .is_some_and(|message| !message.is_empty())
         );
     }
+    for (line, range) in [
+        ("create a --n many", "from 1 to 1e6"),
+        ("step demo 1.5", "from 1 to 1e9"),
+        ("reset demo --seed -1", "from 0 to 2^53-1"),
+        ("watch demo --count 0", "from 1 to 2^53-1"),
+    ] {
+        let ended = daemon.jostle(line).await;
+        ended.assert_stderr(2, &format!("give a whole number {range}"));
+    }
     let words = daemon.jostle("status nobody").await;
     assert_eq!(words.code, Some(3));
     assert!(words.stderr.contains("`jostle list`"), "{words:?}");
@@ -198,7 +234,7 @@ async fn each_kind_of_error_has_its_exit_code_and_a_json_object() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn deleting_several_deletes_those_that_are_there() {
+async fn deleting_several_deletes_those_that_exist() {
     let daemon = Daemon::start().await;
     for line in ["create a --n 3", "create b --n 3"] {
         assert_eq!(daemon.jostle(line).await.code, Some(0));
@@ -218,7 +254,7 @@ async fn deleting_several_deletes_those_that_are_there() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn silence_is_explained_by_who_is_there() {
+async fn a_query_without_a_reply_is_explained_by_the_tokens() {
     let tokens = [
         "jostle/@node/a/alive",
         "jostle/@node/b/alive",
@@ -228,12 +264,12 @@ async fn silence_is_explained_by_who_is_there() {
     let impostor = Impostor::start(&tokens, silent, nonsense).await;
     for (line, exit_code, code, said) in [
         ("list", 2, "invalid_argument", "--node: a, b"),
-        ("list --node c", 3, "not_found", "there are: a, b"),
-        ("list --node a", 5, "permission_denied", "node a is there"),
-        ("pause mute", 5, "permission_denied", "mute is there"),
+        ("list --node c", 3, "not_found", "the nodes are: a, b"),
+        ("list --node a", 5, "permission_denied", "node a exists"),
+        ("pause mute", 5, "permission_denied", "mute exists"),
         ("pause nobody", 3, "not_found", "no swarm nobody"),
-        ("status odd", 1, "internal", "cannot be read"),
-        ("status slow --timeout 0.1", 6, "timeout", "did not answer"),
+        ("status odd", 1, "internal", "unreadable reply"),
+        ("status slow --timeout 0.1", 6, "timeout", "did not reply"),
     ] {
         let ended = impostor.jostle(&format!("--json {line}")).await;
         assert_eq!(ended.code, Some(exit_code), "{ended:?}");
@@ -272,7 +308,7 @@ async fn individuals_are_named_by_ranges_of_ids_and_shares_in_percent() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn with_no_one_informed_uninform_says_so() {
+async fn uninform_without_informed_individuals_prints_a_note() {
     let daemon = Daemon::start().await;
     daemon.said("create demo --n 20").await;
     for line in [
@@ -316,7 +352,7 @@ async fn names(daemon: &Daemon) -> Vec<String> {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_pattern_deletes_what_it_matches_and_no_more_and_only_if_confirmed() {
+async fn a_pattern_deletes_only_its_matches_and_only_if_confirmed() {
     let daemon = Daemon::start().await;
     let all = ["latest-1", "test", "test-1", "test-2", "test-22", "testing"];
     for name in all {
@@ -331,11 +367,7 @@ async fn a_pattern_deletes_what_it_matches_and_no_more_and_only_if_confirmed() {
         assert_eq!(names(&daemon).await, all);
     }
     let ended = daemon.jostle("delete none-* test-1 --yes").await;
-    assert_eq!(ended.code, Some(3), "{ended:?}");
-    assert!(
-        ended.stderr.contains("no swarm matches none-*"),
-        "{ended:?}"
-    );
+    ended.assert_stderr(3, "no swarm matches none-*");
     assert_eq!(
         names(&daemon).await,
         all,
@@ -356,7 +388,7 @@ async fn a_pattern_deletes_what_it_matches_and_no_more_and_only_if_confirmed() {
         names(&daemon).await,
         ["latest-1", "test", "test-22", "testing"]
     );
-    // One that was named is not asked about, and one that is meant twice is deleted once.
+    // A name needs no confirmation, and a swarm given twice is deleted once.
     let said = daemon.said("delete test-22 test-2* --yes").await;
     assert_eq!(said.lines().count(), 1, "{said}");
     daemon.said("delete test").await;
@@ -374,8 +406,7 @@ async fn each_swarm_that_is_not_deleted_is_named_with_its_reason() {
     }
     daemon.said("step a-2").await;
     let ended = daemon.jostle("delete a-* --yes --expect-step 0").await;
-    assert_eq!(ended.code, Some(4), "{ended:?}");
-    assert!(ended.stderr.contains("a-2 was not deleted: "), "{ended:?}");
+    ended.assert_stderr(4, "a-2 was not deleted: ");
     assert!(
         !ended.stderr.contains("a-1") && !ended.stderr.contains("a-3"),
         "{ended:?}"

@@ -7,50 +7,40 @@ use serde::Serialize;
 
 use crate::format;
 
-/// How much one unit of the origin is, in body sizes.
+/// One unit of the origin, in body sizes.
 const CELL: f64 = 1024.0;
 
-/// The most ids that people are shown.
-const MOST_SHOWN: usize = 10;
+/// The most ids printed.
+const MAX_SHOWN: usize = 10;
 
-/// How individuals differ; distances in body sizes, turns in radians.
-#[derive(Debug, PartialEq, Serialize)]
+/// Differences of individuals; distances in body sizes, angles in radians.
+#[derive(Debug, Default, PartialEq, Serialize)]
 pub struct Bodies {
-    /// How many both have.
+    /// The number of common individuals.
     pub common: usize,
-    /// Those that only the first has.
+    /// Individuals that only the first has.
     pub only_one: Vec<u32>,
-    /// Those that only the second has.
+    /// Individuals that only the second has.
     pub only_other: Vec<u32>,
-    /// How many of the common are not the same to the bit.
+    /// The number of common individuals that are not bit-identical.
     pub differ: usize,
-    /// How many of the common are informed otherwise.
+    /// The number of common individuals with another weight or direction.
     pub informed_otherwise: usize,
-    /// The root of the mean square of the distances between the places of each in both.
+    /// The root mean square of the distances between the positions in both.
     pub rms_distance: f64,
     /// The largest of these distances.
     pub largest_distance: f64,
-    /// Whose that is; `null` if all are 0.
+    /// The individual with this distance; `null` if all are 0.
     pub furthest: Option<u32>,
-    /// The largest turn between the headings of each in both.
+    /// The largest angle between the headings in both.
     pub largest_turn: f64,
 }
 
 /// Compares the individuals of two states by id.
 pub fn compare(one: &State, other: &State) -> Bodies {
-    // Differences of origins are whole numbers, so nothing is lost far out.
+    // Differences of origins are whole numbers, which keeps precision far from the origin.
     let offset: [f64; 2] = [0, 1].map(|axis| (other.origin[axis] - one.origin[axis]) as f64 * CELL);
-    let mut bodies = Bodies {
-        common: 0,
-        only_one: Vec::new(),
-        only_other: Vec::new(),
-        differ: 0,
-        informed_otherwise: 0,
-        rms_distance: 0.0,
-        largest_distance: 0.0,
-        furthest: None,
-        largest_turn: 0.0,
-    };
+    let mut bodies = Bodies::default();
     let mut squares = 0.0;
     let (mut i, mut j) = (0, 0);
     loop {
@@ -98,14 +88,13 @@ pub fn compare(one: &State, other: &State) -> Bodies {
     bodies
 }
 
-/// An angle between -π and π.
+/// An angle as one from -π to π.
 pub fn wrapped(angle: f64) -> f64 {
     (angle + PI).rem_euclid(TAU) - PI
 }
 
 impl Bodies {
-    /// In words.
-    pub fn words(&self) -> String {
+    pub fn describe(&self) -> String {
         let mut lines = vec![format!(
             "{} of {} differ; apart by {} body sizes at most{}, {} rms; turned by {} \
              at most",
@@ -124,8 +113,8 @@ impl Bodies {
         }
         for (ids, whose) in [(&self.only_one, "first"), (&self.only_other, "second")] {
             if !ids.is_empty() {
-                let shown = format::ids(&ids[..ids.len().min(MOST_SHOWN)]);
-                let more = if ids.len() > MOST_SHOWN { ",…" } else { "" };
+                let shown = format::ids(&ids[..ids.len().min(MAX_SHOWN)]);
+                let more = if ids.len() > MAX_SHOWN { ",…" } else { "" };
                 lines.push(format!("{} only in the {whose} ({shown}{more})", ids.len()));
             }
         }
@@ -135,28 +124,21 @@ impl Bodies {
 
 #[cfg(test)]
 mod tests {
-    #![expect(clippy::unwrap_used, reason = "tests")]
-
-    use serde_json::json;
-
     use super::*;
+    use crate::fixtures;
 
     fn state(origin: [i64; 2], id: &[u32], x: &[f64], alpha: &[f64]) -> State {
         let zeros = vec![0.0; id.len()];
-        serde_json::from_value(json!({
-            "swarm": "demo", "epoch": 1, "frame": 0, "step": 0, "time": 0.0, "phase": "paused",
-            "origin": origin, "id": id, "x": x, "y": zeros, "alpha": alpha, "weight": zeros,
-            "direction": zeros,
-            "order": {
-                "order": 0.0, "mean_order": null, "velocity": [0.0, 0.0], "mean_velocity": null,
-                "direction": null, "drift": null, "mean_drift": null,
-            },
-            "certificate": {
-                "worst_gap": null, "residual": 0.0, "degraded": 0, "crossed": 0, "contacts": 0,
-                "iterations": 0,
-            },
-        }))
-        .unwrap()
+        State {
+            origin,
+            id: id.to_vec(),
+            x: x.to_vec(),
+            y: zeros.clone(),
+            alpha: alpha.to_vec(),
+            weight: zeros.clone(),
+            direction: zeros,
+            ..fixtures::state()
+        }
     }
 
     #[test]

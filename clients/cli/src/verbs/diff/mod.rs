@@ -1,46 +1,45 @@
-//! `diff`: where and how two swarms part.
+//! `diff`: where and how two swarms diverge.
 
 mod bodies;
-mod past;
+mod commands;
 
-use jostle_proto::{Order, Reply, Spec, State, Status};
+use jostle_client::Client;
+use jostle_proto::{Order, Reply, Spec, State};
 use serde::Serialize;
 use serde_json::Value;
 
 use self::bodies::Bodies;
-use self::past::Parting;
+use self::commands::{Command, Divergence, History};
 use crate::arguments::DiffArguments;
-use crate::bus::Bus;
+use crate::context::Context;
 use crate::failure::Failure;
 use crate::format;
-use crate::output::Output;
 use crate::table;
-use crate::verbs::look;
+use crate::verbs::inspect;
 
-/// How often both are looked at until state and status of each are of one moment.
-const LOOKS: usize = 5;
+/// The largest number of queries for a state and a status of the same step.
+const MAX_QUERIES: usize = 5;
 
-/// All that `diff` tells, as programs read it.
+/// The result of `diff`, as it is printed with `--json`.
 #[derive(Debug, Serialize)]
 struct Difference {
-    /// The first swarm.
     one: Side,
-    /// The second swarm.
     other: Side,
     /// The fields of their specs that differ.
     spec: Vec<String>,
-    /// The `seq` after which their commands could be compared: what one of them no longer keeps,
-    /// or never saw since it was forked later, is not.
+    /// The `seq` after which their commands could be compared: one of the journals no longer has those
+    /// up to it, or the swarm was forked later.
     compared_after_seq: u64,
     /// The first commands that differ; `null` if there are none.
-    commands: Option<Parting>,
+    commands: Option<Divergence>,
     /// Whether both are at one step.
     is_same_step: bool,
-    /// Whether both have one hash; `null` if they are not at one step, or moved while looked at.
+    /// Whether both have one hash; `null` if they are not at one step, or one of them moved
+    /// during the queries.
     is_same_hash: Option<bool>,
     /// How their individuals differ; `null` if they are not at one step.
     individuals: Option<Bodies>,
-    /// How fast both drift along one direction; `null` if nobody is informed of any.
+    /// How fast both drift along one direction; `null` if no individual is informed.
     drift: Option<Drift>,
 }
 
@@ -52,7 +51,7 @@ struct Drift {
     other: f64,
 }
 
-/// One of the two.
+/// One of the two swarms.
 #[derive(Debug, Serialize)]
 struct Side {
     swarm: String,
@@ -66,52 +65,38 @@ struct Side {
     order: Order,
 }
 
-/// What is known of one of the two.
-struct Seen {
+/// One of the two swarms with its state and its commands.
+struct Snapshot {
     side: Side,
     state: State,
     spec: Spec,
-    past: past::Past,
+    history: History,
 }
 
-/// Compares two swarms.
-///
-/// # Errors
-///
-/// Why one of them cannot be looked at.
-pub async fn diff(bus: &Bus, output: Output, arguments: &DiffArguments) -> Result<(), Failure> {
-    if arguments.one == arguments.other {
-        return Err(Failure::Argument {
-            argument: "OTHER".to_owned(),
-            problem: format!(
-                "{} is also the first swarm: name two different swarms",
-                arguments.other
-            ),
-        });
+pub async fn diff(context: &Context, arguments: &DiffArguments) -> Result<(), Failure> {
+    let Context { client, output } = context;
+    let DiffArguments { one, other } = arguments;
+    if one == other {
+        let problem = format!("{other} is also the first swarm: name two different swarms");
+        return Err(Failure::argument("OTHER", problem));
     }
-    let one = seen(bus, &arguments.one).await?;
-    let other = seen(bus, &arguments.other).await?;
-    let difference = difference(one, other);
-    if output.json {
-        let json = serde_json::to_string(&difference).map_err(Failure::defect)?;
-        return output.data(&json);
-    }
-    output.data(&words(&difference))
+    let difference = difference(fetch(client, one).await?, fetch(client, other).await?);
+    output.print(&difference, &describe(&difference))
 }
 
-async fn seen(bus: &Bus, swarm: &str) -> Result<Seen, Failure> {
-    let spec: Reply<Spec> = bus.get(swarm, "spec").await?.read()?;
-    let mut looks = 0;
+async fn fetch(client: &Client, swarm: &str) -> Result<Snapshot, Failure> {
+    let spec: Reply<Spec> = client.get(swarm, "spec").await?.read()?;
+    let mut queries = 0;
     let (status, state) = loop {
-        let status: Reply<Status> = bus.get(swarm, "status").await?.read()?;
-        let state: State = bus.state(swarm).await?.read()?;
-        looks += 1;
+        let status = client.status(swarm).await?;
+        let state: State = client.state(swarm).await?.read()?;
+        queries += 1;
         let is_one_moment = (status.epoch, status.step) == (state.epoch, state.step);
-        if is_one_moment || looks >= LOOKS {
+        if is_one_moment || queries >= MAX_QUERIES {
             break (is_one_moment.then_some(status.result), state);
         }
     };
-    let journal = look::whole(bus, swarm).await?;
+    let journal = inspect::full_journal(client, swarm).await?;
     let side = Side {
         swarm: swarm.to_owned(),
         epoch: state.epoch,
@@ -123,22 +108,18 @@ async fn seen(bus: &Bus, swarm: &str) -> Result<Seen, Failure> {
         state_hash: status.map(|status| status.state_hash),
         order: state.order,
     };
-    Ok(Seen {
+    Ok(Snapshot {
         side,
         state,
         spec: spec.result,
-        past: past::Past::of(journal),
+        history: History::of(journal),
     })
 }
 
-fn difference(one: Seen, other: Seen) -> Difference {
+fn difference(one: Snapshot, other: Snapshot) -> Difference {
     let is_same_step = one.side.step == other.side.step;
-    let hashes = one
-        .side
-        .state_hash
-        .as_ref()
-        .zip(other.side.state_hash.as_ref());
-    let (compared_after_seq, commands) = past::parting(&one.past, &other.past);
+    let hashes = (one.side.state_hash.as_ref()).zip(other.side.state_hash.as_ref());
+    let (compared_after_seq, commands) = commands::diverge(&one.history, &other.history);
     Difference {
         spec: fields_that_differ(&one.spec, &other.spec),
         compared_after_seq,
@@ -154,7 +135,7 @@ fn difference(one: Seen, other: Seen) -> Difference {
     }
 }
 
-/// What if they had been informed: the drift of those who were not is told along the same direction.
+/// Both drifts along one direction, so that a swarm without informed individuals is comparable.
 fn drift(one: &Order, other: &Order) -> Option<Drift> {
     let direction = other.direction.or(one.direction)?;
     let along = |order: &Order| {
@@ -168,21 +149,21 @@ fn drift(one: &Order, other: &Order) -> Option<Drift> {
     })
 }
 
-/// The fields of two specs that differ, but for those that no state depends on.
+/// The fields of two specs that differ, without those that do not affect the state.
 fn fields_that_differ(one: &Spec, other: &Spec) -> Vec<String> {
     let fields = |spec: &Spec| match serde_json::to_value(spec) {
         Ok(Value::Object(fields)) => fields,
         _ => serde_json::Map::new(),
     };
     let (one, other) = (fields(one), fields(other));
-    let is_told = |name: &str| !["rate", "publish_every"].contains(&name);
+    let is_compared = |name: &str| !["rate", "publish_every"].contains(&name);
     one.into_iter()
-        .filter(|(name, value)| is_told(name) && other.get(name) != Some(value))
+        .filter(|(name, value)| is_compared(name) && other.get(name) != Some(value))
         .map(|(name, _)| name)
         .collect()
 }
 
-fn words(difference: &Difference) -> String {
+fn describe(difference: &Difference) -> String {
     let Difference {
         one,
         other,
@@ -198,22 +179,19 @@ fn words(difference: &Difference) -> String {
     if !spec.is_empty() {
         lines.push(format!("made from other specs: {}", spec.join(", ")));
     }
+    // A fork's journal begins with it.
+    let after = match compared_after_seq {
+        0 => String::new(),
+        seq => format!(" after seq {seq} (one of the journals begins there)"),
+    };
     match commands {
-        Some(parting) => {
-            lines.push("the first commands that differ:".to_owned());
-            lines.push(format!("  {}: {}", one.swarm, told(parting.one.as_ref())));
-            lines.push(format!(
-                "  {}: {}",
-                other.swarm,
-                told(parting.other.as_ref())
-            ));
+        Some(divergence) => {
+            lines.push(format!("the first commands that differ{after}:"));
+            for (side, next) in [(one, &divergence.one), (other, &divergence.other)] {
+                lines.push(format!("  {}: {}", side.swarm, command(next.as_ref())));
+            }
         }
-        None => lines.push("no command differs".to_owned()),
-    }
-    if *compared_after_seq > 0 {
-        lines.push(format!(
-            "(commands up to seq {compared_after_seq} not compared: one of them does not know them)"
-        ));
+        None => lines.push(format!("no command differs{after}")),
     }
     lines.push(match (is_same_step, is_same_hash) {
         (false, _) => format!(
@@ -224,25 +202,25 @@ fn words(difference: &Difference) -> String {
         (true, _) => format!("both at step {}, and different", one.step),
     });
     if let Some(bodies) = individuals.as_ref().filter(|_| *is_same_hash != Some(true)) {
-        lines.push(bodies.words());
+        lines.push(bodies.describe());
     }
     lines.push(String::new());
     lines.push(sides(one, other, *drift));
     lines.join("\n")
 }
 
-/// What a swarm was told where the other was told otherwise.
-fn told(command: Option<&past::Told>) -> String {
+/// The command of one side where the histories diverge.
+fn command(command: Option<&Command>) -> String {
     command.map_or_else(
         || "nothing more".into(),
-        |told| {
-            let what = format::command(&told.verb, &told.args);
-            format!("{what} at step {} (seq {})", told.step, told.seq)
+        |it| {
+            let what = format::command(&it.verb, &it.args);
+            format!("{what} at step {} (seq {})", it.step, it.seq)
         },
     )
 }
 
-/// Both beside each other, and how much more the second has.
+/// Both side by side, and the difference.
 fn sides(one: &Side, other: &Side, drift: Option<Drift>) -> String {
     let whole = |name: &str, of: fn(&Side) -> u64| {
         let (one, other) = (of(one), of(other));
@@ -254,31 +232,21 @@ fn sides(one: &Side, other: &Side, drift: Option<Drift>) -> String {
             more.to_string(),
         ]
     };
-    let share = |name: &str, of: fn(&Side) -> Option<f64>| {
-        let (one, other) = (of(one), of(other));
-        let more = one.zip(other).map(|(one, other)| other - one);
-        shares(name, one, other, more)
+    let real = |name: &str, one: Option<f64>, other: Option<f64>, wrap: fn(f64) -> f64| {
+        let more = one.zip(other).map(|(one, other)| wrap(other - one));
+        let [one, other, more] = [one, other, more].map(format::share);
+        [name.into(), one, other, more]
     };
-    let angle = |name: &str, of: fn(&Side) -> Option<f64>| {
-        let (one, other) = (of(one), of(other));
-        let more = one
-            .zip(other)
-            .map(|(one, other)| bodies::wrapped(other - one));
-        shares(name, one, other, more)
-    };
-    let drift = match drift {
-        Some(Drift {
-            direction,
-            one,
-            other,
-        }) => shares(
-            &format!("drift along {}", format::time(direction)),
-            Some(one),
-            Some(other),
-            Some(other - one),
-        ),
-        None => shares("drift", None, None, None),
-    };
+    let share = |name: &str, of: fn(&Side) -> Option<f64>| real(name, of(one), of(other), |it| it);
+    let angle =
+        |name: &str, of: fn(&Side) -> Option<f64>| real(name, of(one), of(other), bodies::wrapped);
+    let along = drift.map(|it| format!("drift along {}", format::time(it.direction)));
+    let drift = real(
+        along.as_deref().unwrap_or("drift"),
+        drift.map(|it| it.one),
+        drift.map(|it| it.other),
+        |it| it,
+    );
     let rows = vec![
         whole("step", |side| side.step),
         whole("n", |side| side.n as u64),
@@ -296,17 +264,7 @@ fn sides(one: &Side, other: &Side, drift: Option<Drift>) -> String {
     )
 }
 
-/// A row of numbers, each of which may be missing.
-fn shares(name: &str, one: Option<f64>, other: Option<f64>, more: Option<f64>) -> [String; 4] {
-    [
-        name.into(),
-        format::share(one),
-        format::share(other),
-        format::share(more),
-    ]
-}
-
-/// Where the group is going, in radians.
+/// The direction of the mean velocity, in radians.
 fn heading(order: &Order) -> Option<f64> {
     let [x, y] = order.velocity;
     (x != 0.0 || y != 0.0).then(|| y.atan2(x))

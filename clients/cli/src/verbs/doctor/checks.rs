@@ -1,7 +1,8 @@
-//! What is checked, and how; nothing here changes anything.
+//! The checks of `doctor`. They change nothing.
 
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
+use jostle_client::{Client, Error, Payload, Subscription, Target};
 use jostle_proto::{
     ErrorCode, Hello, Metrics, NodeReply, NodeStatus, Phase, RecordingMetrics, SwarmSummary,
     Swarms, WIRE_VERSION, keys,
@@ -9,108 +10,90 @@ use jostle_proto::{
 use serde_json::json;
 
 use super::report::Check;
-use crate::bus::{Answer, Bus, Samples, Whom};
 use crate::failure::Failure;
 use crate::format;
 
-/// A verb that there will never be: the answer that it is unknown shows that verbs arrive.
-pub const UNKNOWN_VERB: &str = "no-such-verb-of-the-doctor";
-/// How often the daemon is asked to find out how long an answer takes.
-const QUESTIONS: usize = 20;
+/// A verb that will never exist: the error for an unknown verb shows that commands arrive.
+const UNKNOWN_VERB: &str = "no-such-verb-of-the-doctor";
+/// The number of queries by which the latency is measured.
+const QUERIES: usize = 20;
 /// How far clocks may differ before times on two machines are misleading.
 const CLOCK_TOLERANCE_SECS: f64 = 1.0;
-/// How long an answer may take.
-const PATIENCE: Duration = Duration::from_secs(5);
-/// How long something published is waited for: each swarm says something every two seconds.
-const LISTENING: Duration = Duration::from_secs(5);
+/// The timeout of a query.
+const CHECK_TIMEOUT: Duration = Duration::from_secs(5);
+/// How long to wait for a published message: each swarm publishes at least every two seconds.
+const LISTEN_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// When a question was asked and answered.
+/// The times of a query and of its reply.
 #[derive(Clone, Copy)]
-pub struct Asked {
-    /// The middle between the two, in seconds since 1970.
+pub struct Exchange {
+    /// The mean of the two times, in seconds since 1970.
     unix_secs: f64,
     /// The time between the two.
     took: Duration,
 }
 
 /// The daemon to examine: the one named or the only one, even if its token is not seen.
-///
-/// # Errors
-///
-/// That there is none, or several.
-pub async fn find_node(bus: &Bus, presence: &[String]) -> Result<String, Failure> {
-    let failure = match bus.node().await {
-        Ok(node) if presence.is_empty() || presence.contains(&node) => return Ok(node),
-        Ok(node) => Failure::UnknownNode {
+pub async fn find_node(client: &Client, nodes: &[String]) -> Result<String, Failure> {
+    let error = match client.node().await {
+        Ok(node) if nodes.is_empty() || nodes.contains(&node) => return Ok(node),
+        Ok(node) => Error::UnknownNode {
             node,
-            there: presence.to_vec(),
+            there: nodes.to_vec(),
         },
-        Err(failure) => failure,
+        Err(error) => error,
     };
-    if !presence.is_empty() {
+    let failure = Failure::from(error);
+    if !nodes.is_empty() {
         return Err(failure);
     }
-    // Tokens may be forbidden where questions are not.
-    let hello = keys::node_get(bus.prefix(), "*", "hello");
-    let answer = bus.ask(Whom::Node("*"), &hello, None, PATIENCE).await;
+    // Access control may forbid tokens and permit queries.
+    let hello = keys::node_get(client.prefix(), "*", "hello");
+    let answer = client
+        .query_once(Target::Node("*"), &hello, None, CHECK_TIMEOUT)
+        .await;
     match answer.and_then(|answer| answer.read::<NodeReply<Hello>>()) {
         Ok(reply) => Ok(reply.node),
         Err(_) => Err(failure),
     }
 }
 
-/// What the daemon says about itself, and when it said so.
-///
-/// # Errors
-///
-/// Why it says nothing.
-pub async fn hello(bus: &Bus, node: &str) -> Result<(Hello, Asked), Failure> {
+/// The daemon's `hello`, and the time of the query.
+pub async fn hello(client: &Client, node: &str) -> Result<(Hello, Exchange), Failure> {
     let (before, began) = (unix_secs(), Instant::now());
-    let reply: NodeReply<Hello> = get_node(bus, node, "hello").await?.read()?;
+    let reply: NodeReply<Hello> = get_node(client, node, "hello").await?.read()?;
     let took = began.elapsed();
-    let asked = Asked {
+    let exchange = Exchange {
         unix_secs: before + took.as_secs_f64() / 2.0,
         took,
     };
-    Ok((reply.result, asked))
+    Ok((reply.result, exchange))
 }
 
-/// Is the daemon there?
-pub async fn daemon(bus: &Bus, node: &str, hello: &Result<(Hello, Asked), Failure>) -> Check {
-    const NAME: &str = "daemon";
-    if let Err(failure) = hello {
-        return Check::failed(NAME, failure);
-    }
-    let status = match get_node(bus, node, "status").await {
-        Ok(answer) => answer.read::<NodeReply<NodeStatus>>(),
-        Err(failure) => Err(failure),
-    };
-    match status {
-        Ok(reply) => {
-            let status = reply.result;
-            let up = format::duration(status.uptime_secs);
-            let clients = format::count(status.clients, "client");
-            Check::well(NAME, format!("node {node}, up for {up}, {clients}")).with(json!({
-                "node": node,
-                "uptime_secs": status.uptime_secs,
-                "clients": status.clients,
-            }))
-        }
-        Err(failure) => Check::failed(NAME, &failure),
-    }
+/// Checks that the daemon replies.
+pub async fn daemon(client: &Client, node: &str) -> Result<Check, Failure> {
+    let reply: NodeReply<NodeStatus> = get_node(client, node, "status").await?.read()?;
+    let status = reply.result;
+    let up = format::duration(status.uptime_secs);
+    let clients = format::count(status.clients, "client");
+    let check = Check::passed(format!("node {node}, up for {up}, {clients}"));
+    Ok(check.with(json!({
+        "node": node,
+        "uptime_secs": status.uptime_secs,
+        "clients": status.clients,
+    })))
 }
 
-/// Do both speak the same contract?
+/// Checks that the daemon and this program have the same wire version.
 pub fn versions(hello: &Hello) -> Check {
-    const NAME: &str = "versions";
     let (theirs, ours) = (hello.wire_version, WIRE_VERSION);
-    let said = format!(
-        "the daemon is {} and speaks wire version {theirs}, this is {} and speaks {ours}",
+    let text = format!(
+        "the daemon is {} with wire version {theirs}, this is {} with wire version {ours}",
         hello.version,
         env!("CARGO_PKG_VERSION"),
     );
     let check = if theirs == ours {
-        Check::well(NAME, said)
+        Check::passed(text)
     } else {
         let older = if theirs < ours {
             "daemon"
@@ -118,148 +101,136 @@ pub fn versions(hello: &Hello) -> Check {
             "command line"
         };
         let remedy = format!("bring the {older} up to date");
-        Check::wrong(NAME, "internal", said, &remedy)
+        Check::failed("internal", text, &remedy)
     };
     check.with(json!({"version": hello.version, "wire_version": theirs}))
 }
 
-/// Do the clocks agree, as far as the time the answer took allows to say?
-pub fn clock(hello: &Hello, asked: Asked) -> Check {
-    const NAME: &str = "clock";
-    let difference = hello.unix_secs - asked.unix_secs;
+/// Compares the clocks, as precisely as the latency allows.
+pub fn clock(hello: &Hello, exchange: Exchange) -> Check {
+    let difference = hello.unix_secs - exchange.unix_secs;
     let direction = if difference < 0.0 {
         "behind"
     } else {
         "ahead of"
     };
-    let said = format!(
+    let text = format!(
         "the daemon's is {} {direction} this one, give or take {}",
         format::millis(difference.abs()),
-        format::millis(asked.took.as_secs_f64() / 2.0),
+        format::millis(exchange.took.as_secs_f64() / 2.0),
     );
-    let check = if difference.abs() <= CLOCK_TOLERANCE_SECS + asked.took.as_secs_f64() {
-        Check::well(NAME, said)
+    let check = if difference.abs() <= CLOCK_TOLERANCE_SECS + exchange.took.as_secs_f64() {
+        Check::passed(text)
     } else {
         let remedy = "let both machines set their clocks by NTP";
-        Check::wrong(NAME, "internal", said, remedy)
+        Check::failed("internal", text, remedy)
     };
     check.with(json!({ "difference_secs": difference }))
 }
 
-/// How long does an answer take?
-pub async fn latency(bus: &Bus, node: &str) -> Check {
-    const NAME: &str = "latency";
-    let mut took = Vec::with_capacity(QUESTIONS);
-    for _ in 0..QUESTIONS {
+/// Measures the latency of a query.
+pub async fn latency(client: &Client, node: &str) -> Result<Check, Failure> {
+    let mut took = Vec::with_capacity(QUERIES);
+    for _ in 0..QUERIES {
         let began = Instant::now();
-        if let Err(failure) = get_node(bus, node, "hello").await {
-            return Check::failed(NAME, &failure);
-        }
+        get_node(client, node, "hello").await?;
         took.push(began.elapsed().as_secs_f64());
     }
     took.sort_by(f64::total_cmp);
-    let (least, median, most) = (took[0], took[QUESTIONS / 2], took[QUESTIONS - 1]);
-    Check::well(
-        NAME,
-        format!(
-            "an answer takes {} (median of {QUESTIONS}; {} to {})",
-            format::millis(median),
-            format::millis(least),
-            format::millis(most),
-        ),
-    )
-    .with(json!({
-        "questions": QUESTIONS,
+    let (least, median, most) = (took[0], took[QUERIES / 2], took[QUERIES - 1]);
+    let check = Check::passed(format!(
+        "a reply takes {} (median of {QUERIES}; {} to {})",
+        format::millis(median),
+        format::millis(least),
+        format::millis(most),
+    ));
+    Ok(check.with(json!({
+        "questions": QUERIES,
         "min_secs": least,
         "median_secs": median,
         "max_secs": most,
-    }))
+    })))
 }
 
-/// What is there?
-pub async fn swarms(bus: &Bus, node: &str) -> (Check, Vec<SwarmSummary>) {
-    const NAME: &str = "swarms";
-    let reply = match get_node(bus, node, "swarms").await {
-        Ok(answer) => answer.read::<NodeReply<Swarms>>(),
-        Err(failure) => Err(failure),
-    };
-    let swarms = match reply {
-        Ok(reply) => reply.result.swarms,
-        Err(failure) => return (Check::failed(NAME, &failure), Vec::new()),
-    };
+/// The swarms of the daemon.
+pub async fn list(client: &Client, node: &str) -> Result<Vec<SwarmSummary>, Failure> {
+    let reply: NodeReply<Swarms> = get_node(client, node, "swarms").await?.read()?;
+    Ok(reply.result.swarms)
+}
+
+/// Counts the swarms.
+pub fn swarms(swarms: &[SwarmSummary]) -> Check {
     let in_phase = |phase| swarms.iter().filter(|swarm| swarm.phase == phase).count();
     let (running, faulted) = (in_phase(Phase::Running), in_phase(Phase::Faulted));
-    let figures = json!({"swarms": swarms.len(), "running": running, "faulted": faulted});
-    let said = match swarms.len() {
+    let check = Check::passed(match swarms.len() {
         0 => "none".into(),
         count => format!("{count}, of which {running} running and {faulted} faulted"),
-    };
-    (Check::well(NAME, said).with(figures), swarms)
+    });
+    check.with(json!({"swarms": swarms.len(), "running": running, "faulted": faulted}))
 }
 
-/// The daemon in numbers.
-///
-/// # Errors
-///
-/// Why there are none.
-pub async fn metrics(bus: &Bus, node: &str) -> Result<Metrics, Failure> {
-    let reply: NodeReply<Metrics> = get_node(bus, node, "metrics").await?.read()?;
+/// The metrics of the daemon.
+pub async fn metrics(client: &Client, node: &str) -> Result<Metrics, Failure> {
+    let reply: NodeReply<Metrics> = get_node(client, node, "metrics").await?.read()?;
     Ok(reply.result)
 }
 
-/// Is the daemon itself well?
-pub fn health(metrics: &Result<Metrics, Failure>) -> Check {
-    const NAME: &str = "health";
-    const REMEDY: &str = "see its log, and what docs/health.md says of /healthz";
-    match metrics {
-        Ok(metrics) if metrics.unwell.is_empty() => {
-            let said = "its threads are at work and its disk takes what it writes";
-            Check::well(NAME, said.into())
-        }
-        Ok(metrics) => Check::wrong(NAME, "unwell", metrics.unwell.join("; "), REMEDY),
-        Err(failure) => Check::failed(NAME, failure),
+/// The name of a check of the metrics, and the check.
+type MetricsCheck = (&'static str, fn(&Metrics) -> Check);
+
+/// The checks of the metrics.
+pub const OF_METRICS: [MetricsCheck; 3] = [
+    ("health", health),
+    ("recordings", recordings),
+    ("recording space", |it| {
+        space(it.recordings_bytes, it.recordings_quota_bytes)
+    }),
+];
+
+/// Checks the health of the daemon.
+fn health(metrics: &Metrics) -> Check {
+    const REMEDY: &str = "see its log, and /healthz in docs/health.md";
+    let [_, others] = warnings(metrics);
+    let problems = [metrics.unwell.clone(), others].concat();
+    match problems.as_slice() {
+        [] => Check::passed("its threads and its disk work"),
+        problems => Check::failed("unwell", problems.join("; "), REMEDY),
     }
 }
 
-/// Has a recording of the daemon failed?
-pub fn recordings(metrics: &Result<Metrics, Failure>) -> Check {
-    const NAME: &str = "recordings";
+/// The daemon's warnings about recordings, and the others.
+fn warnings(metrics: &Metrics) -> [Vec<String>; 2] {
+    let warnings = metrics.warnings.iter().cloned();
+    let (recordings, others) = warnings.partition(|it| it.starts_with("recordings failed"));
+    [recordings, others]
+}
+
+/// Checks for failed recordings of the daemon.
+fn recordings(metrics: &Metrics) -> Check {
     const REMEDY: &str =
         "copy what you need of recordings/NAME in its data directory before you delete one";
-    let metrics = match metrics {
-        Ok(metrics) => metrics,
-        Err(failure) => return Check::failed(NAME, failure),
-    };
     let RecordingMetrics {
         recording,
         ended,
         failed,
     } = metrics.recordings;
     let figures = json!({"recording": recording, "ended": ended, "failed": failed});
-    let check = if metrics.warnings.is_empty() {
-        let said = format!("{recording} being written, {ended} ended, {failed} failed");
-        Check::well(NAME, said)
-    } else {
-        Check::wrong(NAME, "unwell", metrics.warnings.join("; "), REMEDY)
+    let [warnings, _] = warnings(metrics);
+    let check = match warnings.as_slice() {
+        [] => Check::passed(format!(
+            "{recording} being written, {ended} ended, {failed} failed"
+        )),
+        warnings => Check::failed("unwell", warnings.join("; "), REMEDY),
     };
     check.with(figures)
 }
 
-/// Have the recordings of the daemon room to go on?
-pub fn recording_space(metrics: &Result<Metrics, Failure>) -> Check {
-    match metrics {
-        Ok(metrics) => space(metrics.recordings_bytes, metrics.recordings_quota_bytes),
-        Err(failure) => Check::failed("recording space", failure),
-    }
-}
-
-/// The check itself; daemons of earlier versions report no quota.
+/// Checks the quota of recordings; daemons of earlier versions report none.
 fn space(bytes: u64, quota: u64) -> Check {
-    const NAME: &str = "recording space";
     const REMEDY: &str = "delete what is fetched with `jostle record --delete NAME`, or raise \
                           recordings_quota_mb: recordings that reach it end";
-    let said = match quota {
-        0 => return Check::untried(NAME, "the daemon is an earlier one, without a quota"),
+    let text = match quota {
+        0 => return Check::skipped("the daemon is an earlier one, without a quota"),
         _ => format!(
             "recordings take {} of {}",
             format::bytes(bytes),
@@ -267,171 +238,158 @@ fn space(bytes: u64, quota: u64) -> Check {
         ),
     };
     let check = match bytes.saturating_mul(10) < quota.saturating_mul(9) {
-        true => Check::well(NAME, said),
-        false => Check::wrong(NAME, "resource_exhausted", said, REMEDY),
+        true => Check::passed(text),
+        false => Check::failed("resource_exhausted", text, REMEDY),
     };
     check.with(json!({"bytes": bytes, "quota_bytes": quota}))
 }
 
-/// May this client ask a swarm?
-pub async fn gets(bus: &Bus, swarm: Option<&str>) -> Check {
-    const NAME: &str = "questions";
+/// Checks that queries to a swarm are permitted.
+pub async fn queries(client: &Client, swarm: Option<&str>) -> Result<Check, Failure> {
     let Some(swarm) = swarm else {
-        return Check::well(
-            NAME,
-            "the daemon answers them; there is no swarm to ask".into(),
-        );
+        return Ok(Check::passed(
+            "the daemon replies; there is no swarm to query",
+        ));
     };
-    let key = keys::get(bus.prefix(), swarm, "status");
-    match bus.ask(Whom::Swarm(swarm), &key, None, PATIENCE).await {
-        Ok(_) => Check::well(NAME, format!("the daemon and {swarm} answer them")),
-        Err(failure) => Check::failed(NAME, &failure),
-    }
+    let key = keys::get(client.prefix(), swarm, "status");
+    let status = client.query_once(Target::Swarm(swarm), &key, None, CHECK_TIMEOUT);
+    status.await?;
+    let text = format!("the daemon and {swarm} reply to queries");
+    Ok(Check::passed(text))
 }
 
-/// May this client give the daemon commands?
-pub async fn commands_to_node(bus: &Bus, node: &str, key: &str) -> Check {
-    const NAME: &str = "creating";
-    let answer = bus
-        .ask(Whom::Node(node), key, Some(Vec::new()), PATIENCE)
-        .await;
-    commands(NAME, &format!("node {node}"), answer)
+/// Checks that commands to the daemon are permitted.
+pub async fn commands_to_node(client: &Client, node: &str) -> Check {
+    let key = keys::node_cmd(client.prefix(), node, UNKNOWN_VERB);
+    commands(client, Target::Node(node), &key).await
 }
 
-/// May this client give a swarm commands?
-pub async fn commands_to_swarm(bus: &Bus, swarm: Option<&str>) -> Check {
-    const NAME: &str = "commands";
+/// Checks that commands to a swarm are permitted.
+pub async fn commands_to_swarm(client: &Client, swarm: Option<&str>) -> Check {
     let Some(swarm) = swarm else {
-        return Check::untried(NAME, "there is no swarm to try it with");
+        return Check::skipped("there is no swarm to try it with");
     };
-    let key = keys::cmd(bus.prefix(), swarm, UNKNOWN_VERB);
-    let answer = bus
-        .ask(Whom::Swarm(swarm), &key, Some(Vec::new()), PATIENCE)
-        .await;
-    commands(NAME, swarm, answer)
+    let key = keys::cmd(client.prefix(), swarm, UNKNOWN_VERB);
+    commands(client, Target::Swarm(swarm), &key).await
 }
 
-/// A command that nobody knows arrived if it was answered so.
-fn commands(name: &'static str, whom: &str, answer: Result<Answer, Failure>) -> Check {
-    match answer {
-        Err(Failure::Refused { error, .. }) if error.code == ErrorCode::NotFound => {
-            Check::well(name, format!("{whom} takes commands from this client"))
+/// Sends an unknown verb: the target received it if it rejected it as unknown.
+async fn commands(client: &Client, target: Target<'_>, key: &str) -> Check {
+    let answer = client.query_once(target, key, Some(Vec::new()), CHECK_TIMEOUT);
+    let failure = match answer.await {
+        Err(error) => Failure::from(error),
+        Ok(_) => {
+            let text = format!("{target} accepted a command that does not exist");
+            return Check::failed("internal", text, "report it: this is a defect");
         }
-        // What a role does not give is no trouble; a token that is nobody's is.
-        Err(Failure::Refused { error, .. })
+    };
+    match failure.cause() {
+        Some(Error::Rejected(error)) if error.code == ErrorCode::NotFound => {
+            Check::passed(format!("{target} accepts commands from this client"))
+        }
+        // A role without commands is as configured; a token without a role is not.
+        Some(Error::Rejected(error))
             if error.details.get("role").is_some_and(|it| !it.is_null()) =>
         {
-            let told = |field: &str| error.details[field].as_str().unwrap_or_default().to_owned();
-            let said = format!(
-                "you are {}, {}, and give none",
-                told("person"),
-                told("role")
-            );
-            Check::untried(name, &said)
+            let field = |name: &str| error.details[name].as_str().unwrap_or_default();
+            let (person, role) = (field("person"), field("role"));
+            Check::skipped(format!("you are {person}, {role}, which has no commands"))
         }
-        Err(Failure::Silent { whom }) => Check::wrong(
-            name,
-            "permission_denied",
-            format!("{whom} does not take commands from this client"),
-            "ask whoever runs the daemon for a role that may change things",
+        // Its message names the verb, which is not one.
+        Some(Error::Rejected(error)) if error.code == ErrorCode::PermissionDenied => Check::failed(
+            failure.code(),
+            format!("{target} accepts no commands with the credentials of this client"),
+            "they may have been removed: ask the operator of the daemon for new ones",
         ),
-        Err(failure) => Check::failed(name, &failure),
-        Ok(_) => Check::wrong(
-            name,
-            "internal",
-            format!("{whom} took a command that does not exist"),
-            "report it: this is a defect",
+        Some(Error::Silent { .. }) => Check::failed(
+            failure.code(),
+            format!("{target} does not accept commands from this client"),
+            "ask the operator of the daemon for a role with commands",
         ),
+        _ => Check::of_failure(&failure),
     }
 }
 
-/// What is published, as far as it reaches this client.
+/// Subscriptions to what the swarms publish.
 pub struct Listening {
-    samples: Result<Vec<Samples>, Failure>,
+    samples: [Subscription; 3],
     end: tokio::time::Instant,
 }
 
 impl Listening {
-    /// Subscribes to what every swarm publishes: what a running one says, and the sign of life
-    /// that one which stands still gives too.
-    pub async fn begin(bus: &Bus) -> Self {
-        let event = keys::event(bus.prefix(), "*");
-        let mut samples = Ok(Vec::new());
-        for key in [
-            keys::order(bus.prefix(), "*"),
-            event.clone(),
-            format!("{event}/@adv/**"),
-        ] {
-            match (&mut samples, bus.subscribe(&key, 1).await) {
-                (Ok(samples), Ok(more)) => samples.push(more),
-                (samples, Err(failure)) => *samples = Err(failure),
-                (Err(_), _) => {}
-            }
-        }
-        let end = tokio::time::Instant::now() + LISTENING;
-        Listening { samples, end }
+    /// Subscribes to the order of every swarm, which also a paused swarm publishes.
+    pub async fn begin(client: &Client) -> Result<Self, Failure> {
+        let event = keys::event(client.prefix(), "*");
+        let samples = [
+            client
+                .subscribe(&keys::order(client.prefix(), "*"), 1)
+                .await?,
+            client.subscribe(&event, 1).await?,
+            client.subscribe(&format!("{event}/@adv/**"), 1).await?,
+        ];
+        let end = tokio::time::Instant::now() + LISTEN_TIMEOUT;
+        Ok(Listening { samples, end })
     }
 
-    /// Does anything arrive?
+    /// Checks that a message arrives.
     pub async fn check(self, is_any_swarm: bool) -> Check {
-        const NAME: &str = "subscriptions";
-        let samples = match &self.samples {
-            Ok(samples) => samples,
-            Err(failure) => return Check::failed(NAME, failure),
-        };
         if !is_any_swarm {
-            return Check::untried(NAME, "there is no swarm that publishes anything");
+            return Check::skipped("there is no swarm that publishes anything");
         }
-        let [order, event, sign_of_life] = samples.as_slice() else {
-            return Check::untried(NAME, "there was nothing to subscribe to");
-        };
+        let [order, event, sign_of_life] = &self.samples;
         let arrived = tokio::time::timeout_at(self.end, async {
             tokio::select! {
-                sample = order.recv_async() => sample.is_ok(),
-                sample = event.recv_async() => sample.is_ok(),
-                sample = sign_of_life.recv_async() => sample.is_ok(),
+                sample = order.next() => sample.is_ok(),
+                sample = event.next() => sample.is_ok(),
+                sample = sign_of_life.next() => sample.is_ok(),
             }
         });
         match arrived.await {
-            Ok(true) => Check::well(NAME, "what swarms publish arrives".into()),
-            _ => Check::wrong(
-                NAME,
+            Ok(true) => Check::passed("messages that swarms publish arrive"),
+            _ => Check::failed(
                 "permission_denied",
-                format!("nothing arrived within {} s", LISTENING.as_secs()),
-                "ask whoever runs the daemon for a role that may subscribe; `watch` needs it",
+                format!("nothing arrived within {} s", LISTEN_TIMEOUT.as_secs()),
+                "ask the operator of the daemon for a role that may subscribe; `watch` needs it",
             ),
         }
     }
 }
 
-/// Are tokens seen?
-pub async fn liveliness(bus: &Bus, node: &str, presence: &[String], swarm: Option<&str>) -> Check {
-    const NAME: &str = "liveliness";
-    const REMEDY: &str =
-        "ask whoever runs the daemon for a role that may see tokens; errors say less without them";
-    if !presence.iter().any(|it| it == node) {
-        let said = format!("the token of node {node} is not seen");
-        return Check::wrong(NAME, "permission_denied", said, REMEDY);
+/// Checks that tokens are visible.
+pub async fn liveliness(
+    client: &Client,
+    node: &str,
+    nodes: &[String],
+    swarm: Option<&str>,
+) -> Result<Check, Failure> {
+    const REMEDY: &str = "ask the operator of the daemon for a role that may see tokens; errors have less detail without";
+    let hidden = |whose: &str| {
+        let text = format!("the token of {whose} is not visible");
+        Ok(Check::failed("permission_denied", text, REMEDY))
+    };
+    if !nodes.iter().any(|it| it == node) {
+        return hidden(&format!("node {node}"));
     }
     let Some(swarm) = swarm else {
-        return Check::well(NAME, format!("the token of node {node} is seen"));
+        let text = format!("the token of node {node} is visible");
+        return Ok(Check::passed(text));
     };
-    match bus.hosts_of(swarm).await {
-        Ok(hosts) if hosts.iter().any(|host| host == node) => Check::well(
-            NAME,
-            format!("the tokens of node {node} and {swarm} are seen"),
-        ),
-        Ok(_) => {
-            let said = format!("the token of {swarm} is not seen");
-            Check::wrong(NAME, "permission_denied", said, REMEDY)
-        }
-        Err(failure) => Check::failed(NAME, &failure),
+    if !client
+        .hosts_of(swarm)
+        .await?
+        .iter()
+        .any(|host| host == node)
+    {
+        return hidden(swarm);
     }
+    let text = format!("the tokens of node {node} and {swarm} are visible");
+    Ok(Check::passed(text))
 }
 
-async fn get_node(bus: &Bus, node: &str, noun: &str) -> Result<Answer, Failure> {
-    let key = keys::node_get(bus.prefix(), node, noun);
-    bus.ask(Whom::Node(node), &key, None, PATIENCE).await
+async fn get_node(client: &Client, node: &str, noun: &str) -> Result<Payload, Failure> {
+    let key = keys::node_get(client.prefix(), node, noun);
+    let answer = client.query_once(Target::Node(node), &key, None, CHECK_TIMEOUT);
+    Ok(answer.await?)
 }
 
 fn unix_secs() -> f64 {
@@ -457,34 +415,47 @@ mod tests {
         .unwrap()
     }
 
-    fn is_well(check: &Check) -> bool {
-        check.to_json()["ok"] == true
+    fn is_passed(check: &Check) -> bool {
+        check.to_json("")["ok"] == true
+    }
+
+    #[test]
+    fn a_warning_that_is_not_of_recordings_belongs_to_the_health() {
+        let reply = include_str!("../../../../../proto/fixtures/node.metrics.reply.json");
+        let reply: NodeReply<Metrics> = serde_json::from_str(reply).unwrap();
+        let mut metrics = reply.result;
+        metrics.unwell.clear();
+        let checks =
+            |metrics: &Metrics| [is_passed(&health(metrics)), is_passed(&recordings(metrics))];
+        assert_eq!(checks(&metrics), [true, false]);
+        metrics.warnings = vec!["3 damaged or missing records were read".to_owned()];
+        assert_eq!(checks(&metrics), [false, true]);
     }
 
     #[test]
     fn recordings_near_their_quota_are_wrong() {
         for (bytes, quota, well) in [(0, 100, true), (89, 100, true), (90, 100, false)] {
-            assert_eq!(is_well(&space(bytes, quota)), well, "{bytes} of {quota}");
+            assert_eq!(is_passed(&space(bytes, quota)), well, "{bytes} of {quota}");
         }
-        assert!(!is_well(&space(u64::MAX, u64::MAX)));
+        assert!(!is_passed(&space(u64::MAX, u64::MAX)));
     }
 
     #[test]
     fn another_wire_version_is_wrong() {
-        assert!(is_well(&versions(&hello(WIRE_VERSION, 0.0))));
-        assert!(!is_well(&versions(&hello(WIRE_VERSION + 1, 0.0))));
+        assert!(is_passed(&versions(&hello(WIRE_VERSION, 0.0))));
+        assert!(!is_passed(&versions(&hello(WIRE_VERSION + 1, 0.0))));
     }
 
     #[test]
-    fn clocks_may_differ_by_what_the_answer_took() {
-        let asked = |took| Asked {
+    fn clocks_may_differ_by_the_latency() {
+        let exchange = |took| Exchange {
             unix_secs: 1000.0,
             took: Duration::from_secs_f64(took),
         };
-        assert!(is_well(&clock(&hello(1, 1000.5), asked(0.0))));
-        assert!(is_well(&clock(&hello(1, 999.5), asked(0.0))));
-        assert!(is_well(&clock(&hello(1, 1003.0), asked(4.0))));
-        assert!(!is_well(&clock(&hello(1, 1003.0), asked(0.1))));
-        assert!(!is_well(&clock(&hello(1, 997.0), asked(0.1))));
+        assert!(is_passed(&clock(&hello(1, 1000.5), exchange(0.0))));
+        assert!(is_passed(&clock(&hello(1, 999.5), exchange(0.0))));
+        assert!(is_passed(&clock(&hello(1, 1003.0), exchange(4.0))));
+        assert!(!is_passed(&clock(&hello(1, 1003.0), exchange(0.1))));
+        assert!(!is_passed(&clock(&hello(1, 997.0), exchange(0.1))));
     }
 }

@@ -1,73 +1,89 @@
-//! `doctor`: whether everything works from here and, if not, what to do.
+//! `doctor`: checks the connection to a daemon and prints remedies.
 
 mod checks;
 mod report;
 
 use std::time::Instant;
 
-use jostle_proto::keys;
+use jostle_client::{Client, ConnectOptions};
 
 use self::report::{Check, Report};
 use crate::arguments::GlobalArguments;
-use crate::bus::Bus;
 use crate::failure::Failure;
 use crate::format;
 use crate::output::Output;
 
-/// Checks all there is to check and prints what was found.
-///
-/// # Errors
-///
-/// [`Failure::Unwell`] when something is wrong.
+/// Executes all checks and prints the report.
 pub async fn doctor(output: Output, global: GlobalArguments) -> Result<(), Failure> {
-    let endpoint = Bus::endpoint_for(&global)?;
+    let options = ConnectOptions::from(&global);
+    let endpoint = options.resolved_endpoint()?;
     let began = Instant::now();
     let mut report = Report::new(endpoint.clone());
-    match Bus::open(global).await {
-        Ok(bus) => {
+    match Client::connect(options).await {
+        Ok(client) => {
             let took = format::millis(began.elapsed().as_secs_f64());
-            report.add(Check::well(
-                "connection",
-                format!("zenoh answers at {endpoint}, opened in {took}"),
-            ));
-            examine(&bus, &mut report).await;
-            bus.close().await;
+            let text = format!("zenoh answers at {endpoint}, opened in {took}");
+            report.add("connection", Ok(Check::passed(text)));
+            examine(&client, &mut report).await;
+            client.close().await;
         }
-        Err(failure) => report.add(Check::failed("connection", &failure)),
+        Err(error) => report.add("connection", Err(error.into())),
     }
     report.print(output)
 }
 
-/// Everything for which there is a connection.
-async fn examine(bus: &Bus, report: &mut Report) {
-    // Published things take their time; they are waited for beside all the rest.
-    let listening = checks::Listening::begin(bus).await;
-    let presence = bus.nodes().await.unwrap_or_default();
-    let node = match checks::find_node(bus, &presence).await {
+/// The checks that need a connection.
+async fn examine(client: &Client, report: &mut Report) {
+    // Messages arrive while the other checks run.
+    let listening = checks::Listening::begin(client).await;
+    let nodes = client.nodes().await.unwrap_or_default();
+    let node = match checks::find_node(client, &nodes).await {
         Ok(node) => node,
-        Err(failure) => {
-            report.add(Check::failed("daemon", &failure));
-            return;
-        }
+        Err(failure) => return report.add("daemon", Err(failure)),
     };
-    let hello = checks::hello(bus, &node).await;
-    report.add(checks::daemon(bus, &node, &hello).await);
-    if let Ok((hello, asked)) = &hello {
-        report.add(checks::versions(hello));
-        report.add(checks::clock(hello, *asked));
+    match checks::hello(client, &node).await {
+        Ok((hello, exchange)) => {
+            report.add("daemon", checks::daemon(client, &node).await);
+            report.add("versions", Ok(checks::versions(&hello)));
+            report.add("clock", Ok(checks::clock(&hello, exchange)));
+        }
+        Err(failure) => report.add("daemon", Err(failure)),
     }
-    report.add(checks::latency(bus, &node).await);
-    let metrics = checks::metrics(bus, &node).await;
-    report.add(checks::health(&metrics));
-    report.add(checks::recordings(&metrics));
-    report.add(checks::recording_space(&metrics));
-    let (check, swarms) = checks::swarms(bus, &node).await;
-    report.add(check);
+    report.add("latency", checks::latency(client, &node).await);
+    let metrics = checks::metrics(client, &node).await;
+    for (name, check) in checks::OF_METRICS {
+        report.add(
+            name,
+            match &metrics {
+                Ok(metrics) => Ok(check(metrics)),
+                Err(failure) => Ok(Check::of_failure(failure)),
+            },
+        );
+    }
+    let swarms = checks::list(client, &node).await;
+    let check = match &swarms {
+        Ok(swarms) => checks::swarms(swarms),
+        Err(failure) => Check::of_failure(failure),
+    };
+    report.add("swarms", Ok(check));
+    let swarms = swarms.unwrap_or_default();
     let swarm = swarms.first().map(|swarm| swarm.swarm.as_str());
-    report.add(checks::gets(bus, swarm).await);
-    let node_cmd = keys::node_cmd(bus.prefix(), &node, checks::UNKNOWN_VERB);
-    report.add(checks::commands_to_node(bus, &node, &node_cmd).await);
-    report.add(checks::commands_to_swarm(bus, swarm).await);
-    report.add(listening.check(!swarms.is_empty()).await);
-    report.add(checks::liveliness(bus, &node, &presence, swarm).await);
+    report.add("questions", checks::queries(client, swarm).await);
+    report.add(
+        "creating",
+        Ok(checks::commands_to_node(client, &node).await),
+    );
+    report.add(
+        "commands",
+        Ok(checks::commands_to_swarm(client, swarm).await),
+    );
+    report.add(
+        "subscriptions",
+        match listening {
+            Ok(listening) => Ok(listening.check(!swarms.is_empty()).await),
+            Err(failure) => Err(failure),
+        },
+    );
+    let tokens = checks::liveliness(client, &node, &nodes, swarm);
+    report.add("liveliness", tokens.await);
 }

@@ -1,67 +1,67 @@
-//! What the doctor found, for people and for programs.
+//! The report of `doctor`, as text and as JSON.
 
 use jostle_proto::WIRE_VERSION;
 use serde_json::{Map, Value, json};
 
 use crate::failure::Failure;
+use crate::format;
 use crate::output::Output;
 
-/// All that was checked.
+/// The outcome of all checks.
 pub struct Report {
     endpoint: String,
-    checks: Vec<Check>,
+    /// The checks with their names.
+    checks: Vec<(&'static str, Check)>,
 }
 
-/// One thing that was checked.
+/// The outcome of one check.
 pub struct Check {
-    name: &'static str,
     verdict: Verdict,
-    said: String,
+    text: String,
     figures: Map<String, Value>,
 }
 
 enum Verdict {
-    Well,
-    Wrong { code: &'static str, remedy: String },
-    Untried,
+    Passed,
+    Failed { code: String, remedy: String },
+    Skipped,
 }
 
 impl Check {
-    /// It works.
-    pub fn well(name: &'static str, said: String) -> Self {
+    /// A check that passed.
+    pub fn passed(text: impl Into<String>) -> Self {
         Check {
-            name,
-            verdict: Verdict::Well,
-            said,
+            verdict: Verdict::Passed,
+            text: text.into(),
             figures: Map::new(),
         }
     }
 
-    /// It does not work, and this helps.
-    pub fn wrong(name: &'static str, code: &'static str, said: String, remedy: &str) -> Self {
-        let remedy = remedy.to_owned();
+    /// A check that failed, with the remedy.
+    pub fn failed(code: &str, text: impl Into<String>, remedy: &str) -> Self {
+        let (code, remedy) = (code.to_owned(), remedy.to_owned());
         Check {
-            verdict: Verdict::Wrong { code, remedy },
-            ..Check::well(name, said)
+            verdict: Verdict::Failed { code, remedy },
+            ..Check::passed(text)
         }
     }
 
-    /// It does not work; a failure says its remedy after the colon.
-    pub fn failed(name: &'static str, failure: &Failure) -> Self {
+    /// A check that failed with an error, which has its remedy after the colon.
+    pub fn of_failure(failure: &Failure) -> Self {
         let text = failure.to_string();
-        let (said, remedy) = text.split_once(": ").unwrap_or((&text, ""));
-        Check::wrong(name, failure.code(), said.to_owned(), remedy)
+        let (text, remedy) = text.split_once(": ").unwrap_or((&text, ""));
+        Check::failed(failure.code(), text, remedy)
     }
 
-    /// There was nothing to try it with.
-    pub fn untried(name: &'static str, said: &str) -> Self {
+    /// A check that could not be executed.
+    pub fn skipped(text: impl Into<String>) -> Self {
         Check {
-            verdict: Verdict::Untried,
-            ..Check::well(name, said.to_owned())
+            verdict: Verdict::Skipped,
+            ..Check::passed(text)
         }
     }
 
-    /// The same with figures for programs.
+    /// Adds figures to the JSON.
     pub fn with(mut self, figures: Value) -> Self {
         if let Value::Object(figures) = figures {
             self.figures = figures;
@@ -69,32 +69,32 @@ impl Check {
         self
     }
 
-    fn lines(&self) -> String {
+    fn lines(&self, name: &str) -> String {
         let mark = match self.verdict {
-            Verdict::Well => '✓',
-            Verdict::Wrong { .. } => '✗',
-            Verdict::Untried => '-',
+            Verdict::Passed => '✓',
+            Verdict::Failed { .. } => '✗',
+            Verdict::Skipped => '-',
         };
-        let line = format!("{mark} {:13}  {}", self.name, self.said);
+        let line = format!("{mark} {name:13}  {}", self.text);
         match &self.verdict {
-            Verdict::Wrong { remedy, .. } if !remedy.is_empty() => {
+            Verdict::Failed { remedy, .. } if !remedy.is_empty() => {
                 format!("{line}\n{:17}{remedy}", "")
             }
             _ => line,
         }
     }
 
-    /// The check as programs read it.
-    pub fn to_json(&self) -> Value {
+    /// The check as JSON.
+    pub fn to_json(&self, name: &str) -> Value {
         let (ok, remedy) = match &self.verdict {
-            Verdict::Well => (Some(true), None),
-            Verdict::Wrong { remedy, .. } => (Some(false), Some(remedy)),
-            Verdict::Untried => (None, None),
+            Verdict::Passed => (Some(true), None),
+            Verdict::Failed { remedy, .. } => (Some(false), Some(remedy)),
+            Verdict::Skipped => (None, None),
         };
         json!({
-            "check": self.name,
+            "check": name,
             "ok": ok,
-            "message": self.said,
+            "message": self.text,
             "remedy": remedy,
             "figures": self.figures,
         })
@@ -102,7 +102,7 @@ impl Check {
 }
 
 impl Report {
-    /// About a daemon at `endpoint`.
+    /// A report about the daemon at `endpoint`.
     pub fn new(endpoint: String) -> Self {
         Report {
             endpoint,
@@ -110,69 +110,59 @@ impl Report {
         }
     }
 
-    /// Something that was checked.
-    pub fn add(&mut self, check: Check) {
-        self.checks.push(check);
+    /// Adds a check, which has failed if it could not be executed.
+    pub fn add(&mut self, name: &'static str, check: Result<Check, Failure>) {
+        let check = check.unwrap_or_else(|failure| Check::of_failure(&failure));
+        self.checks.push((name, check));
     }
 
-    /// Prints it all.
-    ///
-    /// # Errors
-    ///
-    /// [`Failure::Unwell`] when something is wrong, [`Failure::Output`] when it cannot be written.
     pub fn print(&self, output: Output) -> Result<(), Failure> {
-        let failed: Vec<&'static str> = self
+        let failed: Vec<&String> = self
             .checks
             .iter()
-            .filter_map(|check| match check.verdict {
-                Verdict::Wrong { code, .. } => Some(code),
+            .filter_map(|(_, check)| match &check.verdict {
+                Verdict::Failed { code, .. } => Some(code),
                 _ => None,
             })
             .collect();
-        let data = if output.json {
-            let checks: Vec<Value> = self.checks.iter().map(Check::to_json).collect();
-            json!({
-                "endpoint": self.endpoint,
-                "version": env!("CARGO_PKG_VERSION"),
-                "wire_version": WIRE_VERSION,
-                "ok": failed.is_empty(),
-                "checks": checks,
-            })
-            .to_string()
-        } else {
-            let lines: Vec<String> = self.checks.iter().map(Check::lines).collect();
-            lines.join("\n")
-        };
-        output.data(&data)?;
+        let checks = self.checks.iter().map(|(name, check)| check.to_json(name));
+        let document = json!({
+            "endpoint": self.endpoint,
+            "version": env!("CARGO_PKG_VERSION"),
+            "wire_version": WIRE_VERSION,
+            "ok": failed.is_empty(),
+            "checks": checks.collect::<Vec<_>>(),
+        });
+        let lines = self.checks.iter().map(|(name, check)| check.lines(name));
+        output.print(&document, &lines.collect::<Vec<_>>().join("\n"))?;
         match failed.first() {
             None => Ok(()),
-            Some(code) => Err(Failure::Unwell {
-                count: failed.len(),
-                of: self.checks.len(),
-                code,
-            }),
+            Some(&code) => {
+                let count = format::count(self.checks.len() as u64, "check");
+                let message = format!("{} of {count} failed", failed.len());
+                Err(Failure::new(code, message))
+            }
         }
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use jostle_client::Error;
+
     use super::*;
 
     #[test]
-    fn a_check_that_failed_says_what_to_do() {
-        let failure = Failure::NoDaemon {
-            endpoint: "tcp/127.0.0.1:1".into(),
-            cause: String::new(),
-        };
-        let check = Check::failed("connection", &failure);
-        let lines = check.lines();
+    fn a_failed_check_has_a_remedy() {
+        let (endpoint, cause) = ("tcp/127.0.0.1:1".into(), String::new());
+        let check = Check::of_failure(&Error::NoDaemon { endpoint, cause }.into());
+        let lines = check.lines("connection");
         assert!(
             lines.starts_with("✗ connection     no daemon answers at tcp/127.0.0.1:1\n"),
             "{lines}"
         );
         assert!(lines.ends_with("with -e"), "{lines}");
-        let json = check.to_json();
+        let json = check.to_json("connection");
         assert_eq!(json["ok"], false);
         assert!(
             json["remedy"]
@@ -182,9 +172,10 @@ mod tests {
     }
 
     #[test]
-    fn what_was_not_tried_is_neither_well_nor_wrong() {
-        let check = Check::untried("subscriptions", "there is no swarm");
-        assert_eq!(check.lines(), "- subscriptions  there is no swarm");
-        assert_eq!(check.to_json()["ok"], Value::Null);
+    fn a_skipped_check_neither_passes_nor_fails() {
+        let check = Check::skipped("there is no swarm");
+        let line = "- subscriptions  there is no swarm";
+        assert_eq!(check.lines("subscriptions"), line);
+        assert_eq!(check.to_json("subscriptions")["ok"], Value::Null);
     }
 }

@@ -1,137 +1,106 @@
-//! `attach`: how far an experiment is, until it is over.
+//! `attach`: shows the progress of an experiment until it ends.
 
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use indicatif::ProgressBar;
+use jostle_client::Payload;
 use jostle_proto::{ExperimentPhase, Progress};
 
-use super::{line, phase};
-use crate::bus::{Answer, Bus};
+use super::{describe, phase};
+use crate::context::Context;
 use crate::failure::Failure;
 use crate::format;
 use crate::interrupt;
 use crate::output::{self, Output};
+use crate::progress::{self, THOUSANDTHS};
+use crate::verbs::outage::Outage;
 
-/// How long silence is waited through before asking: a sample may be lost.
-const SILENCE: Duration = Duration::from_secs(5);
-/// How long a lost daemon is waited for.
-const PATIENCE: Duration = Duration::from_secs(60);
-/// How long to rest before asking again after a failure.
-const REST: Duration = Duration::from_millis(500);
-/// The bar's length: a share in thousandths.
-const WHOLE: u64 = 1000;
+/// After this time without a sample the progress is queried, since a sample may be lost.
+const QUERY_INTERVAL: Duration = Duration::from_secs(5);
 
-/// Shows how far an experiment is until it is over.
-///
-/// # Errors
-///
-/// Why it is not finished.
-pub async fn attach(bus: &Bus, output: Output, name: &str) -> Result<(), Failure> {
-    let bar = bar(output, name);
+/// Shows the progress of an experiment until it ends.
+pub async fn attach(context: &Context, name: &str) -> Result<(), Failure> {
+    let output = context.output;
+    let template = "{prefix} {bar:30} {percent:>3}%  {wide_msg}";
+    let bar = progress::bar(output, Some(THOUSANDTHS), template, name);
     let outcome = tokio::select! {
         biased;
-        outcome = follow(bus, output, name, &bar) => outcome,
-        () = interrupt::pressed() => Err(Failure::Interrupted {
-            left: Some(format!(
-                "{name} goes on; `jostle experiment attach {name}` shows it again, `jostle \
+        outcome = follow(context, name, &bar) => outcome,
+        () = interrupt::interrupted() => Err(Failure::interrupted_leaving(format!(
+                "{name} continues; `jostle experiment attach {name}` shows it again, `jostle \
                  experiment cancel {name}` ends it"
-            )),
-        }),
+            ))),
     };
     bar.finish_and_clear();
     let progress = outcome?;
-    let Progress {
-        name,
-        runs,
-        finished,
-        message,
-        ..
-    } = progress.clone();
-    let unfinished = |how, code| Failure::Unfinished {
-        name,
-        how,
-        code,
-        finished,
-        runs,
-        message,
+    let unfinished = |how| {
+        let (finished, runs) = (progress.finished, progress.runs);
+        Failure::unfinished(name, how, (finished, runs), progress.message.as_deref())
     };
     match progress.phase {
-        ExperimentPhase::Cancelled => Err(unfinished("was cancelled", "incorrect_state")),
-        ExperimentPhase::Failed => Err(unfinished("failed", "internal")),
+        ExperimentPhase::Cancelled => Err(unfinished(("was cancelled", "incorrect_state"))),
+        ExperimentPhase::Failed => Err(unfinished(("failed", "internal"))),
         _ if output.json => Ok(()),
         _ => output.data(&format!(
-            "{}; took {}\n`jostle experiment results {}` shows what came of it",
-            line(&progress),
+            "{}; took {}\n`jostle experiment results {}` shows the results",
+            describe(&progress),
             format::duration(progress.elapsed_secs),
             progress.name
         )),
     }
 }
 
-/// Shows what is published, and asks where nothing is; the last there is to show.
-async fn follow(
-    bus: &Bus,
-    output: Output,
-    name: &str,
-    bar: &ProgressBar,
-) -> Result<Progress, Failure> {
-    // Subscribed first and asked then, so that nothing falls in between.
-    let samples = bus
-        .subscribe(&bus.experiment_key(name, "progress").await?, 1)
-        .await?;
-    let mut told: Option<Progress> = None;
-    let mut lost: Option<Instant> = None;
+/// Shows the published progress, and queries it if no sample arrives; returns the last progress.
+async fn follow(context: &Context, name: &str, bar: &ProgressBar) -> Result<Progress, Failure> {
+    let Context { client, output } = context;
+    // Subscribes before the query, so that no sample is missed in between.
+    let key = client.experiment_key(name, "progress").await?;
+    let samples = client.subscribe(&key, 1).await?;
+    let mut shown: Option<Progress> = None;
+    let mut outage = Outage::default();
     loop {
-        match bus.get_experiment(name, "progress").await {
-            Ok(answer) => {
-                lost = None;
-                if show(output, bar, &answer, &mut told)? {
-                    break;
-                }
+        match client.get_experiment(name, "progress").await {
+            Ok(payload) => {
+                outage.end();
+                show(*output, bar, &payload, &mut shown)?;
             }
-            Err(failure) if failure.is_passing() && told.is_some() => {
-                let since = *lost.get_or_insert_with(|| {
-                    let secs = PATIENCE.as_secs();
-                    let waiting =
-                        format!("{failure}; asking again for up to {secs} s, Ctrl-C ends");
-                    bar.suspend(|| output.note(&waiting));
-                    Instant::now()
-                });
-                if since.elapsed() > PATIENCE {
-                    return Err(failure);
-                }
-                tokio::time::sleep(REST).await;
+            Err(error) if error.is_transient() && shown.is_some() => {
+                let note = |text: &str| bar.suspend(|| output.note(text));
+                outage.wait_to_retry(error, note).await?;
                 continue;
             }
-            Err(failure) => return Err(failure),
+            Err(error) => return Err(error.into()),
         }
-        while let Ok(Ok(sample)) = tokio::time::timeout(SILENCE, samples.recv_async()).await {
-            if show(output, bar, &Answer::from(&sample), &mut told)? {
-                return told.ok_or_else(|| Failure::defect("nothing was shown"));
+        loop {
+            if let Some(progress) = shown.take_if(|it| it.phase.is_over()) {
+                return Ok(progress);
+            }
+            match tokio::time::timeout(QUERY_INTERVAL, samples.next()).await {
+                Ok(Ok(payload)) => show(*output, bar, &payload, &mut shown)?,
+                _ => break,
             }
         }
     }
-    told.ok_or_else(|| Failure::defect("nothing was shown"))
 }
 
-/// Shows how far it is; whether it is over.
+/// Shows the progress unless it is the same as before.
 fn show(
     output: Output,
     bar: &ProgressBar,
-    answer: &Answer,
-    told: &mut Option<Progress>,
-) -> Result<bool, Failure> {
+    answer: &Payload,
+    shown: &mut Option<Progress>,
+) -> Result<(), Failure> {
     let progress: Progress = answer.read()?;
-    if told.as_ref() == Some(&progress) {
-        return Ok(progress.phase.is_over());
+    if shown.as_ref() == Some(&progress) {
+        return Ok(());
     }
-    let before = told.as_ref().map(|told| told.phase);
+    let before = shown.as_ref().map(|shown| shown.phase);
     if output.json {
         output::write(&format!("{}\n", answer.json()?))?;
     } else if bar.is_hidden() && before != Some(progress.phase) && !progress.phase.is_over() {
-        output.note(&line(&progress));
+        output.note(&describe(&progress));
     }
-    bar.set_position(of_whole(progress.share));
+    bar.set_position(progress::thousandths(progress.share));
     let mut message = match progress.phase {
         ExperimentPhase::Running => String::new(),
         other => format!("{}, ", phase(other)),
@@ -145,30 +114,6 @@ fn show(
         message.push_str(&format!(", {} left", format::duration(secs)));
     }
     bar.set_message(message);
-    let is_over = progress.phase.is_over();
-    *told = Some(progress);
-    Ok(is_over)
-}
-
-/// A share of the bar.
-#[expect(
-    clippy::cast_possible_truncation,
-    clippy::cast_sign_loss,
-    reason = "a share is from 0 to 1"
-)]
-fn of_whole(share: f64) -> u64 {
-    (share * WHOLE as f64) as u64
-}
-
-/// A bar over the work; hidden unless stderr is a terminal.
-fn bar(output: Output, name: &str) -> ProgressBar {
-    if output.json {
-        return ProgressBar::hidden();
-    }
-    let bar = ProgressBar::with_draw_target(Some(WHOLE), ProgressDrawTarget::stderr());
-    let template = "{prefix} {bar:30} {percent:>3}%  {wide_msg}";
-    bar.set_style(ProgressStyle::with_template(template).expect("a constant"));
-    bar.set_prefix(name.to_owned());
-    bar.enable_steady_tick(Duration::from_millis(200));
-    bar
+    *shown = Some(progress);
+    Ok(())
 }

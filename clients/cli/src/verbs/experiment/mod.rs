@@ -1,145 +1,134 @@
-//! `experiment`: grids of runs on the daemon, which goes on whether anybody looks on or not.
+//! `experiment`: grids of runs on the daemon, which executes them without a client.
 
 mod attach;
-mod part;
 mod plan;
 mod results;
 mod slurm;
 
 pub use self::plan::plan;
 
+use jostle_client::Payload;
 use jostle_proto::{
     ExperimentArgs, ExperimentName, ExperimentPhase, ExperimentResult, Experiments, NodeReply,
     Progress, SubmitArgs,
 };
 
 use crate::arguments::{ChangeExperimentArguments, Experiment, RunExperimentArguments};
-use crate::bus::{Answer, Bus};
-use crate::failure::{Failure, is_unknown_name};
+use crate::context::Context;
+use crate::failure::Failure;
 use crate::file;
 use crate::format;
 use crate::interrupt;
-use crate::output::Output;
-use crate::table;
-use crate::verbs::print;
+use crate::table::Column;
 
-/// Does what is asked for.
-///
-/// # Errors
-///
-/// Why it was not done.
-pub async fn experiment(bus: &Bus, output: Output, what: &Experiment) -> Result<(), Failure> {
-    let outcome = carry_out(bus, output, what).await;
+pub async fn experiment(context: &Context, what: &Experiment) -> Result<(), Failure> {
+    let outcome = execute(context, what).await;
     match (outcome, what.name()) {
-        (Err(Failure::Refused { error, .. }), Some(name)) if is_unknown_name(&error) => {
-            let there = bus.experiments().await.unwrap_or_default();
-            Err(Failure::unknown("experiment", name, there, error))
+        (Err(failure), Some(name)) if failure.is_unknown_name() => {
+            let there = context.client.experiments().await.unwrap_or_default();
+            let list = "jostle experiment list";
+            Err(failure.describe_unknown("experiment", name, &there, list))
         }
         (outcome, _) => outcome,
     }
 }
 
-async fn carry_out(bus: &Bus, output: Output, what: &Experiment) -> Result<(), Failure> {
+async fn execute(context: &Context, what: &Experiment) -> Result<(), Failure> {
+    let Context { client, output } = context;
     match what {
-        Experiment::Run(arguments) => run(bus, output, arguments).await,
-        Experiment::Attach(arguments) => attach::attach(bus, output, &arguments.name).await,
+        Experiment::Run(arguments) => run(context, arguments).await,
+        Experiment::Attach(arguments) => attach::attach(context, &arguments.name).await,
         Experiment::Plan(_) => unreachable!("it needs no daemon"),
-        Experiment::List => interrupt::either(list(bus, output)).await,
+        Experiment::List => interrupt::either(list(context)).await,
         Experiment::Status(arguments) => {
-            let answer = interrupt::either(bus.get_experiment(&arguments.name, "progress")).await?;
-            print(output, &answer, status)
+            let progress = client.get_experiment(&arguments.name, "progress");
+            output.reply(&interrupt::either(progress).await?, status)
         }
         Experiment::Results(arguments) => {
-            interrupt::either(results::results(bus, output, arguments)).await
+            interrupt::either(results::results(context, arguments)).await
         }
-        Experiment::Pause(arguments) => change(bus, output, arguments, ExperimentArgs::Pause).await,
-        Experiment::Resume(arguments) => {
-            change(bus, output, arguments, ExperimentArgs::Resume).await
-        }
-        Experiment::Cancel(arguments) => {
-            change(bus, output, arguments, ExperimentArgs::Cancel).await
-        }
+        Experiment::Pause(arguments) => change(context, arguments, ExperimentArgs::Pause).await,
+        Experiment::Resume(arguments) => change(context, arguments, ExperimentArgs::Resume).await,
+        Experiment::Cancel(arguments) => change(context, arguments, ExperimentArgs::Cancel).await,
         Experiment::Delete(arguments) => {
-            let answer = send(bus, arguments, ExperimentArgs::Delete).await?;
-            print(output, &answer, |reply: &NodeReply<ExperimentResult>| {
+            let answer = send(context, arguments, ExperimentArgs::Delete).await?;
+            output.reply(&answer, |reply: &NodeReply<ExperimentResult>| {
                 format!("deleted {}", reply.result.progress.name)
             })
         }
     }
 }
 
-/// Submits an experiment and shows how far it is.
-async fn run(bus: &Bus, output: Output, arguments: &RunExperimentArguments) -> Result<(), Failure> {
-    let toml = file::read(&arguments.file).map_err(|problem| Failure::Argument {
-        argument: "FILE".into(),
-        problem: format!(
-            "{problem}; `jostle experiment run --help` shows what such a file has in it, `jostle \
+/// Submits an experiment and shows its progress.
+async fn run(context: &Context, arguments: &RunExperimentArguments) -> Result<(), Failure> {
+    let Context { client, output } = context;
+    let toml = file::read(&arguments.file).map_err(|problem| {
+        Failure::argument(
+            "FILE",
+            format!(
+                "{problem}; `jostle experiment run --help` shows the format of the file, `jostle \
              experiment list` shows the experiments of the daemon"
-        ),
+            ),
+        )
     })?;
     let args = ExperimentArgs::Submit(SubmitArgs {
         toml,
         name: arguments.name.clone(),
     });
-    let sent = bus.command_node("experiment", &args, &arguments.sender);
+    let sent = client.command_node("experiment", &args, &arguments.sender);
     let answer = interrupt::either(sent).await?;
     if arguments.detach {
-        return print(output, &answer, submitted);
+        return output.reply(&answer, submitted);
     }
     let reply: NodeReply<ExperimentResult> = answer.read()?;
     if !output.json {
         output.note(&submitted(&reply));
     }
-    attach::attach(bus, output, &reply.result.progress.name).await
+    attach::attach(context, &reply.result.progress.name).await
 }
 
-async fn list(bus: &Bus, output: Output) -> Result<(), Failure> {
-    let answer = bus.get_node("experiments").await?;
+async fn list(context: &Context) -> Result<(), Failure> {
+    let Context { client, output } = context;
+    let answer = client.get_node("experiments").await?;
     let reply: NodeReply<Experiments> = answer.read()?;
-    if !output.json && reply.result.experiments.is_empty() {
-        let node = &reply.node;
-        output.note(&format!(
-            "no experiments on {node}: `jostle experiment run FILE` begins one"
-        ));
-        return Ok(());
-    }
-    print(output, &answer, |reply: &NodeReply<Experiments>| {
-        let experiments = reply.result.experiments.iter();
-        let header = [
-            "experiment",
-            "phase",
-            "runs",
-            "finished",
-            "faulted",
-            "done",
-            "took",
-            "left",
-        ];
-        table::table(header, experiments.map(row).collect())
-    })
+    let if_empty = format!(
+        "no experiments on {}: `jostle experiment run FILE` starts one",
+        reply.node
+    );
+    let columns: [Column<Progress>; 8] = [
+        ("experiment", |it| it.name.clone()),
+        ("phase", |it| phase(it.phase).into()),
+        ("runs", |it| it.runs.to_string()),
+        ("finished", |it| it.finished.to_string()),
+        ("faulted", |it| it.faulted.to_string()),
+        ("done", |it| format!("{:.0} %", 100.0 * it.share)),
+        ("took", |it| format::duration(it.elapsed_secs)),
+        ("left", |it| {
+            format::or_none(it.left_secs.map(format::duration))
+        }),
+    ];
+    output.list(&answer, &reply.result.experiments, columns, &if_empty)
 }
 
 async fn change(
-    bus: &Bus,
-    output: Output,
+    context: &Context,
     arguments: &ChangeExperimentArguments,
     what: fn(ExperimentName) -> ExperimentArgs,
 ) -> Result<(), Failure> {
-    let answer = send(bus, arguments, what).await?;
-    print(output, &answer, |reply: &NodeReply<ExperimentResult>| {
-        line(&reply.result.progress)
-    })
+    let answer = send(context, arguments, what).await?;
+    let describe = |reply: &NodeReply<ExperimentResult>| describe(&reply.result.progress);
+    context.output.reply(&answer, describe)
 }
 
 async fn send(
-    bus: &Bus,
+    context: &Context,
     arguments: &ChangeExperimentArguments,
     what: fn(ExperimentName) -> ExperimentArgs,
-) -> Result<Answer, Failure> {
-    let args = what(ExperimentName {
-        name: arguments.name.clone(),
-    });
-    interrupt::either(bus.command_node("experiment", &args, &arguments.sender)).await
+) -> Result<Payload, Failure> {
+    let ChangeExperimentArguments { name, sender } = arguments;
+    let args = what(ExperimentName { name: name.clone() });
+    let answer = context.client.command_node("experiment", &args, sender);
+    interrupt::either(answer).await
 }
 
 fn submitted(reply: &NodeReply<ExperimentResult>) -> String {
@@ -147,17 +136,16 @@ fn submitted(reply: &NodeReply<ExperimentResult>) -> String {
     let name = &progress.name;
     if *created {
         let runs = format::count(progress.runs, "run");
-        format!("submitted {name}, {runs}: `jostle experiment attach {name}` shows how far it is")
+        format!("submitted {name}, {runs}: `jostle experiment attach {name}` shows its progress")
     } else {
         format!(
-            "{name} is there already, made from the same file: {}",
-            line(progress)
+            "{name} already exists with the same file: {}",
+            describe(progress)
         )
     }
 }
 
-/// How an experiment stands, in a line.
-fn line(progress: &Progress) -> String {
+fn describe(progress: &Progress) -> String {
     let Progress {
         name,
         runs,
@@ -178,28 +166,13 @@ fn line(progress: &Progress) -> String {
     text
 }
 
-/// How an experiment stands, with the runs under way.
+/// The progress of an experiment and of its active runs.
 fn status(progress: &Progress) -> String {
-    let mut text = line(progress);
+    let mut text = describe(progress);
     for run in &progress.running {
         text.push_str(&format!("\n  {} {}", format::bar(run.share, 20), run.run));
     }
     text
-}
-
-fn row(progress: &Progress) -> [String; 8] {
-    [
-        progress.name.clone(),
-        phase(progress.phase).into(),
-        progress.runs.to_string(),
-        progress.finished.to_string(),
-        progress.faulted.to_string(),
-        format!("{:.0} %", 100.0 * progress.share),
-        format::duration(progress.elapsed_secs),
-        progress
-            .left_secs
-            .map_or_else(|| format::NONE.into(), format::duration),
-    ]
 }
 
 fn phase(phase: ExperimentPhase) -> &'static str {

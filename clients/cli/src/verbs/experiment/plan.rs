@@ -6,8 +6,7 @@ use jostle_experiment::shell::operand;
 use jostle_experiment::{MODEL_VERSION, Plan, Subset, missing};
 use serde_json::{Value, json};
 
-use super::part::Part;
-use super::slurm;
+use super::slurm::{self, Part};
 use crate::arguments::{Emit, PlanArguments};
 use crate::failure::Failure;
 use crate::file;
@@ -16,23 +15,14 @@ use crate::output::Output;
 use crate::table::table;
 use crate::verbs::results;
 
-/// Number of runs in a list of numbers that is an argument of a command.
+/// The largest number of runs in a list that is an argument of a command.
 const MAX_RUNS_OF_LIST: usize = 10_000;
 
 /// Prints how an experiment is split.
-///
-/// # Errors
-///
-/// The file or a folder cannot be read.
 pub fn plan(output: Output, arguments: &PlanArguments) -> Result<(), Failure> {
-    let text = file::read(&arguments.file).map_err(|problem| Failure::Argument {
-        argument: "FILE".into(),
-        problem,
-    })?;
-    let plan = Plan::parse(&text).map_err(|error| Failure::Argument {
-        argument: arguments.file.display().to_string(),
-        problem: error.to_string(),
-    })?;
+    let text = file::read(&arguments.file).map_err(|problem| Failure::argument("FILE", problem))?;
+    let plan = Plan::parse(&text)
+        .map_err(|error| Failure::argument(arguments.file.display(), error.to_string()))?;
     let left = match arguments.missing.as_slice() {
         [] => Subset::all(&plan),
         folders => missing(&plan, folders).map_err(results::failure)?,
@@ -69,22 +59,22 @@ pub fn plan(output: Output, arguments: &PlanArguments) -> Result<(), Failure> {
         Some(folder) => operand(folder.trim_end_matches('/')),
         None => format!("{}-parts", plan.name),
     };
+    let document = |part: &Part| document(arguments, &plan, part, of, &folder, is_by_number);
     match arguments.emit {
-        Some(Emit::Slurm) if !is_by_number => Err(Failure::Argument {
-            argument: "--emit slurm".into(),
-            problem: "with --missing a job array needs --parts, the number of parts of the first \
-                      array"
-                .into(),
-        }),
+        Some(Emit::Slurm) if !is_by_number => Err(Failure::argument(
+            "--emit slurm",
+            "with --missing a job array needs --parts, the number of parts of the first \
+                      array",
+        )),
         Some(Emit::Slurm) => {
             let file = operand(&arguments.file.display().to_string());
             for name in [&file, &folder] {
                 // It would end a comment of the script.
                 if name.contains(char::is_control) {
-                    return Err(Failure::Argument {
-                        argument: format!("{name:?}"),
-                        problem: "a script cannot contain control characters: rename it".into(),
-                    });
+                    return Err(Failure::argument(
+                        format!("{name:?}"),
+                        "a script cannot contain control characters: rename it",
+                    ));
                 }
             }
             let script = slurm::script(&plan, &file, &parts, of, &folder);
@@ -92,17 +82,11 @@ pub fn plan(output: Output, arguments: &PlanArguments) -> Result<(), Failure> {
         }
         Some(Emit::Jsonl) => {
             for part in &parts {
-                output
-                    .data(&line(arguments, &plan, part, of, &folder, is_by_number).to_string())?;
+                output.document(&document(part))?;
             }
             Ok(())
         }
-        None if output.json => {
-            let lines = parts
-                .iter()
-                .map(|part| line(arguments, &plan, part, of, &folder, is_by_number));
-            output.data(&Value::from(lines.collect::<Vec<_>>()).to_string())
-        }
+        None if output.json => output.document(&parts.iter().map(document).collect::<Vec<_>>()),
         None => {
             let rows = parts.iter().map(|part| {
                 [
@@ -117,24 +101,20 @@ pub fn plan(output: Output, arguments: &PlanArguments) -> Result<(), Failure> {
 }
 
 /// The parts of the whole plan that are not finished.
-///
-/// # Errors
-///
-/// A part is finished in part: the number of parts is another one than the folders were executed with.
 fn incomplete(plan: &Plan, left: &Subset, of: usize) -> Result<Vec<Subset>, Failure> {
     let whole = Subset::all(plan).split(plan, of);
     let parts: Vec<Subset> = whole.iter().map(|part| part.and(left)).collect();
     let is_cut = |(part, whole): (&Subset, &Subset)| !part.indices().is_empty() && part != whole;
     match parts.iter().zip(&whole).position(is_cut) {
         None => Ok(parts),
-        Some(index) => Err(Failure::Argument {
-            argument: "--parts".into(),
-            problem: format!(
+        Some(index) => Err(Failure::argument(
+            "--parts",
+            format!(
                 "some runs of part {}/{of} are finished: use the number of parts that the folders were \
                  executed with, or leave out --parts",
                 index + 1
             ),
-        }),
+        )),
     }
 }
 
@@ -149,7 +129,7 @@ fn parts_of(total_secs: f64, secs: f64) -> usize {
 }
 
 /// A part as JSON, with the command that executes it.
-fn line(
+fn document(
     arguments: &PlanArguments,
     plan: &Plan,
     part: &Part,

@@ -1,25 +1,28 @@
-//! `results`: what came of an experiment so far, as tables.
+//! `experiment results`: the results of an experiment so far, as tables.
 
+use std::collections::HashSet;
 use std::fs;
 use std::path::Path;
 
-use jostle_proto::OrderPage;
+use jostle_client::Client;
+use jostle_proto::{OrderPage, Progress};
 use jostle_results::statistics::{Spread, Summary, summarise};
 use jostle_results::{ResultRow, table as tables};
 use serde::Deserialize;
 use serde_json::json;
 
 use crate::arguments::ResultsArguments;
-use crate::bus::Bus;
+use crate::context::Context;
 use crate::failure::Failure;
 use crate::format;
-use crate::output::{self, Output};
+use crate::output;
 use crate::table;
+use crate::verbs::experiment::phase;
 
-/// How many rows are asked for at a time; a daemon answers with what fits a message.
+/// The most rows per query; a daemon returns as many as fit a message.
 const ROWS: usize = 1000;
 
-/// Rows of finished runs, in the words of the tables.
+/// Rows of finished runs.
 #[derive(Deserialize)]
 struct Page {
     rows: Vec<ResultRow>,
@@ -27,36 +30,38 @@ struct Page {
 }
 
 /// Shows or writes the results of an experiment.
-///
-/// # Errors
-///
-/// Why there are none, or where they cannot be written.
-pub async fn results(
-    bus: &Bus,
-    output: Output,
-    arguments: &ResultsArguments,
-) -> Result<(), Failure> {
+pub async fn results(context: &Context, arguments: &ResultsArguments) -> Result<(), Failure> {
+    let Context { client, output } = context;
     let ResultsArguments {
         name,
         out,
+        force,
         csv,
         order,
     } = arguments;
     if let Some(run) = order {
-        return print_order(bus, output, name, run).await;
+        return print_order(context, name, run).await;
     }
-    let rows = fetch(bus, name).await?;
+    let rows = fetch(client, name).await?;
     if let Some(out) = out {
-        let written = write(out, &rows)?;
-        if output.json {
-            let document = json!({"experiment": name, "runs": rows.len(), "written": written});
-            return output.data(&document.to_string());
+        if !force {
+            check_replaceable(out, &rows)?;
         }
-        let runs = format::count(rows.len() as u64, "run");
-        return output.data(&format!("wrote {runs} to {}", written.join(" and ")));
+        let progress: Progress = client.get_experiment(name, "progress").await?.read()?;
+        let written = write(out, &rows)?;
+        let document = json!({"experiment": name, "runs": rows.len(), "written": written});
+        let written = written.join(" and ");
+        let text = match rows.len() as u64 {
+            count if count < progress.runs => {
+                let (runs, phase) = (format::count(progress.runs, "run"), phase(progress.phase));
+                format!("wrote {count} of {runs} to {written}: {name} is {phase}")
+            }
+            count => format!("wrote {} to {written}", format::count(count, "run")),
+        };
+        return output.print(&document, &text);
     }
     if output.json {
-        return output.data(&serde_json::to_string(&rows).map_err(Failure::defect)?);
+        return output.document(&rows);
     }
     if *csv {
         return output::write(&tables::csv(&rows));
@@ -68,12 +73,11 @@ pub async fn results(
     output.data(&summary(&summarise(&rows)))
 }
 
-/// Every row there is, in the order of the plan.
-async fn fetch(bus: &Bus, name: &str) -> Result<Vec<ResultRow>, Failure> {
+async fn fetch(client: &Client, name: &str) -> Result<Vec<ResultRow>, Failure> {
     let (mut rows, mut after) = (Vec::new(), 0);
     loop {
         let noun = format!("results?after={after};limit={ROWS}");
-        let page: Page = bus.get_experiment(name, &noun).await?.read()?;
+        let page: Page = client.get_experiment(name, &noun).await?.read()?;
         rows.extend(page.rows);
         match page.next {
             Some(next) if next > after => after = next,
@@ -82,19 +86,19 @@ async fn fetch(bus: &Bus, name: &str) -> Result<Vec<ResultRow>, Failure> {
     }
 }
 
-/// Prints the order of one run over time.
-async fn print_order(bus: &Bus, output: Output, name: &str, run: &str) -> Result<(), Failure> {
+async fn print_order(context: &Context, name: &str, run: &str) -> Result<(), Failure> {
+    let Context { client, output } = context;
     if run.contains(';') {
-        return Err(Failure::Argument {
-            argument: "--order".into(),
-            problem: format!("{run:?} is no name of a run"),
-        });
+        return Err(Failure::argument(
+            "--order",
+            format!("invalid name of a run {run:?}: `--csv` lists the names"),
+        ));
     }
     let mut series: Option<OrderPage> = None;
     let mut after = Some(0);
     while let Some(number) = after {
         let noun = format!("order?run={run};after={number}");
-        let page: OrderPage = bus.get_experiment(name, &noun).await?.read()?;
+        let page: OrderPage = client.get_experiment(name, &noun).await?.read()?;
         after = page.next;
         match &mut series {
             None => series = Some(page),
@@ -107,10 +111,10 @@ async fn print_order(bus: &Bus, output: Output, name: &str, run: &str) -> Result
         }
     }
     let Some(series) = series else {
-        return Err(Failure::defect("nothing was asked"));
+        return Err(Failure::defect("no page was queried"));
     };
     if output.json {
-        return output.data(&serde_json::to_string(&series).map_err(Failure::defect)?);
+        return output.document(&series);
     }
     let mut text = String::from("time,order,drift\n");
     for (index, (time, order)) in series.time.iter().zip(&series.order).enumerate() {
@@ -120,18 +124,43 @@ async fn print_order(bus: &Bus, output: Output, name: &str, run: &str) -> Result
     output::write(&text)
 }
 
-/// Writes both tables into a folder, or one to a file; what was written.
+/// Rejects to replace tables unless `rows` have all of their runs.
+fn check_replaceable(out: &Path, rows: &[ResultRow]) -> Result<(), Failure> {
+    let names = [tables::PARQUET_NAME, tables::CSV_NAME];
+    if !out.is_file() && !names.iter().any(|name| out.join(name).exists()) {
+        return Ok(());
+    }
+    let rejected = |problem: String| {
+        let problem = format!("{problem}: name another, or --force replaces it");
+        Err(Failure::argument(out.display(), problem))
+    };
+    let Ok(existing) = tables::read(out) else {
+        return rejected("is no table of results".to_owned());
+    };
+    // A result is determined by the run and its seed.
+    let runs: HashSet<_> = rows.iter().map(identity).collect();
+    let others = existing.iter().filter(|row| !runs.contains(&identity(row)));
+    match others.count() {
+        0 => Ok(()),
+        others => rejected(format!(
+            "has {} that these results do not have",
+            format::count(others as u64, "run")
+        )),
+    }
+}
+
+fn identity(row: &ResultRow) -> (&str, u64, &str) {
+    (&row.run, row.seed, &row.state_hash)
+}
+
+/// Writes both tables into a folder, or one to a file, and returns the paths.
 fn write(out: &Path, rows: &[ResultRow]) -> Result<Vec<String>, Failure> {
-    let wrong = |error: tables::TableError| Failure::Results(error.to_string());
     match out.extension().and_then(|extension| extension.to_str()) {
-        Some("csv") => tables::write_csv(out, rows).map_err(wrong)?,
-        Some("parquet") => tables::write_parquet(out, rows).map_err(wrong)?,
+        Some("csv") => tables::write_csv(out, rows).map_err(Failure::results)?,
+        Some("parquet") => tables::write_parquet(out, rows).map_err(Failure::results)?,
         _ => {
-            fs::create_dir_all(out).map_err(|error| Failure::File {
-                path: out.display().to_string(),
-                error,
-            })?;
-            tables::write(out, rows).map_err(wrong)?;
+            fs::create_dir_all(out).map_err(|error| Failure::file(out.display(), error))?;
+            tables::write(out, rows).map_err(Failure::results)?;
             let names = [tables::PARQUET_NAME, tables::CSV_NAME];
             return Ok(names
                 .map(|name| out.join(name).display().to_string())
@@ -141,31 +170,25 @@ fn write(out: &Path, rows: &[ResultRow]) -> Result<Vec<String>, Failure> {
     Ok(vec![out.display().to_string()])
 }
 
-/// A line for each condition.
 fn summary(summaries: &[Summary]) -> String {
-    let spread = |spread: &Spread| match spread.error {
-        Some(error) => format!("{:.4} ± {error:.4}", spread.mean),
-        None => format!("{:.4}", spread.mean),
-    };
-    let rows = summaries.iter().map(|summary| {
-        let condition = &summary.condition;
+    fn spread(spread: &Spread) -> String {
+        match spread.error {
+            Some(error) => format!("{:.4} ± {error:.4}", spread.mean),
+            None => format!("{:.4}", spread.mean),
+        }
+    }
+    table::of(
+        summaries,
         [
-            condition.contacts.clone(),
-            format::number(condition.pi1),
-            condition.n.to_string(),
-            condition.informed.to_string(),
-            format::number(condition.pi2),
-            summary.runs.to_string(),
-            spread(&summary.v),
-            summary
-                .v_pd
-                .as_ref()
-                .map_or_else(|| format::NONE.into(), spread),
-            format!("{:.4}", summary.crossed_share),
-        ]
-    });
-    let header = [
-        "contacts", "pi1", "n", "informed", "pi2", "runs", "v", "v_pd", "crossed",
-    ];
-    table::table(header, rows.collect())
+            ("contacts", |it| it.condition.contacts.clone()),
+            ("pi1", |it| format::number(it.condition.pi1)),
+            ("n", |it| it.condition.n.to_string()),
+            ("informed", |it| it.condition.informed.to_string()),
+            ("pi2", |it| format::number(it.condition.pi2)),
+            ("runs", |it| it.runs.to_string()),
+            ("v", |it| spread(&it.v)),
+            ("v_pd", |it| format::or_none(it.v_pd.as_ref().map(spread))),
+            ("crossed", |it| format!("{:.4}", it.crossed_share)),
+        ],
+    )
 }

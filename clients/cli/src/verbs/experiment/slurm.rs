@@ -5,7 +5,6 @@ use std::fmt::Write as _;
 use jostle_experiment::shell::quoted;
 use jostle_experiment::{Plan, Subset};
 
-use super::part::Part;
 use crate::format;
 
 /// The expected time of a part is correct within this factor.
@@ -27,6 +26,14 @@ const MEMORY_OF_RUN: f64 = 3e-3;
 
 /// The largest index of a job array, unless Slurm's `MaxArraySize` is raised.
 const MAX_INDEX: usize = 1000;
+
+/// A part of an experiment, which one machine executes.
+pub struct Part {
+    /// Its number, from 1.
+    pub number: usize,
+    /// The runs of it that are to be executed.
+    pub runs: Subset,
+}
 
 /// Returns the script. `parts` are those to execute, of `of` parts; they are written to `folder`.
 pub fn script(plan: &Plan, file: &str, parts: &[Part], of: usize, folder: &str) -> String {

@@ -1,4 +1,4 @@
-//! Recordings that the daemon makes: begun, listed, stopped, deleted.
+//! Recordings on the daemon: start, list, stop, delete.
 
 use jostle_proto::{
     BeginRecordingArgs, NodeReply, RecordArgs, Recording, RecordingFormat, RecordingName,
@@ -6,22 +6,20 @@ use jostle_proto::{
 };
 
 use crate::arguments::RecordArguments;
-use crate::bus::Bus;
-use crate::failure::{Failure, is_unknown_name};
+use crate::context::Context;
+use crate::failure::Failure;
 use crate::format;
-use crate::output::Output;
-use crate::table;
-use crate::verbs::print;
+use crate::table::Column;
 
-/// Does what is asked for.
-pub async fn record(bus: &Bus, output: Output, arguments: &RecordArguments) -> Result<(), Failure> {
+pub async fn record(context: &Context, arguments: &RecordArguments) -> Result<(), Failure> {
+    let Context { client, output } = context;
     let named = |recording: &String| RecordingName {
         recording: recording.clone(),
     };
-    let (args, tell): (_, fn(&Recording) -> String) = match arguments {
+    let (args, text): (_, fn(&Recording) -> String) = match arguments {
         RecordArguments {
             stop: Some(name), ..
-        } => (RecordArgs::Stop(named(name)), line),
+        } => (RecordArgs::Stop(named(name)), describe),
         RecordArguments {
             delete: Some(name), ..
         } => (RecordArgs::Delete(named(name)), |it| {
@@ -40,70 +38,68 @@ pub async fn record(bus: &Bus, output: Output, arguments: &RecordArguments) -> R
                 max_bytes: arguments.max_size,
                 temporary: false,
             };
-            (RecordArgs::Begin(args), begun)
+            (RecordArgs::Begin(args), started)
         }
-        _ => return list(bus, output).await,
+        _ => return list(context).await,
     };
-    let answer = bus.command_node("record", &args, &arguments.sender).await;
+    let answer = client
+        .command_node("record", &args, &arguments.sender)
+        .await;
     let answer = match (
-        answer,
+        answer.map_err(Failure::from),
         arguments.stop.as_ref().or(arguments.delete.as_ref()),
     ) {
-        (Err(Failure::Refused { error, .. }), Some(name)) if is_unknown_name(&error) => {
-            let there = bus.recordings().await.unwrap_or_default();
-            return Err(Failure::unknown("recording", name, there, error));
+        (Err(failure), Some(name)) if failure.is_unknown_name() => {
+            let there = client.recordings().await.unwrap_or_default();
+            let list = "jostle record --list";
+            return Err(failure.describe_unknown("recording", name, &there, list));
         }
-        (Err(Failure::Refused { error, .. }), None) if is_unknown_name(&error) => {
+        (Err(failure), None) if failure.is_unknown_name() => {
             let swarm = arguments.name.as_deref().unwrap_or_default();
-            return Err(bus.no_swarm(swarm).await);
+            return Err(client.no_swarm(swarm).await.into());
         }
         (answer, _) => answer?,
     };
-    print(output, &answer, |reply: &NodeReply<Recording>| {
-        tell(&reply.result)
-    })
+    output.reply(&answer, |it: &NodeReply<Recording>| text(&it.result))
 }
 
-async fn list(bus: &Bus, output: Output) -> Result<(), Failure> {
-    let answer = bus.get_node("recordings").await?;
+async fn list(context: &Context) -> Result<(), Failure> {
+    let Context { client, output } = context;
+    let answer = client.get_node("recordings").await?;
     let reply: NodeReply<Recordings> = answer.read()?;
-    if !output.json && reply.result.recordings.is_empty() {
-        let node = &reply.node;
-        output.note(&format!(
-            "no recordings on {node}: `jostle record SWARM --at-daemon` begins one"
-        ));
-        return Ok(());
-    }
-    print(output, &answer, |reply: &NodeReply<Recordings>| {
-        let recordings = reply.result.recordings.iter();
-        let header = [
-            "recording",
-            "swarm",
-            "phase",
-            "format",
-            "every",
-            "frames",
-            "missed",
-            "parts",
-            "size",
-            "reason",
-        ];
-        table::table(header, recordings.map(row).collect())
-    })
+    let if_empty = format!(
+        "no recordings on {}: `jostle record SWARM --at-daemon` starts one",
+        reply.node
+    );
+    let columns: [Column<Recording>; 10] = [
+        ("recording", |it| it.recording.clone()),
+        ("swarm", |it| it.swarm.clone()),
+        ("phase", |it| phase(it.phase).into()),
+        ("format", |it| match it.format {
+            RecordingFormat::Mcap => "mcap".into(),
+            RecordingFormat::Parquet => "parquet".into(),
+        }),
+        ("every", |it| format::or_none(it.every)),
+        ("frames", |it| it.frames.to_string()),
+        ("missed", |it| it.missed.to_string()),
+        ("parts", |it| it.parts.to_string()),
+        ("size", |it| format::bytes(it.bytes)),
+        ("reason", |it| format::or_none(it.reason.as_ref())),
+    ];
+    output.list(&answer, &reply.result.recordings, columns, &if_empty)
 }
 
-fn begun(recording: &Recording) -> String {
+fn started(recording: &Recording) -> String {
     let Recording {
         recording, swarm, ..
     } = recording;
     format!(
-        "the daemon records {swarm} as {recording}: `jostle record --list` shows how it stands, \
+        "the daemon records {swarm} as {recording}: `jostle record --list` shows its status, \
          `jostle record --stop {recording}` ends it"
     )
 }
 
-/// How a recording stands, in a line.
-fn line(it: &Recording) -> String {
+fn describe(it: &Recording) -> String {
     let reason = it.reason.iter().map(|reason| format!(" ({reason})"));
     let mut text = format!(
         "{} is {}{}: {} of {} in {}, {}",
@@ -116,28 +112,9 @@ fn line(it: &Recording) -> String {
         format::bytes(it.bytes)
     );
     if it.missed > 0 {
-        text.push_str(&super::fetch::left_out(it.missed));
+        text.push_str(&super::fetch::dropped_note(it.missed));
     }
     text
-}
-
-fn row(it: &Recording) -> [String; 10] {
-    [
-        it.recording.clone(),
-        it.swarm.clone(),
-        phase(it.phase).into(),
-        match it.format {
-            RecordingFormat::Mcap => "mcap".into(),
-            RecordingFormat::Parquet => "parquet".into(),
-        },
-        it.every
-            .map_or_else(|| format::NONE.into(), |every| every.to_string()),
-        it.frames.to_string(),
-        it.missed.to_string(),
-        it.parts.to_string(),
-        format::bytes(it.bytes),
-        it.reason.clone().unwrap_or_else(|| format::NONE.into()),
-    ]
 }
 
 fn phase(phase: RecordingPhase) -> &'static str {

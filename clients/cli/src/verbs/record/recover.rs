@@ -1,4 +1,4 @@
-//! `record --recover`: a whole file of a recording that was killed.
+//! `record --recover`: completes the file of a recording whose process was killed.
 
 use std::path::Path;
 
@@ -11,11 +11,7 @@ use crate::failure::Failure;
 use crate::format;
 use crate::output::Output;
 
-/// Makes a whole file of what was recorded to `file`, and prints how much that is.
-///
-/// # Errors
-///
-/// Why it cannot be made; no file has changed then.
+/// Recovers the recording to `file`, and prints its size.
 pub fn recover(output: Output, file: &Path, force: bool) -> Result<(), Failure> {
     if !recording::partial(file).exists() {
         check_fetched(file)?;
@@ -24,10 +20,8 @@ pub fn recover(output: Output, file: &Path, force: bool) -> Result<(), Failure> 
     match recovery {
         Recovery::Whole(path) => {
             let file = path.display().to_string();
-            if output.json {
-                return output.data(&json!({"file": file, "recovered": false}).to_string());
-            }
-            output.data(&format!("nothing to recover: {file} is whole"))
+            let text = format!("nothing to recover: {file} is whole");
+            output.print(&json!({"file": file, "recovered": false}), &text)
         }
         Recovery::Recovered(recovered) => print(output, &recovered),
     }
@@ -44,14 +38,10 @@ fn print(output: Output, recovered: &Recovered) -> Result<(), Failure> {
         unread,
     } = recovered;
     let file = path.display().to_string();
-    if output.json {
-        let object = json!({
-            "file": file, "recovered": true, "frames": frames, "first_step": first_step,
-            "last_step": last_step, "bytes": bytes, "damaged": damaged,
-            "unread_bytes": unread,
-        });
-        return output.data(&object.to_string());
-    }
+    let document = json!({
+        "file": file, "recovered": true, "frames": frames, "first_step": first_step,
+        "last_step": last_step, "bytes": bytes, "damaged": damaged, "unread_bytes": unread,
+    });
     let mut text = format!(
         "recovered {} to {file}, from step {first_step} up to step {last_step}, {}",
         format::count(*frames, "state"),
@@ -67,5 +57,5 @@ fn print(output: Output, recovered: &Recovered) -> Result<(), Failure> {
             "; skipped the last {bytes}, which hold no complete record"
         ));
     }
-    output.data(&text)
+    output.print(&document, &text)
 }

@@ -1,45 +1,32 @@
-//! `watch`: swarms live. On a terminal a view of them all that can steer them, elsewhere lines
-//! about one.
+//! `watch`: a full-screen view of all swarms on a terminal, otherwise lines about one swarm.
 
 mod live;
 mod stream;
 
-use std::sync::Arc;
-
 use jostle_proto::{OrderSample, Reply, Status};
 
-pub use self::live::restore as give_back_the_terminal;
+pub use self::live::restore as restore_terminal;
 use crate::arguments::WatchArguments;
-use crate::bus::Bus;
+use crate::context::Context;
 use crate::failure::Failure;
-use crate::output::{self, Output};
+use crate::stdout;
 
-/// Shows live how swarms are doing.
-///
-/// # Errors
-///
-/// Why there is nothing to show, or nothing any more.
-pub async fn watch(
-    bus: &Arc<Bus>,
-    output: Output,
-    arguments: &WatchArguments,
-) -> Result<(), Failure> {
-    // What counts lines or takes them apart wants lines.
-    let wants_lines = output.json || arguments.frames || arguments.count.is_some();
-    if output::is_terminal() && !wants_lines {
-        return live::show(bus, arguments).await;
+pub async fn watch(context: &Context, arguments: &WatchArguments) -> Result<(), Failure> {
+    // Scripts need lines.
+    let wants_lines = context.output.json || arguments.frames || arguments.count.is_some();
+    if stdout::is_terminal() && !wants_lines {
+        return live::show(&context.client, arguments).await;
     }
     match arguments.name.as_deref() {
-        Some(swarm) => stream::stream(bus, output, swarm, arguments).await,
-        None => Err(Failure::Argument {
-            argument: "NAME".into(),
-            problem: "lines are about one swarm, so name it; `jostle list` shows what there is"
-                .into(),
-        }),
+        Some(swarm) => stream::stream(context, swarm, arguments).await,
+        None => Err(Failure::argument(
+            "NAME",
+            "is required without a terminal: lines show one swarm; `jostle list` lists the swarms",
+        )),
     }
 }
 
-/// What a status tells, as a sample.
+/// Converts a status to a sample.
 fn sample_of(reply: Reply<Status>, frame: u64) -> OrderSample {
     let status = reply.result;
     OrderSample {

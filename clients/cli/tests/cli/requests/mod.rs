@@ -1,4 +1,4 @@
-//! Every option arrives: each argument of each verb, in the request as it leaves or in the output.
+//! Each argument of each verb has an effect on the request or on the output.
 
 mod row;
 mod rows;
@@ -9,7 +9,7 @@ use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use jostle_experiment::{Control, Execution, Folder, Plan, Subset, execute};
+use jostle_experiment::{Execution, ExecutionControl, Folder, Plan, Subset, execute};
 use jostle_results::ResultRow;
 use jostle_results::claims::bands;
 use serde_json::{Value, json};
@@ -23,7 +23,7 @@ use crate::support::canned;
 /// How many command lines run at once.
 const AT_ONCE: usize = 6;
 
-/// The options of every verb; [`everything_in_common_arrives`] and `options.rs` judge them.
+/// The common options; [`everything_in_common_arrives`] and `options.rs` test them.
 const IN_COMMON: [&str; 7] = [
     "--credentials",
     "--endpoint",
@@ -34,8 +34,8 @@ const IN_COMMON: [&str; 7] = [
     "-e",
 ];
 
-/// How a command to a swarm is sent, with the field of the request: an option, its value as it is
-/// typed, and the value in the request.
+/// The options of commands to a swarm: option, field of the request, value on the command line, value
+/// in the request.
 fn sending() -> [(&'static str, &'static str, &'static str, Value); 3] {
     [
         ("--at-step", "at_step", "9001", json!(9001)),
@@ -44,7 +44,7 @@ fn sending() -> [(&'static str, &'static str, &'static str, Value); 3] {
     ]
 }
 
-/// Who sends a command, likewise.
+/// The options about the sender, in the same form.
 fn sender() -> [(&'static str, &'static str, &'static str, Value); 2] {
     [
         ("--request-id", "request_id", "order-17", json!("order-17")),
@@ -52,7 +52,7 @@ fn sender() -> [(&'static str, &'static str, &'static str, Value); 2] {
     ]
 }
 
-/// Each verb with the arguments of its own, off the list that is compared with clap's.
+/// Each verb with its own arguments, from the list that is compared with clap's.
 pub fn surface() -> BTreeMap<String, BTreeSet<String>> {
     let lines: Vec<&str> = include_str!("../../../surface.txt").lines().collect();
     let is_argument = |word: &str| word.starts_with(['-', '<']);
@@ -98,10 +98,10 @@ fn part(folder: &Path, runs: &str) {
         checkpoint_every: None,
     };
     let mut folder = Folder::open(folder, &plan).unwrap();
-    execute(execution, &mut folder, &Control::new()).unwrap();
+    execute(execution, &mut folder, &ExecutionControl::new()).unwrap();
 }
 
-/// A folder with all that the command lines read.
+/// A folder with the files that the command lines read.
 pub fn files() -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     let write = |name: &str, text: &[u8]| fs::write(folder.path().join(name), text).unwrap();
@@ -145,7 +145,7 @@ pub fn files() -> tempfile::TempDir {
     folder
 }
 
-/// Checks rows, some at once, each with what is added to it.
+/// Checks rows concurrently, each with its additions.
 async fn check_all(rows: Vec<(Row, Added)>) {
     assert!(rows.len() > 40, "{}", rows.len());
     let rows = Arc::new(rows);

@@ -9,18 +9,7 @@ use serde_json::{Value, json};
 use crate::support::canned::{Change, Sent};
 use crate::support::{Canned, Ended, Running};
 
-/// When a command line that does not end by itself is interrupted.
-#[derive(Clone, Copy)]
-enum Until {
-    /// It ends by itself.
-    End,
-    /// So many queries have come.
-    Sent(usize),
-    /// It has printed a line with this.
-    Printed(&'static str),
-}
-
-/// A command line and what is expected of it.
+/// A command line with its expected requests and output.
 #[derive(Clone)]
 pub struct Row {
     /// The command line. A positional argument has its name before it, as in `<name>demo`; `{}` is
@@ -29,19 +18,20 @@ pub struct Row {
     /// The queries in order: a key without the prefix and, after a space, the arguments of a
     /// command. A query that is the same as the one before it is not repeated.
     pub sends: Vec<String>,
-    /// Queries of these do not have the request id that is given.
+    /// Queries that contain one of these have another request id than the given one.
     unnamed: &'static [&'static str],
     says: Vec<&'static str>,
     says_not: Vec<&'static str>,
     writes: Vec<&'static str>,
     lists: Vec<&'static str>,
     changes: Vec<Change>,
-    until: Until,
+    /// Text after which it is interrupted.
+    interrupted_after: Option<&'static str>,
     apart: Duration,
     pub code: i32,
 }
 
-/// What is given with a command line besides what stands in the table.
+/// Additions to a row.
 #[derive(Clone, Default)]
 pub struct Added {
     /// More options.
@@ -56,7 +46,7 @@ pub struct Added {
     pub envelope: Vec<(&'static str, Value)>,
 }
 
-/// A row with nothing but its queries.
+/// A row that expects only queries.
 pub fn row(line: &'static str, sends: &[&str]) -> Row {
     Row {
         line,
@@ -67,14 +57,14 @@ pub fn row(line: &'static str, sends: &[&str]) -> Row {
         writes: Vec::new(),
         lists: Vec::new(),
         changes: Vec::new(),
-        until: Until::End,
+        interrupted_after: None,
         apart: Duration::ZERO,
         code: 0,
     }
 }
 
 impl Row {
-    /// A request id that is given does not name the queries that contain one of these.
+    /// The given request id is not the one of queries that contain one of these.
     pub fn with_unnamed(mut self, queries: &'static [&'static str]) -> Self {
         self.unnamed = queries;
         self
@@ -98,19 +88,19 @@ impl Row {
         self
     }
 
-    /// The reply differs from the fixture: the end of its key, a JSON pointer, what stands there.
+    /// Changes a reply of the fixtures: the end of its key, a JSON pointer, the value.
     pub fn with(mut self, end: &'static str, pointer: &'static str, value: Value) -> Self {
         self.changes.push((end, pointer, value));
         self
     }
 
-    /// It prints lines that begin with these words, in this order, as its last.
+    /// Its last lines begin with these words, in this order.
     pub fn lists(mut self, words: &[&'static str]) -> Self {
         self.lists = words.to_vec();
         self
     }
 
-    /// The reply says that the command waits for its step, so nothing else is printed.
+    /// The reply is that of a scheduled command, so nothing else is printed.
     pub fn scheduled(mut self) -> Self {
         self.says = vec!["will be applied at step 71"];
         self.says_not.clear();
@@ -123,23 +113,15 @@ impl Row {
         self
     }
 
-    /// It queries again, at least `secs` after the first query, until it is interrupted.
-    pub fn again_after(mut self, queries: usize, secs: f64) -> Self {
-        self.until = Until::Sent(queries);
-        self.apart = Duration::from_secs_f64(secs);
-        self.code = 130;
-        self
-    }
-
     /// The last query comes at least `secs` after the first.
     pub fn lasts(mut self, secs: f64) -> Self {
         self.apart = Duration::from_secs_f64(secs);
         self
     }
 
-    /// It goes on after it has printed this, until it is interrupted.
+    /// It runs on after it has printed this, until it is interrupted.
     pub fn goes_on_after(mut self, text: &'static str) -> Self {
-        self.until = Until::Printed(text);
+        self.interrupted_after = Some(text);
         self.code = 130;
         self
     }
@@ -165,7 +147,7 @@ impl Row {
         words.join(" ").replace("{}", folder.to_str().unwrap())
     }
 
-    /// Runs the command line and compares all that is expected of it.
+    /// Runs the command line and compares requests and output.
     pub async fn check(&self, canned: &Canned, folder: &Path, added: &Added) {
         canned.reply_with(&self.changes);
         canned.take();
@@ -173,19 +155,12 @@ impl Row {
         let line = line.replace("{}", folder.to_str().unwrap());
         let mut running = Running::begin(&canned.endpoint, &line, "");
         let mut printed = String::new();
-        match self.until {
-            Until::End => {}
-            Until::Sent(count) => {
-                canned.until_sent(count, &mut running).await;
-                running.interrupt();
+        if let Some(text) = self.interrupted_after {
+            while !printed.contains(text) {
+                printed.push_str(&running.lines(1)[0]);
+                printed.push('\n');
             }
-            Until::Printed(text) => {
-                while !printed.contains(text) {
-                    printed.push_str(&running.lines(1)[0]);
-                    printed.push('\n');
-                }
-                running.interrupt();
-            }
+            running.interrupt();
         }
         let ended = running.end().await;
         let sent = canned.take();
@@ -198,10 +173,6 @@ impl Row {
         let sent: Vec<_> = sent.iter().map(seen).collect();
         let mut sent_once = sent.clone();
         sent_once.dedup();
-        if let Until::Sent(_) = self.until {
-            // More may come before it is interrupted.
-            sent_once.truncate(expected.len());
-        }
         assert_eq!(sent_once, expected, "{line}: {ended:?}");
     }
 
@@ -274,7 +245,7 @@ fn is_short(word: &str) -> bool {
 /// A query: its selector, its payload and its attachment.
 type Query = (String, Value, Option<String>);
 
-/// A query as it came, without what differs from run to run.
+/// A received query, without what differs from run to run.
 fn seen(sent: &Sent) -> Query {
     let mut payload = sent.payload.clone().unwrap_or_default();
     if let Some(id) = payload["request_id"].as_str() {

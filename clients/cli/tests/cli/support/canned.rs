@@ -1,4 +1,4 @@
-//! A peer that replies to every query as the fixtures of the contract say, and records them all.
+//! A peer that replies to every query with the fixtures of the contract, and records all queries.
 
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 use zenoh::Wait;
 use zenoh::query::Query;
 
-use crate::support::{PATIENCE, Running};
+use crate::support::{Running, TIMEOUT, open_peer};
 
 /// The prefixes under which it is a node with swarms.
 const PREFIXES: [&str; 2] = ["jostle", "other"];
@@ -17,8 +17,8 @@ const PREFIXES: [&str; 2] = ["jostle", "other"];
 /// The swarms that it claims to have.
 const SWARMS: [&str; 5] = ["demo", "twin", "test-1", "test-2", "pair"];
 
-/// What differs from the fixtures: a fixture or the end of a key, the place in the reply, the value.
-/// The fixtures show pages of which there are more, and a status of another step than the state.
+/// Differences from the fixtures: a fixture or the end of a key, the place in the reply, the value. The
+/// fixtures have pages with a next page, and a status of another step than the state.
 const CHANGES: [(&str, &str, &str); 4] = [
     ("get/journal", "/result/newest", "3"),
     ("get/events", "/result/newest", "7"),
@@ -26,10 +26,10 @@ const CHANGES: [(&str, &str, &str); 4] = [
     ("experiment/small/order", "/next", "null"),
 ];
 
-/// The end of a key, a JSON pointer into the reply, and the JSON that stands there instead.
+/// The end of a key, a JSON pointer into the reply, and the JSON that replaces the value there.
 pub type Change = (&'static str, &'static str, Value);
 
-/// A query as it came.
+/// A received query.
 #[derive(Clone, Debug)]
 pub struct Sent {
     /// Key and parameters.
@@ -38,13 +38,13 @@ pub struct Sent {
     pub payload: Option<Value>,
     /// The attachment.
     pub token: Option<String>,
-    /// When it came.
+    /// When it was received.
     pub at: Instant,
 }
 
 /// How it replies.
 enum Replies {
-    /// As the fixtures say, but for these changes; and how many metrics it has reported.
+    /// With the fixtures and these changes; and the number of metrics reported so far.
     Fixtures(Vec<Change>, u32),
     /// With this error.
     Error(Value),
@@ -62,12 +62,12 @@ pub struct Canned {
 }
 
 impl Canned {
-    /// Starts it; it replies as the fixtures say.
+    /// Starts it; it replies with the fixtures.
     pub async fn start() -> Self {
         Self::start_with(zenoh::Config::default()).await
     }
 
-    /// Starts it for the person with this password alone.
+    /// Starts it for the user with this password alone.
     pub async fn start_for(person: &str, password: &str) -> Self {
         let passwords = tempfile::NamedTempFile::new().unwrap();
         std::fs::write(passwords.path(), format!("{person}:{password}\n")).unwrap();
@@ -85,15 +85,8 @@ impl Canned {
         Self::start_with(config).await
     }
 
-    async fn start_with(mut config: zenoh::Config) -> Self {
-        for (key, value) in [
-            ("listen/endpoints", r#"["tcp/127.0.0.1:0"]"#),
-            ("scouting/multicast/enabled", "false"),
-            ("scouting/gossip/enabled", "false"),
-        ] {
-            config.insert_json5(key, value).unwrap();
-        }
-        let session = zenoh::open(config).await.unwrap();
+    async fn start_with(config: zenoh::Config) -> Self {
+        let session = open_peer(config).await;
         for prefix in PREFIXES {
             let node = format!("{prefix}/@node/test/alive");
             let swarms = SWARMS.map(|swarm| format!("{prefix}/{swarm}/alive/test"));
@@ -123,7 +116,7 @@ impl Canned {
         }
     }
 
-    /// Replies as the fixtures say, but for these changes.
+    /// Replies with the fixtures and these changes.
     pub fn reply_with(&self, changes: &[Change]) {
         *self.replies.lock().unwrap() = Replies::Fixtures(changes.to_owned(), 0);
     }
@@ -138,14 +131,14 @@ impl Canned {
         *self.replies.lock().unwrap() = Replies::Never(Vec::new());
     }
 
-    /// The queries that came since this was called last.
+    /// The queries received since the last call.
     pub fn take(&self) -> Vec<Sent> {
         std::mem::take(&mut *self.sent.lock().unwrap())
     }
 
-    /// Waits until so many queries have come since [`Canned::take`], or the command line has ended.
+    /// Waits until `count` queries were received since [`Canned::take`], or the command line has ended.
     pub async fn until_sent(&self, count: usize, running: &mut Running) {
-        let deadline = Instant::now() + PATIENCE;
+        let deadline = Instant::now() + TIMEOUT;
         while self.sent.lock().unwrap().len() < count && running.is_running() {
             assert!(Instant::now() < deadline, "{count} queries did not come");
             tokio::time::sleep(Duration::from_millis(5)).await;

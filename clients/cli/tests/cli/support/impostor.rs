@@ -1,4 +1,4 @@
-//! Something that speaks zenoh and is no daemon.
+//! A zenoh peer that is no daemon.
 
 use std::sync::{Arc, Mutex};
 
@@ -6,15 +6,15 @@ use serde_json::Value;
 use zenoh::Wait;
 use zenoh::query::Query;
 
-use crate::support::{Ended, Running};
+use crate::support::{Ended, Running, open_peer};
 
-/// A reply, an error or, as an error of null, not a word.
+/// A reply, an error or, as an error of null, no reply.
 pub type Answered = Result<Value, Value>;
 
-/// The payloads that came.
+/// The received payloads.
 pub type Received = Arc<Mutex<Vec<Vec<u8>>>>;
 
-/// Something that looks like daemons from afar and answers little.
+/// A peer with the tokens of daemons and few replies.
 pub struct Impostor {
     /// Where it listens.
     pub endpoint: String,
@@ -22,17 +22,9 @@ pub struct Impostor {
 }
 
 impl Impostor {
-    /// Holds the tokens of these keys, and is asked on `silent` without ever answering.
+    /// Declares the tokens of these keys, and never replies to queries on `silent`.
     pub async fn start(tokens: &[&str], silent: &str, nonsense: &str) -> Self {
-        let mut config = zenoh::Config::default();
-        for (key, value) in [
-            ("listen/endpoints", r#"["tcp/127.0.0.1:0"]"#),
-            ("scouting/multicast/enabled", "false"),
-            ("scouting/gossip/enabled", "false"),
-        ] {
-            config.insert_json5(key, value).unwrap();
-        }
-        let session = zenoh::open(config).await.unwrap();
+        let session = open_peer(zenoh::Config::default()).await;
         for token in tokens {
             let token = session.liveliness().declare_token(*token).await.unwrap();
             // It lives as long as the session.
@@ -40,27 +32,21 @@ impl Impostor {
         }
         let held = Mutex::new(Vec::new());
         let hold = move |query| held.lock().unwrap().push(query);
-        session
-            .declare_queryable(silent)
-            .callback(hold)
-            .background()
-            .await
-            .unwrap();
-        session
+        let queryable = session.declare_queryable(silent).callback(hold);
+        queryable.background().await.unwrap();
+        let queryable = session
             .declare_queryable(nonsense)
-            .callback(|query| {
+            .callback(|query: Query| {
                 let key = query.key_expr().clone();
                 query.reply(key, "nonsense").wait().unwrap();
-            })
-            .background()
-            .await
-            .unwrap();
+            });
+        queryable.background().await.unwrap();
         let endpoint = session.info().locators().await[0].to_string();
         Impostor { endpoint, session }
     }
 
-    /// Answers queries on a key one after the other, and all further ones as the last; what it
-    /// was sent.
+    /// Replies to queries on a key with these in order, and to all further ones with the last. Returns
+    /// the received payloads.
     pub async fn answer(&self, key: &str, answers: Vec<Answered>) -> Received {
         let received = Received::default();
         let (seen, left) = (received.clone(), Mutex::new(answers));
@@ -94,7 +80,7 @@ impl Impostor {
         Running::begin(&self.endpoint, line, "").end().await
     }
 
-    /// Goes away.
+    /// Closes the session.
     pub async fn stop(self) {
         self.session.close().await.unwrap();
     }

@@ -1,4 +1,4 @@
-//! The wire between a command line and its daemon, which a test can cut and mend.
+//! A proxy between a command line and its daemon, which a test can interrupt.
 
 use std::io::{Read, Write};
 use std::net::{Shutdown, TcpListener, TcpStream};
@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread;
 
-/// Passes on what a command line and a daemon say to each other.
+/// A proxy between a command line and a daemon.
 pub struct Link {
     /// Where the command line connects.
     pub endpoint: String,
@@ -15,9 +15,9 @@ pub struct Link {
 
 struct Wire {
     daemon: String,
-    /// Nothing is passed on, and nobody is let in.
+    /// It forwards nothing and accepts no connections.
     is_cut: AtomicBool,
-    /// The daemon's answers are lost from the moment a request passes.
+    /// It drops the daemon's replies after the next request.
     loses_answers: AtomicBool,
     /// A request has passed.
     is_mute: AtomicBool,
@@ -57,8 +57,8 @@ impl Link {
         }
     }
 
-    /// Calls `action` once, when a request that contains `bytes` comes, and passes the request on
-    /// after that; whether it has come.
+    /// Calls `action` once, when a request that contains `bytes` is received, and then forwards the
+    /// request. Returns whether that has happened.
     pub fn on(&self, bytes: &[u8], action: impl Fn() + Send + 'static) -> Arc<AtomicBool> {
         let is_met = Arc::new(AtomicBool::new(false));
         *self.wire.watched.lock().unwrap() = Some(Watched {
@@ -69,12 +69,12 @@ impl Link {
         is_met
     }
 
-    /// Loses the daemon's answers from the next request on, until it is cut.
+    /// Drops the daemon's replies from the next request on, until [`Link::cut`].
     pub fn lose_answers(&self) {
         self.wire.loses_answers.store(true, Ordering::SeqCst);
     }
 
-    /// Cuts every connection, as the death of a daemon would.
+    /// Closes every connection, like a crash of the daemon.
     pub fn cut(&self) {
         self.wire.is_cut.store(true, Ordering::SeqCst);
         for stream in self.wire.streams.lock().unwrap().drain(..) {
@@ -83,7 +83,7 @@ impl Link {
         }
     }
 
-    /// Lets connections through again.
+    /// Accepts connections again.
     pub fn mend(&self) {
         self.wire.loses_answers.store(false, Ordering::SeqCst);
         self.wire.is_mute.store(false, Ordering::SeqCst);
@@ -111,7 +111,7 @@ impl Wire {
 
     fn pass_requests(&self, mut client: TcpStream, mut daemon: TcpStream) {
         const REQUEST: &[u8] = b"request_id";
-        // What came last, since a request may come in two pieces.
+        // The last bytes, since a request may arrive in two pieces.
         let (mut buffer, mut tail, mut seen) = ([0; 65_536], Vec::new(), Vec::new());
         while let Ok(length @ 1..) = client.read(&mut buffer) {
             tail.extend_from_slice(&buffer[..length]);
@@ -128,7 +128,7 @@ impl Wire {
         let _ = daemon.shutdown(Shutdown::Both);
     }
 
-    /// Looks for the bytes of [`Link::on`] in what came, of which `seen` are the last.
+    /// Searches the received bytes, with the previous ones in `seen`, for those of [`Link::on`].
     fn watch(&self, seen: &mut Vec<u8>, more: &[u8]) {
         let watched = self.watched.lock().unwrap();
         let Some(watched) = &*watched else {

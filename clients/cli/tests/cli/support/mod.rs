@@ -1,4 +1,4 @@
-//! A daemon in this process, and command lines in theirs.
+//! A daemon in this process, and command lines in child processes.
 
 pub mod canned;
 mod impostor;
@@ -23,8 +23,20 @@ pub use self::impostor::Impostor;
 pub use self::link::Link;
 pub use self::terminal::Terminal;
 
-/// How long anything may take that should come at once, on a machine busy with other tests.
-pub const PATIENCE: Duration = Duration::from_secs(60);
+/// The timeout of every wait, on a machine busy with other tests.
+pub const TIMEOUT: Duration = Duration::from_secs(60);
+
+/// A zenoh session that listens on a port of its own, without scouting.
+async fn open_peer(mut config: zenoh::Config) -> zenoh::Session {
+    for (key, value) in [
+        ("listen/endpoints", r#"["tcp/127.0.0.1:0"]"#),
+        ("scouting/multicast/enabled", "false"),
+        ("scouting/gossip/enabled", "false"),
+    ] {
+        config.insert_json5(key, value).unwrap();
+    }
+    zenoh::open(config).await.unwrap()
+}
 
 /// A daemon on a port of its own.
 pub struct Daemon {
@@ -40,9 +52,9 @@ pub struct Daemon {
 pub struct Ended {
     /// Its exit code; none if it was killed.
     pub code: Option<i32>,
-    /// Its data that was not read before.
+    /// The rest of its stdout.
     pub stdout: String,
-    /// Its talk that was not read before.
+    /// The rest of its stderr.
     pub stderr: String,
 }
 
@@ -55,7 +67,7 @@ pub struct Running {
 }
 
 impl Daemon {
-    /// A daemon as tests need it.
+    /// Starts a daemon with the settings of tests.
     pub async fn start() -> Self {
         Self::with(&[]).await
     }
@@ -65,7 +77,7 @@ impl Daemon {
         Self::on(tempfile::tempdir().unwrap(), settings).await
     }
 
-    /// Stops it and starts it again with the same data and, if it can be had, the same endpoint.
+    /// Restarts it with the same data and, if the port is free, the same endpoint.
     pub async fn restart(self) -> Self {
         let Daemon {
             server,
@@ -119,7 +131,7 @@ impl Daemon {
         Running::begin(&self.endpoint, line, stdin).end().await
     }
 
-    /// Runs a command line to its end and returns what it says to people.
+    /// Runs a command line to its end and returns its stdout.
     pub async fn said(&self, line: &str) -> String {
         let ended = self.jostle(line).await;
         assert_eq!(ended.code, Some(0), "{ended:?}");
@@ -131,7 +143,7 @@ impl Daemon {
         object(&self.jostle(&format!("--json {line}")).await)
     }
 
-    /// Runs a command line to its end and returns why it failed.
+    /// Runs a command line to its end and returns its error.
     pub async fn refusal(&self, line: &str) -> Value {
         let ended = self.jostle(&format!("--json {line}")).await;
         assert_ne!(ended.code, Some(0), "{ended:?}");
@@ -149,6 +161,12 @@ impl Daemon {
 }
 
 impl Ended {
+    /// Checks its exit code, and that its stderr contains a text.
+    pub fn assert_stderr(&self, code: i32, text: &str) {
+        assert_eq!(self.code, Some(code), "{self:?}");
+        assert!(self.stderr.contains(text), "no {text:?} in {self:?}");
+    }
+
     /// Each line of the data as JSON.
     pub fn json_lines(&self) -> Vec<Value> {
         let lines = self.stdout.lines();
@@ -159,11 +177,11 @@ impl Ended {
 }
 
 impl Running {
-    /// Starts a command line that is to reach its daemon there.
+    /// Starts a command line with this endpoint.
     pub fn begin(endpoint: &str, line: &str, stdin: &str) -> Self {
         let mut child = Command::new(env!("CARGO_BIN_EXE_jostle"))
             .args(line.split(' '))
-            // Whoever runs the tests has a name of their own.
+            // Not the user that runs the tests.
             .env("USER", "tester")
             .env("JOSTLE_ENDPOINT", endpoint)
             .stdin(Stdio::piped())
@@ -183,17 +201,17 @@ impl Running {
         }
     }
 
-    /// Reads so many lines of its data.
+    /// Reads `count` lines of its stdout.
     pub fn lines(&mut self, count: usize) -> Vec<String> {
         let stdout = self.stdout.as_ref().unwrap();
         (0..count)
-            .map(|_| stdout.recv_timeout(PATIENCE).expect(&self.line))
+            .map(|_| stdout.recv_timeout(TIMEOUT).expect(&self.line))
             .collect()
     }
 
-    /// Reads a line of its talk.
+    /// Reads a line of its stderr.
     pub fn complaint(&mut self) -> String {
-        self.stderr.recv_timeout(PATIENCE).expect(&self.line)
+        self.stderr.recv_timeout(TIMEOUT).expect(&self.line)
     }
 
     /// Closes the other end of its stdout.
@@ -220,7 +238,7 @@ impl Running {
 
     /// Waits until it ends.
     pub async fn end(mut self) -> Ended {
-        let deadline = Instant::now() + PATIENCE;
+        let deadline = Instant::now() + TIMEOUT;
         let status = loop {
             if let Some(status) = self.child.try_wait().unwrap() {
                 break status;
@@ -279,9 +297,9 @@ fn rest(lines: &Receiver<String>) -> String {
     lines.join("\n")
 }
 
-/// Waits until `holds`, at most [`PATIENCE`].
+/// Waits until `holds`, at most [`TIMEOUT`].
 pub async fn until(what: &str, mut holds: impl AsyncFnMut() -> bool) {
-    let deadline = Instant::now() + PATIENCE;
+    let deadline = Instant::now() + TIMEOUT;
     while !holds().await {
         assert!(Instant::now() < deadline, "{what} did not come about");
         tokio::time::sleep(Duration::from_millis(10)).await;

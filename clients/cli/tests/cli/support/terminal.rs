@@ -20,8 +20,8 @@ pub struct Terminal {
 }
 
 impl Terminal {
-    /// Starts a command line. The shell around it tells the process, how the line ended and the
-    /// terminal's settings before and after it.
+    /// Starts a command line. The shell around it prints the process id, the exit code and the
+    /// terminal's settings before and after.
     pub fn begin(endpoint: &str, line: &str) -> Self {
         Self::of(
             endpoint,
@@ -33,7 +33,7 @@ impl Terminal {
         )
     }
 
-    /// Starts a bash that completes what is typed.
+    /// Starts an interactive bash with completion.
     pub fn bash(endpoint: &str) -> Self {
         let programs = Path::new(env!("CARGO_BIN_EXE_jostle")).parent().unwrap();
         let mut terminal = Self::of(endpoint, "bash --norc --noprofile -i");
@@ -78,7 +78,7 @@ impl Terminal {
         self.seen.lock().unwrap().clone()
     }
 
-    /// Waits until something stands on the screen, or was written in one piece.
+    /// Waits until a text is on the screen, or was written in one piece.
     pub async fn until_seen(&self, what: &str) {
         until(what, async || {
             let seen = self.seen();
@@ -89,7 +89,7 @@ impl Terminal {
 
     /// Sends the process of the command line a signal.
     pub fn signal(&self, signal: &str) {
-        let pid = self.told("process ");
+        let pid = self.shown("process ");
         let status = Command::new("kill").args([signal, &pid]).status().unwrap();
         assert!(status.success());
     }
@@ -99,22 +99,22 @@ impl Terminal {
         self.until_seen("over.").await;
         self.child.wait().unwrap();
         let seen = self.seen();
-        assert_eq!(self.told("before "), self.told("after "), "{seen}");
+        assert_eq!(self.shown("before "), self.shown("after "), "{seen}");
         let of = |sequence: &str| seen.rfind(sequence);
         assert!(of("\x1b[?1049l") > of("\x1b[?1049h"), "the screen is back");
         assert!(of("\x1b[?25h") > of("\x1b[?25l"), "the cursor is back");
-        self.told("code ")
+        self.shown("code ")
     }
 
-    /// Waits until a command line that leaves the screen as it is ends; its exit code.
+    /// Waits until a command line without a full screen ends, and returns its exit code.
     pub async fn code(mut self) -> String {
         self.until_seen("over.").await;
         self.child.wait().unwrap();
-        self.told("code ")
+        self.shown("code ")
     }
 
-    /// What the shell told.
-    fn told(&self, name: &str) -> String {
+    /// A value that the shell printed.
+    fn shown(&self, name: &str) -> String {
         let seen = self.seen();
         let start = seen.find(name).unwrap() + name.len();
         let rest = &seen[start..];
@@ -123,7 +123,7 @@ impl Terminal {
     }
 }
 
-/// What stands on the screen after all that was written: only what changed is, wherever it stands.
+/// The contents of the screen after the written text, which has only changes.
 fn screen(written: &str) -> String {
     let mut cells = vec![vec![' '; COLUMNS]; ROWS];
     let (mut row, mut column) = (0, 0);
@@ -163,7 +163,7 @@ fn screen(written: &str) -> String {
 
 impl Drop for Terminal {
     fn drop(&mut self) {
-        // Of a test that failed; `script` takes its terminal along.
+        // After a failed test; `script` closes its terminal.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }

@@ -1,29 +1,29 @@
-//! Which part of the plane is in sight.
+//! The visible part of the plane.
 
 use jostle_proto::State;
 
-/// A body's length and half of its width beyond the outermost centre, and some air.
-const AIR: f64 = 1.2;
-/// A group that fills less than this share of what is in sight is looked at from nearer.
-const SMALL: f64 = 0.55;
-/// How much more than it needs a group gets.
-const ROOM: f64 = 1.1;
-/// How much one key press zooms, and how far it pans as a share of what is in sight.
+/// Space beyond the outermost centre: a body's length, half of its width and a margin.
+const MARGIN: f64 = 1.2;
+/// The camera zooms in when the group fills less than this share.
+const MIN_SHARE: f64 = 0.55;
+/// Extra space after a change of the zoom, as a factor.
+const SLACK: f64 = 1.1;
+/// The zoom factor of one key press, and its pan as a share of the visible width.
 const ZOOM: f64 = 1.25;
 const PAN: f64 = 0.25;
-/// What may be in sight: from less than a body to more than any group.
-const REACHES: (f64, f64) = (0.5, 1e6);
+/// The limits of the zoom: less than a body, and more than any group.
+const REACH_LIMITS: (f64, f64) = (0.5, 1e6);
 
-/// A rectangle that is in sight as a whole.
+/// A rectangle that is visible as a whole.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Camera {
     /// Its centre, in absolute positions.
     pub centre: [f64; 2],
-    /// Half of its width and of its height; none before there was anything to see.
+    /// Half of its width and of its height; none before the first state.
     pub reach: Option<[f64; 2]>,
-    /// Whether it goes along with the group.
+    /// Whether it follows the group.
     pub follows: bool,
-    /// Whether it keeps the whole group in sight.
+    /// Whether it keeps the whole group visible.
     fits: bool,
 }
 
@@ -39,8 +39,8 @@ impl Default for Camera {
 }
 
 impl Camera {
-    /// Goes along with a group.
-    pub fn see(&mut self, state: &State) {
+    /// Moves with the group.
+    pub fn track(&mut self, state: &State) {
         if state.id.is_empty() {
             return;
         }
@@ -48,27 +48,27 @@ impl Camera {
         if self.follows {
             self.centre = centre;
         }
-        let needed = reach_of(state, self.centre).map(|it| it + AIR);
-        let reach = self.reach.get_or_insert(needed.map(|it| it * ROOM));
+        let needed = reach_of(state, self.centre).map(|it| it + MARGIN);
+        let reach = self.reach.get_or_insert(needed.map(|it| it * SLACK));
         if self.fits {
             for (reach, needed) in reach.iter_mut().zip(needed) {
-                // Not at every step, or the picture would breathe.
-                if needed > *reach || needed < SMALL * *reach {
-                    *reach = needed * ROOM;
+                // With hysteresis: a zoom that changes at every step is unpleasant.
+                if needed > *reach || needed < MIN_SHARE * *reach {
+                    *reach = needed * SLACK;
                 }
             }
         }
     }
 
-    /// Looks from nearer, or from farther away.
-    pub fn zoom(&mut self, is_nearer: bool) {
+    /// Zooms in or out.
+    pub fn zoom(&mut self, is_in: bool) {
         self.fits = false;
-        let factor = if is_nearer { 1.0 / ZOOM } else { ZOOM };
-        let scaled = |reach: f64| (reach * factor).clamp(REACHES.0, REACHES.1);
+        let factor = if is_in { 1.0 / ZOOM } else { ZOOM };
+        let scaled = |reach: f64| (reach * factor).clamp(REACH_LIMITS.0, REACH_LIMITS.1);
         self.reach = self.reach.map(|reach| reach.map(scaled));
     }
 
-    /// Looks elsewhere.
+    /// Moves the camera by hand, which stops following.
     pub fn pan(&mut self, x: f64, y: f64) {
         self.follows = false;
         self.fits = false;
@@ -77,7 +77,7 @@ impl Camera {
         self.centre[1] += PAN * up * y;
     }
 
-    /// Follows the group again and has all of it in sight; lets go of it if it does both.
+    /// Follows the whole group again; stops if it does so already.
     pub fn follow(&mut self) {
         let does_both = self.follows && self.fits;
         self.follows = !does_both;
@@ -88,7 +88,7 @@ impl Camera {
     }
 }
 
-/// Where the positions of a state are counted from.
+/// The origin of a state's positions.
 pub fn origin_of(state: &State) -> [f64; 2] {
     state.origin.map(|origin| 1024.0 * origin as f64)
 }
@@ -101,7 +101,7 @@ fn centre_of(state: &State) -> [f64; 2] {
     [x + mean(&state.x), y + mean(&state.y)]
 }
 
-/// How far from `centre` the outermost bodies are, across and up.
+/// The distances of the outermost bodies from `centre`, along both axes.
 fn reach_of(state: &State, centre: [f64; 2]) -> [f64; 2] {
     let [x, y] = origin_of(state);
     let farthest = |column: &[f64], from: f64| {
@@ -122,33 +122,33 @@ mod tests {
     use super::*;
 
     #[test]
-    fn it_follows_the_centre_of_mass_and_keeps_all_in_sight() {
+    fn it_follows_the_centre_of_mass_and_keeps_all_visible() {
         let mut camera = Camera::default();
-        camera.see(&state_of(&[(0.0, 0.0, 0.0, 0.0), (4.0, 2.0, 0.0, 0.0)]));
+        camera.track(&state_of(&[(0.0, 0.0, 0.0, 0.0), (4.0, 2.0, 0.0, 0.0)]));
         assert_eq!(camera.centre, [2.0, 1.0]);
         let before = camera;
         assert!(before.reach.unwrap()[0] > 2.8 && before.reach.unwrap()[1] > 1.8);
-        camera.see(&state_of(&[(0.1, 0.0, 0.0, 0.0), (4.0, 2.0, 0.0, 0.0)]));
-        assert_eq!(camera.reach, before.reach, "it does not breathe");
-        camera.see(&state_of(&[(0.0, 0.0, 0.0, 0.0), (40.0, 2.0, 0.0, 0.0)]));
+        camera.track(&state_of(&[(0.1, 0.0, 0.0, 0.0), (4.0, 2.0, 0.0, 0.0)]));
+        assert_eq!(camera.reach, before.reach, "the zoom has hysteresis");
+        camera.track(&state_of(&[(0.0, 0.0, 0.0, 0.0), (40.0, 2.0, 0.0, 0.0)]));
         assert!(camera.reach.unwrap()[0] > 20.0);
     }
 
     #[test]
-    fn who_pans_or_zooms_is_left_alone_until_told_to_follow() {
+    fn pan_and_zoom_stop_following_until_the_follow_key() {
         let group = state_of(&[(0.0, 0.0, 0.0, 0.0)]);
         let mut camera = Camera::default();
-        camera.see(&group);
+        camera.track(&group);
         camera.pan(1.0, 0.0);
         camera.zoom(true);
         let left = camera;
-        camera.see(&group);
+        camera.track(&group);
         assert_eq!(camera, left);
         assert!(left.centre[0] > 0.0 && !left.follows);
         camera.follow();
-        camera.see(&group);
+        camera.track(&group);
         assert_eq!(camera.centre, [0.0, 0.0]);
         camera.follow();
-        assert!(!camera.follows, "the same key lets go");
+        assert!(!camera.follows, "the same key stops following");
     }
 }

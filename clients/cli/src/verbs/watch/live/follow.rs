@@ -1,115 +1,87 @@
-//! Follows one swarm: its states as they come, and what they do not tell.
+//! Follows one swarm for the view.
 
 use std::sync::Arc;
 use std::time::Duration;
 
-use jostle_proto::{Events, Reply, State, Status, keys};
+use jostle_client::{Client, Error, EventsFrom, FollowOptions, Update};
+use jostle_proto::{Events, Reply};
 use tokio::time::{interval, sleep};
-use zenoh::sample::Sample;
 
 use super::mailbox::Mailbox;
 use super::view::Message;
-use crate::bus::{Answer, Bus, Samples};
 use crate::failure::Failure;
 
-/// How many events may wait to be looked at.
-const BACKLOG: usize = 64;
 /// The least time between two states: more would not be drawn.
-const BETWEEN_STATES: Duration = Duration::from_millis(50);
-/// How often is asked what no event tells, or might have told and was lost.
-const BETWEEN_LOOKS: Duration = Duration::from_secs(5);
-/// How many past events are worth showing.
-const PAST: u64 = 20;
+const STATE_INTERVAL: Duration = Duration::from_millis(50);
+/// The interval of the queries for values that no event contains, and for a lost state of a
+/// paused swarm.
+const QUERY_INTERVAL: Duration = Duration::from_secs(5);
+/// How many past events are shown.
+const PAST_EVENTS: u64 = 20;
 
-/// Posts how a swarm is until nobody wants to know; who is gone is said by the list.
-pub async fn follow(bus: Arc<Bus>, mailbox: Arc<Mailbox>, swarm: String) {
-    let follower = Follower {
-        bus,
-        mailbox,
-        swarm,
-    };
-    if let Err(failure) = follower.follow().await {
-        follower.post(Message::Trouble(failure.to_string()));
-    }
-}
-
-struct Follower {
-    bus: Arc<Bus>,
-    mailbox: Arc<Mailbox>,
-    swarm: String,
-}
-
-impl Follower {
-    /// Subscribes first and looks then, so that nothing falls in between.
-    async fn follow(&self) -> Result<(), Failure> {
-        let (bus, prefix) = (&self.bus, self.bus.prefix());
-        let states = bus.subscribe(&keys::state(prefix, &self.swarm), 1).await?;
-        let key = keys::event(prefix, &self.swarm);
-        let events: Samples = bus.subscribe(&key, BACKLOG).await?;
-        let mut looks = interval(BETWEEN_LOOKS);
-        loop {
-            tokio::select! {
-                biased;
-                event = events.recv_async() => {
-                    let mut received = vec![event.map_err(Failure::defect)?];
-                    while let Ok(Some(event)) = events.try_recv() {
-                        received.push(event);
-                    }
-                    // A newer daemon may tell of what this version does not know.
-                    let read = received.iter().filter_map(|it| Answer::from(it).read().ok());
-                    self.post(Message::Events(read.collect()));
-                    self.look(false).await;
-                    // Whoever steers it at every step must not hide its states.
-                    if let Ok(Some(state)) = states.try_recv() {
-                        self.post_state(&state)?;
-                    }
-                    sleep(BETWEEN_STATES).await;
-                }
-                state = states.recv_async() => {
-                    self.post_state(&state.map_err(Failure::defect)?)?;
-                    sleep(BETWEEN_STATES).await;
-                }
-                _ = looks.tick() => self.look(true).await,
+/// Posts the updates of a swarm until the task is aborted. Whether it exists is shown by the list.
+pub async fn follow(client: Client, mailbox: Arc<Mailbox>, swarm: String) {
+    loop {
+        match updates(&client, &mailbox, &swarm).await {
+            Err(error) if !error.is_transient() && !error.is_not_found() => {
+                return mailbox.post(Message::Failed(Failure::from(error).to_string()));
             }
+            // A swarm of the same name may be created.
+            _ => sleep(QUERY_INTERVAL).await,
         }
     }
+}
 
-    /// Asks how it is, because one that stands still publishes nothing. What fails passes, or the
-    /// list tells.
-    async fn look(&self, is_thorough: bool) {
-        if let Ok(status) = self.ask::<Reply<Status>>("status").await {
-            self.post(Message::Status(Box::new(status)));
-        }
-        if !is_thorough {
-            return;
-        }
-        let state = self.bus.state(&self.swarm).await;
-        if let Ok(state) = state.and_then(|answer| answer.read()) {
-            self.post(Message::State(Box::new(state)));
-        }
-        // Every answer has the newest number; the newest events are those after one before it.
-        let asked = async {
-            let reply: Reply<Events> = self.ask("events?after=0;limit=1").await?;
-            let after = reply.result.newest.saturating_sub(PAST);
-            self.ask::<Reply<Events>>(&format!("events?after={after}"))
-                .await
+/// Posts the updates of a swarm until it is deleted.
+async fn updates(client: &Client, mailbox: &Mailbox, swarm: &str) -> Result<(), Error> {
+    // Every reply has the newest number.
+    let reply: Reply<Events> = client.get(swarm, "events?after=0;limit=1").await?.read()?;
+    let after = reply.result.newest.saturating_sub(PAST_EVENTS);
+    let options = FollowOptions {
+        states: Some(1),
+        events: Some(EventsFrom::After(after)),
+        ..FollowOptions::default()
+    };
+    let mut updates = client.follow(swarm, options).await?;
+    let mut queries = interval(QUERY_INTERVAL);
+    loop {
+        let mut update = tokio::select! {
+            update = updates.next() => update,
+            _ = queries.tick() => {
+                post_status(client, mailbox, swarm).await;
+                if let Ok(state) = client.state(swarm).await.and_then(|it| it.read()) {
+                    mailbox.post(Message::State(Box::new(state)));
+                }
+                continue;
+            }
         };
-        if let Ok(reply) = asked.await {
-            self.post(Message::Events(reply.result.events));
+        let mut events = Vec::new();
+        loop {
+            match update {
+                Some(Ok(Update::Event(event))) => events.push(event.value),
+                Some(Ok(Update::State(state))) => {
+                    mailbox.post(Message::State(Box::new(state.value)));
+                    break;
+                }
+                Some(Ok(Update::Deleted)) => return Ok(()),
+                // A newer daemon may publish kinds of events that this version does not know.
+                Some(Ok(_) | Err(Error::Decode { .. })) => {}
+                Some(Err(error)) => return Err(error),
+                None => break,
+            }
+            update = updates.try_next();
         }
+        if !events.is_empty() {
+            mailbox.post(Message::Events(events));
+            post_status(client, mailbox, swarm).await;
+        }
+        sleep(STATE_INTERVAL).await;
     }
+}
 
-    fn post_state(&self, sample: &Sample) -> Result<(), Failure> {
-        let state: State = Answer::from(sample).read()?;
-        self.post(Message::State(Box::new(state)));
-        Ok(())
-    }
-
-    async fn ask<T: serde::de::DeserializeOwned>(&self, noun: &str) -> Result<T, Failure> {
-        self.bus.get(&self.swarm, noun).await?.read()
-    }
-
-    fn post(&self, message: Message) {
-        self.mailbox.post(message);
+/// Queries the status. An error is ignored: a lasting one appears in the list.
+async fn post_status(client: &Client, mailbox: &Mailbox, swarm: &str) {
+    if let Ok(status) = client.status(swarm).await {
+        mailbox.post(Message::Status(Box::new(status)));
     }
 }

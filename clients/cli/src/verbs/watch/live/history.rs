@@ -1,21 +1,19 @@
-//! How order and drift came about, in bounded memory.
+//! Order and drift over time, in bounded memory.
 
-/// How many points are kept: more than the widest chart has dots.
-const MOST: usize = 1024;
+/// The number of points kept: more than the widest chart has dots.
+const MAX_POINTS: usize = 1024;
 
-/// A moment that was seen.
+/// One sample.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Point {
-    /// When.
     pub time: f64,
-    /// The order then.
     pub order: f64,
-    /// The drift then, if there was a direction.
+    /// The drift, if there was a direction.
     pub drift: Option<f64>,
 }
 
-/// The moments that were seen of one run, oldest first. When there are too many every second one
-/// goes, so that the whole time watched stays in sight.
+/// The samples of one epoch, oldest first. When there are too many, every second one is dropped,
+/// so that the chart shows the whole time.
 #[derive(Debug, Default)]
 pub struct History {
     points: Vec<Point>,
@@ -25,7 +23,7 @@ pub struct History {
 }
 
 impl History {
-    /// Adds a moment. One of a later run begins anew, and what comes late is passed over.
+    /// Adds a sample. A later epoch clears the history; late samples are ignored.
     pub fn add(&mut self, epoch: u64, point: Point) {
         if epoch > self.epoch {
             *self = History::default();
@@ -42,7 +40,7 @@ impl History {
         }
         self.epoch = epoch;
         self.points.push(point);
-        if self.points.len() > MOST {
+        if self.points.len() > MAX_POINTS {
             let mut index = 0;
             self.points.retain(|_| {
                 index += 1;
@@ -72,14 +70,14 @@ mod tests {
     }
 
     #[test]
-    fn however_long_it_goes_on_its_beginning_stays_and_it_is_bounded() {
+    fn it_is_bounded_and_keeps_its_first_sample() {
         let mut history = History::default();
         for step in 0..100_000 {
             history.add(1, at(f64::from(step) * 0.02));
         }
         let points = history.points();
         assert!(
-            (MOST / 3..=MOST).contains(&points.len()),
+            (MAX_POINTS / 3..=MAX_POINTS).contains(&points.len()),
             "{}",
             points.len()
         );
@@ -89,14 +87,14 @@ mod tests {
     }
 
     #[test]
-    fn a_later_run_begins_anew() {
+    fn a_later_epoch_clears_the_history() {
         let mut history = History::default();
         history.add(1, at(0.0));
         history.add(1, at(1.0));
         history.add(1, at(1.0));
-        assert_eq!(history.points().len(), 2, "the same moment stands once");
+        assert_eq!(history.points().len(), 2, "equal times count once");
         history.add(1, at(0.5));
-        assert_eq!(history.points().len(), 2, "that came late");
+        assert_eq!(history.points().len(), 2, "a late sample");
         history.add(2, at(0.7));
         history.add(1, at(1.1));
         assert_eq!(history.points(), [at(0.7)], "another epoch");

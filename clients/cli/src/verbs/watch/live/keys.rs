@@ -1,55 +1,55 @@
-//! What each key does.
+//! The actions of keys.
 
 use jostle_proto::Phase;
 use ratatui::crossterm::event::{KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
 
-use super::command::{Command, What};
-use super::prompt::{Pressed, Prompt};
-use super::view::{End, View, Wish};
+use super::command::{Command, Verb};
+use super::prompt::{KeyAction, Prompt};
+use super::view::{Action, End, View};
 
-/// The keys and what they do, for people.
+/// The keys with their actions, as shown.
 pub const KEYS: [(&str, &str); 11] = [
-    ("↑ ↓ j k", "choose a swarm"),
-    ("space", "pause it, or let it run"),
-    ("s  S", "take one step, or a hundred"),
+    ("↑ ↓ j k", "select a swarm"),
+    ("space", "pause or run it"),
+    ("s  S", "one step, or a hundred"),
     ("i", "inform some of it"),
     ("+ -", "zoom"),
     ("← →", "pan; with Shift up and down, too"),
     ("H J K L", "pan"),
-    ("f", "follow the group, or let go of it"),
-    ("?", "these keys"),
-    ("Esc", "close what is open"),
+    ("f", "follow the group, or stop following"),
+    ("?", "show these keys"),
+    ("Esc", "close the popup"),
     ("q", "quit; the swarms go on"),
 ];
-/// How many commands may wait for their answers.
-const UNDER_WAY: usize = 8;
+/// The maximum number of commands that wait for replies.
+const MAX_PENDING: usize = 8;
 
 impl View {
-    /// Takes a key.
-    pub fn press(&mut self, key: KeyEvent) -> Vec<Wish> {
+    /// Handles a key.
+    pub fn press(&mut self, key: KeyEvent) -> Vec<Action> {
         if key.kind == KeyEventKind::Release {
             return Vec::new();
         }
         let is_control = key.modifiers.contains(KeyModifiers::CONTROL);
         if is_control && key.code == KeyCode::Char('c') {
-            return vec![Wish::End(End::Interrupted)];
+            return vec![Action::End(End::Interrupted)];
         }
         self.is_changed = true;
         if let Some(prompt) = &mut self.prompt {
             let pressed = prompt.press(key);
-            if pressed != Pressed::Open {
+            if pressed != KeyAction::Open {
                 self.prompt = None;
             }
             return match pressed {
-                Pressed::Answered(args) => self.command(What::Inform(args)),
+                KeyAction::Submitted(args) => self.command(Verb::Inform(args)),
                 _ => Vec::new(),
             };
         }
         let was_help_shown = std::mem::take(&mut self.is_help_shown);
-        self.said = None;
+        self.notice = None;
         let is_shifted = key.modifiers.contains(KeyModifiers::SHIFT);
         match key.code {
-            KeyCode::Char('q') => return vec![Wish::End(End::Quit)],
+            KeyCode::Char('q') => return vec![Action::End(End::Quit)],
             KeyCode::Char('?') => self.is_help_shown = !was_help_shown,
             KeyCode::Left | KeyCode::Char('H') => self.camera.pan(-1.0, 0.0),
             KeyCode::Right | KeyCode::Char('L') => self.camera.pan(1.0, 0.0),
@@ -60,43 +60,43 @@ impl View {
             KeyCode::Char('+' | '=') => self.camera.zoom(true),
             KeyCode::Char('-' | '_') => self.camera.zoom(false),
             KeyCode::Char('f') => self.follow(),
-            KeyCode::Up | KeyCode::Char('k') => return self.choose(-1),
-            KeyCode::Down | KeyCode::Char('j') => return self.choose(1),
+            KeyCode::Up | KeyCode::Char('k') => return self.move_selection(-1),
+            KeyCode::Down | KeyCode::Char('j') => return self.move_selection(1),
             KeyCode::Char(' ') => {
                 let runs = self.phase() == Some(Phase::Running);
-                return self.command(if runs { What::Pause } else { What::Run });
+                return self.command(if runs { Verb::Pause } else { Verb::Run });
             }
-            KeyCode::Char('s') => return self.command(What::Step(1)),
-            KeyCode::Char('S') => return self.command(What::Step(100)),
-            KeyCode::Char('i') if self.chosen.is_some() => self.prompt = Some(Prompt::default()),
+            KeyCode::Char('s') => return self.command(Verb::Step(1)),
+            KeyCode::Char('S') => return self.command(Verb::Step(100)),
+            KeyCode::Char('i') if self.selected.is_some() => self.prompt = Some(Prompt::default()),
             _ => {}
         }
         Vec::new()
     }
 
     fn phase(&self) -> Option<Phase> {
-        let numbers = self.chosen.as_ref()?.numbers.as_ref();
+        let numbers = self.selected.as_ref()?.numbers.as_ref();
         numbers.map(|numbers| numbers.phase)
     }
 
     fn follow(&mut self) {
         self.camera.follow();
-        if let Some(state) = self.chosen.as_ref().and_then(|it| it.state.as_ref()) {
-            self.camera.see(state);
+        if let Some(state) = self.selected.as_ref().and_then(|it| it.state.as_ref()) {
+            self.camera.track(state);
         }
     }
 
-    fn command(&mut self, what: What) -> Vec<Wish> {
-        let Some(chosen) = &self.chosen else {
+    fn command(&mut self, verb: Verb) -> Vec<Action> {
+        let Some(selected) = &self.selected else {
             return Vec::new();
         };
-        let swarm = chosen.name.clone();
-        if self.under_way == UNDER_WAY {
-            let text = format!("{UNDER_WAY} commands wait for their answers already");
-            self.say(text, true);
+        let swarm = selected.name.clone();
+        if self.pending == MAX_PENDING {
+            let text = format!("{MAX_PENDING} commands are waiting for replies");
+            self.notify(text, true);
             return Vec::new();
         }
-        self.under_way += 1;
-        vec![Wish::Command(Command { swarm, what })]
+        self.pending += 1;
+        vec![Action::Command(Command { swarm, verb })]
     }
 }

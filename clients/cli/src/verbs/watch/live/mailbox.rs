@@ -1,4 +1,4 @@
-//! What the view has not looked at yet; of what only the latest counts, only the latest.
+//! A queue of messages; of some kinds it keeps only the latest.
 
 use std::mem::discriminant;
 use std::sync::{Condvar, Mutex, PoisonError};
@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use super::view::Message;
 
-/// Messages from anywhere to the one thread that draws.
+/// The messages to the drawing thread.
 #[derive(Default)]
 pub struct Mailbox {
     waiting: Mutex<Vec<Message>>,
@@ -14,9 +14,9 @@ pub struct Mailbox {
 }
 
 impl Mailbox {
-    /// Puts a message in; never blocks.
+    /// Enqueues a message; never blocks.
     pub fn post(&self, message: Message) {
-        // What a thread left behind that panicked is whole: nothing in here panics half-way.
+        // The queue is consistent after a panic: no code below panics while it changes it.
         let mut waiting = self.waiting.lock().unwrap_or_else(PoisonError::into_inner);
         if message.is_latest_only() {
             let kind = discriminant(&message);
@@ -26,7 +26,7 @@ impl Mailbox {
         self.posted.notify_one();
     }
 
-    /// Takes all there is, as soon as there is something or at `deadline`.
+    /// Waits for messages until `deadline` and takes all.
     pub fn take(&self, deadline: Option<Instant>) -> Vec<Message> {
         let mut waiting = self.waiting.lock().unwrap_or_else(PoisonError::into_inner);
         while waiting.is_empty() {
@@ -54,11 +54,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_latest_list_wins_and_every_answer_stays() {
+    fn the_latest_list_and_all_replies_are_kept() {
         let mailbox = Mailbox::default();
         for _ in 0..3 {
             mailbox.post(Message::Swarms(Vec::new()));
-            mailbox.post(Message::Answered(Ok(String::new())));
+            mailbox.post(Message::Outcome(Ok(String::new())));
         }
         let kinds: Vec<bool> = mailbox
             .take(None)

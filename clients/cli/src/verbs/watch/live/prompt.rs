@@ -1,45 +1,45 @@
-//! The three questions of `inform`: who, which way, how much.
+//! The prompt of `inform`: which individuals, direction, weight.
 
 use jostle_proto::verbs::{InformArgs, Select};
 use ratatui::crossterm::event::{KeyCode, KeyEvent};
 
 use crate::values;
 
-/// What is asked, and how it may be answered.
-pub const QUESTIONS: [(&str, &str); 3] = [
+/// The fields, each with the form of its text.
+pub const FIELDS: [(&str, &str); 3] = [
     ("who", "a count, 5, or a share, 0.1 or 10%"),
     ("direction", "90d or 1.57 from +x, counter-clockwise"),
     ("weight", "empty: the swarm's pi2"),
 ];
-/// The longest answer.
-const LONGEST: usize = 24;
+/// The longest text, in characters.
+const MAX_LENGTH: usize = 24;
 
-/// What was answered so far.
+/// The state of the prompt.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Prompt {
-    /// The answers as typed.
-    pub answers: [String; 3],
-    /// The question that is answered.
+    /// The texts of the fields.
+    pub texts: [String; 3],
+    /// The index of the current field.
     pub at: usize,
-    /// What is wrong with what was sent.
+    /// What is wrong with a field.
     pub problem: Option<String>,
 }
 
-/// What a key made of a prompt.
+/// The effect of a key on the prompt.
 #[derive(Debug, PartialEq)]
-pub enum Pressed {
-    /// It goes on.
+pub enum KeyAction {
+    /// It stays open.
     Open,
-    /// It was left.
-    Left,
-    /// It is answered.
-    Answered(InformArgs),
+    /// It was cancelled.
+    Cancelled,
+    /// All fields are filled in.
+    Submitted(InformArgs),
 }
 
 impl Default for Prompt {
     fn default() -> Self {
         Prompt {
-            answers: ["10%".into(), "0d".into(), String::new()],
+            texts: ["10%".into(), "0d".into(), String::new()],
             at: 0,
             problem: None,
         }
@@ -47,14 +47,14 @@ impl Default for Prompt {
 }
 
 impl Prompt {
-    /// Takes a key.
-    pub fn press(&mut self, key: KeyEvent) -> Pressed {
+    /// Handles a key.
+    pub fn press(&mut self, key: KeyEvent) -> KeyAction {
         self.problem = None;
-        let last = QUESTIONS.len() - 1;
+        let last = FIELDS.len() - 1;
         match key.code {
-            KeyCode::Esc => return Pressed::Left,
+            KeyCode::Esc => return KeyAction::Cancelled,
             KeyCode::Enter if self.at == last => match self.read() {
-                Ok(args) => return Pressed::Answered(args),
+                Ok(args) => return KeyAction::Submitted(args),
                 Err((at, problem)) => {
                     self.at = at;
                     self.problem = Some(problem);
@@ -62,18 +62,18 @@ impl Prompt {
             },
             KeyCode::Enter | KeyCode::Tab | KeyCode::Down => self.at = (self.at + 1).min(last),
             KeyCode::BackTab | KeyCode::Up => self.at = self.at.saturating_sub(1),
-            KeyCode::Backspace => drop(self.answers[self.at].pop()),
-            KeyCode::Char(typed) if self.answers[self.at].chars().count() < LONGEST => {
-                self.answers[self.at].push(typed);
+            KeyCode::Backspace => drop(self.texts[self.at].pop()),
+            KeyCode::Char(typed) if self.texts[self.at].chars().count() < MAX_LENGTH => {
+                self.texts[self.at].push(typed);
             }
             _ => {}
         }
-        Pressed::Open
+        KeyAction::Open
     }
 
-    /// The arguments, or which answer is wrong and how.
+    /// Parses the fields; an error has the index of the field.
     fn read(&self) -> Result<InformArgs, (usize, String)> {
-        let [who, direction, weight] = &self.answers;
+        let [who, direction, weight] = &self.texts;
         let weight = match weight.trim() {
             "" => Ok(None),
             weight => values::number(weight).map(Some),
@@ -110,7 +110,7 @@ fn radians(text: &str) -> Result<f64, String> {
         return values::number(degrees).map(f64::to_radians);
     }
     let radians = values::number(radians.unwrap_or(text))?;
-    // More than a turn is a slip far more often than meant.
+    // More than a turn is most likely meant in degrees.
     if radians.abs() > std::f64::consts::TAU {
         return Err(format!("more than a turn: degrees are written {radians}d"));
     }
@@ -123,16 +123,16 @@ mod tests {
 
     use super::*;
 
-    fn answered(answers: [&str; 3]) -> Result<InformArgs, (usize, String)> {
+    fn filled(texts: [&str; 3]) -> Result<InformArgs, (usize, String)> {
         Prompt {
-            answers: answers.map(Into::into),
+            texts: texts.map(Into::into),
             ..Prompt::default()
         }
         .read()
     }
 
     #[test]
-    fn counts_shares_degrees_and_radians_are_told_apart() {
+    fn counts_shares_degrees_and_radians_are_distinguished() {
         let args = |select, direction, weight| {
             Ok(InformArgs {
                 select,
@@ -141,22 +141,22 @@ mod tests {
                 for_time: None,
             })
         };
-        assert_eq!(answered(["5", "0", ""]), args(Select::Count(5), 0.0, None));
+        assert_eq!(filled(["5", "0", ""]), args(Select::Count(5), 0.0, None));
         let up = 90.0_f64.to_radians();
         for degrees in ["90d", " 90° ", "90deg"] {
             let expected = args(Select::Fraction(0.1), up, Some(2.0));
-            assert_eq!(answered(["10%", degrees, "2"]), expected);
-            assert_eq!(answered(["0.1", degrees, " 2"]), expected);
+            assert_eq!(filled(["10%", degrees, "2"]), expected);
+            assert_eq!(filled(["0.1", degrees, " 2"]), expected);
         }
         assert_eq!(
-            answered(["1.0", "-1.5rad", ""]),
+            filled(["1.0", "-1.5rad", ""]),
             args(Select::Fraction(1.0), -1.5, None)
         );
     }
 
     #[test]
-    fn what_is_wrong_is_said_where_it_is() {
-        let wrong = |answers| answered(answers).map_err(|(at, _)| at);
+    fn an_error_names_the_field_it_is_in() {
+        let wrong = |texts| filled(texts).map_err(|(at, _)| at);
         assert_eq!(wrong(["", "0", ""]), Err(0));
         assert_eq!(wrong(["five", "0", ""]), Err(0));
         assert_eq!(wrong(["5", "90", ""]), Err(1), "radians by far too many");
@@ -165,7 +165,7 @@ mod tests {
     }
 
     #[test]
-    fn keys_edit_go_on_and_leave() {
+    fn keys_edit_submit_and_cancel() {
         let mut prompt = Prompt::default();
         let mut press = |code| prompt.press(KeyEvent::new(code, KeyModifiers::NONE));
         for _ in 0..3 {
@@ -174,10 +174,10 @@ mod tests {
         press(KeyCode::Char('7'));
         press(KeyCode::Enter);
         press(KeyCode::Tab);
-        let Pressed::Answered(args) = press(KeyCode::Enter) else {
-            panic!("it is answered");
+        let KeyAction::Submitted(args) = press(KeyCode::Enter) else {
+            panic!("it is submitted");
         };
         assert_eq!(args.select, Select::Count(7));
-        assert_eq!(press(KeyCode::Esc), Pressed::Left);
+        assert_eq!(press(KeyCode::Esc), KeyAction::Cancelled);
     }
 }

@@ -1,4 +1,4 @@
-//! The view as it looks at every size, as plain text, and how messages change it.
+//! Drawings of the view at every size, as plain text, and the effects of messages.
 
 #![expect(clippy::unwrap_used, reason = "tests")]
 
@@ -10,22 +10,19 @@ use ratatui::crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
 use ratatui::style::{Color, Modifier};
 use serde_json::json;
 
-use super::command::What;
+use super::command::Verb;
 use super::draw::{Palette, draw};
-use super::view::{End, Message, View, Wish};
+use super::view::{Action, End, Message, View};
+use crate::fixtures;
 
 /// Bodies at (x, y, alpha), with a weight.
 pub fn state_of(bodies: &[(f64, f64, f64, f64)]) -> State {
     let column = |what: fn(&(f64, f64, f64, f64)) -> f64| bodies.iter().map(what).collect();
     let status = status();
     State {
-        swarm: "demo".into(),
-        epoch: 1,
-        frame: 1,
         step: 12_345,
         time: 246.9,
         phase: Phase::Running,
-        origin: [0, 0],
         id: (0..).take(bodies.len()).collect(),
         x: column(|it| it.0),
         y: column(|it| it.1),
@@ -34,14 +31,13 @@ pub fn state_of(bodies: &[(f64, f64, f64, f64)]) -> State {
         direction: vec![0.0; bodies.len()],
         order: status.result.order,
         certificate: status.result.certificate,
+        ..fixtures::state()
     }
 }
 
-/// That of the fixtures, of another swarm.
+/// That of the fixtures, of a running swarm.
 fn status() -> Reply<Status> {
-    let text = include_str!("../../../../../../proto/fixtures/status.reply.json");
-    let mut status: Reply<Status> = serde_json::from_str(text).unwrap();
-    status.swarm = "demo".into();
+    let mut status = fixtures::status();
     status.phase = Phase::Running;
     (status.step, status.time) = (12_345, 246.9);
     status.result.reason = None;
@@ -112,7 +108,7 @@ fn view() -> View {
     view
 }
 
-fn press(view: &mut View, code: KeyCode) -> Vec<Wish> {
+fn press(view: &mut View, code: KeyCode) -> Vec<Action> {
     view.update(Message::Key(KeyEvent::new(code, KeyModifiers::NONE)))
 }
 
@@ -133,7 +129,7 @@ fn text(view: &View, size: (u16, u16)) -> String {
 }
 
 #[test]
-fn it_looks_like_this_at_every_size() {
+fn drawings_equal_the_snapshots() {
     let mut others = Vec::new();
     for (size, expected) in [
         ((120, 40), include_str!("snapshots/120x40.txt")),
@@ -150,7 +146,7 @@ fn it_looks_like_this_at_every_size() {
 }
 
 #[test]
-fn no_size_is_too_small_for_anything_that_can_be_open() {
+fn every_popup_can_be_drawn_at_every_size() {
     let mut views = vec![view(), view(), view(), View::new("tcp/h:1", None)];
     press(&mut views[1], KeyCode::Char('?'));
     press(&mut views[2], KeyCode::Char('i'));
@@ -165,19 +161,19 @@ fn no_size_is_too_small_for_anything_that_can_be_open() {
 }
 
 #[test]
-fn keys_and_questions_are_shown_above_all_else() {
+fn keys_and_the_prompt_are_shown_in_popups() {
     let mut view = view();
     press(&mut view, KeyCode::Char('?'));
     assert!(text(&view, (80, 24)).contains("quit; the swarms go on"));
     press(&mut view, KeyCode::Char('i'));
-    let asking = text(&view, (80, 24));
-    assert!(asking.contains("inform some of demo") && !asking.contains("quit; the"));
+    let prompting = text(&view, (80, 24));
+    assert!(prompting.contains("inform some of demo") && !prompting.contains("quit; the"));
     let tiny = text(&view, (20, 5));
     assert!(tiny.ends_with(" who: 10%▏ a count,…"), "{tiny}");
 }
 
 #[test]
-fn without_colours_the_informed_bear_a_mark_and_nothing_is_coloured() {
+fn without_colours_informed_bodies_have_a_mark() {
     let backend = drawn(&view(), (80, 24), false);
     let cells = backend.buffer().content();
     assert_eq!(cells.iter().filter(|cell| cell.symbol() == "●").count(), 1);
@@ -186,12 +182,12 @@ fn without_colours_the_informed_bear_a_mark_and_nothing_is_coloured() {
             .iter()
             .all(|cell| cell.fg == Color::Reset && cell.bg == Color::Reset)
     );
-    let is_chosen = |row: u16| {
+    let is_selected = |row: u16| {
         backend.buffer()[(9, row)]
             .modifier
             .contains(Modifier::REVERSED)
     };
-    assert!(is_chosen(4) && !is_chosen(3));
+    assert!(is_selected(4) && !is_selected(3));
     let coloured = drawn(&view(), (80, 24), true);
     let cells = coloured.buffer().content();
     assert!(cells.iter().any(|cell| cell.fg == Color::Magenta));
@@ -199,33 +195,33 @@ fn without_colours_the_informed_bear_a_mark_and_nothing_is_coloured() {
 }
 
 #[test]
-fn keys_become_commands_to_the_chosen_swarm() {
+fn keys_become_commands_to_the_selected_swarm() {
     let mut view = view();
     let mut command = |code| match press(&mut view, code).pop() {
-        Some(Wish::Command(command)) => (command.swarm, command.what),
+        Some(Action::Command(command)) => (command.swarm, command.verb),
         other => panic!("{other:?}"),
     };
     let demo = || "demo".to_owned();
-    assert_eq!(command(KeyCode::Char(' ')), (demo(), What::Pause));
-    assert_eq!(command(KeyCode::Char('s')), (demo(), What::Step(1)));
-    assert_eq!(command(KeyCode::Char('S')), (demo(), What::Step(100)));
+    assert_eq!(command(KeyCode::Char(' ')), (demo(), Verb::Pause));
+    assert_eq!(command(KeyCode::Char('s')), (demo(), Verb::Step(1)));
+    assert_eq!(command(KeyCode::Char('S')), (demo(), Verb::Step(100)));
     press(&mut view, KeyCode::Char('i'));
     press(&mut view, KeyCode::Enter);
     press(&mut view, KeyCode::Enter);
-    let wishes = press(&mut view, KeyCode::Enter);
-    let [Wish::Command(command)] = &wishes[..] else {
-        panic!("{wishes:?}");
+    let actions = press(&mut view, KeyCode::Enter);
+    let [Action::Command(command)] = &actions[..] else {
+        panic!("{actions:?}");
     };
-    let What::Inform(args) = &command.what else {
+    let Verb::Inform(args) = &command.verb else {
         panic!("{command:?}");
     };
     assert_eq!(args.select, Select::Fraction(0.1));
-    assert_eq!(view.under_way, 4);
+    assert_eq!(view.pending, 4);
     let mut paused = status();
     paused.phase = Phase::Paused;
     view.update(Message::Status(Box::new(paused)));
-    let wishes = press(&mut view, KeyCode::Char(' '));
-    assert!(matches!(&wishes[..], [Wish::Command(it)] if it.what == What::Run));
+    let actions = press(&mut view, KeyCode::Char(' '));
+    assert!(matches!(&actions[..], [Action::Command(it)] if it.verb == Verb::Run));
     for _ in 0..9 {
         press(&mut view, KeyCode::Char('s'));
     }
@@ -233,14 +229,14 @@ fn keys_become_commands_to_the_chosen_swarm() {
         press(&mut view, KeyCode::Char('s')).is_empty(),
         "enough wait"
     );
-    let wishes = press(&mut view, KeyCode::Char('q'));
-    assert!(matches!(&wishes[..], [Wish::End(End::Quit)]));
+    let actions = press(&mut view, KeyCode::Char('q'));
+    assert!(matches!(&actions[..], [Action::End(End::Quit)]));
 }
 
 #[test]
-fn another_swarm_is_followed_when_it_is_chosen_or_the_chosen_one_is_gone() {
-    let followed = |wishes: Vec<Wish>| match &wishes[..] {
-        [Wish::Follow(swarm)] => swarm.clone().unwrap_or_default(),
+fn another_swarm_is_followed_when_it_is_selected_or_the_selected_one_is_gone() {
+    let followed = |actions: Vec<Action>| match &actions[..] {
+        [Action::Follow(swarm)] => swarm.clone().unwrap_or_default(),
         other => panic!("{other:?}"),
     };
     let mut view = View::new("tcp/h:1", None);
@@ -252,37 +248,46 @@ fn another_swarm_is_followed_when_it_is_chosen_or_the_chosen_one_is_gone() {
     rest.remove(1);
     let next = followed(view.update(Message::Swarms(rest)));
     assert_eq!(next, "school-of-the-long-name");
-    assert_eq!(view.said.as_ref().unwrap().text, "demo is no longer there");
+    assert_eq!(
+        view.notice.as_ref().unwrap().text,
+        "demo is no longer there"
+    );
     for _ in 0..4 {
         view.update(Message::Swarms(Vec::new()));
     }
-    assert!(view.chosen.is_none());
+    assert!(view.selected.is_none());
     assert!(text(&view, (80, 24)).contains("no swarms here"));
     assert!(text(&view, (20, 5)).contains("no swarms here"));
     assert_eq!(followed(view.update(Message::Swarms(list()))), "broken");
 }
 
 #[test]
-fn a_daemon_that_goes_is_missed_and_one_that_comes_back_is_followed_again() {
+fn a_lost_daemon_is_reported_and_its_swarm_is_followed_after_its_return() {
     let mut view = view();
     view.update(Message::Away("the daemon is gone".into()));
     assert!(text(&view, (80, 24)).ends_with(" the daemon is gone"));
     assert!(
         text(&view, (80, 24)).contains("t 246.9"),
-        "what was last known stays"
+        "the last known values stay"
     );
-    let wishes = view.update(Message::Swarms(Vec::new()));
-    assert!(matches!(&wishes[..], [Wish::Follow(Some(_))]), "{wishes:?}");
+    let actions = view.update(Message::Swarms(Vec::new()));
+    assert!(
+        matches!(&actions[..], [Action::Follow(Some(_))]),
+        "{actions:?}"
+    );
     assert!(text(&view, (80, 24)).ends_with(" the daemon is back"));
-    let wishes = view.update(Message::Swarms(list()));
-    assert!(matches!(&wishes[..], [Wish::Follow(Some(_))]), "{wishes:?}");
+    let actions = view.update(Message::Swarms(list()));
+    assert!(
+        matches!(&actions[..], [Action::Follow(Some(_))]),
+        "{actions:?}"
+    );
 }
 
 #[test]
-fn what_changes_nothing_is_not_drawn_again() {
+fn a_message_without_a_change_causes_no_drawing() {
     let mut view = view();
     view.is_changed = false;
-    let state = view.chosen.as_ref().unwrap().state.clone().unwrap();
+    let state = view.selected.as_ref().unwrap().state.clone().unwrap();
     view.update(Message::Swarms(list()));
     view.update(Message::Status(Box::new(status())));
     view.update(Message::State(Box::new(state)));
@@ -291,6 +296,6 @@ fn what_changes_nothing_is_not_drawn_again() {
         &json!({"kind": "phase", "reason": null}),
     )]));
     assert!(!view.is_changed);
-    view.update(Message::Answered(Err("no".into())));
+    view.update(Message::Outcome(Err("no".into())));
     assert!(view.is_changed && text(&view, (80, 24)).ends_with(" no"));
 }

@@ -1,130 +1,124 @@
-//! What is shown, as a pure state: messages change it, nothing in it waits for anything.
+//! The state of the view: messages update it, without I/O.
 
 use jostle_proto::{Event, EventKind, Reply, State, Status, SwarmSummary};
 use ratatui::crossterm::event::KeyEvent;
 
 use super::camera::Camera;
-use super::chosen::Chosen;
 use super::command::Command;
 use super::prompt::Prompt;
+use super::selected::Selected;
 use crate::failure::Failure;
-use crate::verbs::lookout::BACK;
+use crate::verbs::outage::DAEMON_BACK;
 
-/// How many lists a swarm may be missing from before another is chosen: a daemon that comes back
-/// has its swarms a moment later.
-const MISSES: u32 = 4;
+/// The number of lists a swarm may be missing from before another is selected: a restarted daemon
+/// lists its swarms after a delay.
+const MAX_MISSES: u32 = 4;
 
-/// What comes about.
+/// A message to the view.
 #[derive(Debug)]
 pub enum Message {
     /// A key was pressed.
     Key(KeyEvent),
     /// The terminal has another size.
     Resized,
-    /// Which swarms there are.
+    /// The list of swarms.
     Swarms(Vec<SwarmSummary>),
-    /// Why nobody tells which there are.
+    /// The daemon does not reply, with the reason.
     Away(String),
-    /// How the chosen swarm is.
+    /// The status of the selected swarm.
     Status(Box<Reply<Status>>),
-    /// Where its bodies are.
     State(Box<State>),
-    /// What happened to it.
     Events(Vec<Event>),
-    /// What came of a command, or why nothing came of it.
-    Answered(Result<String, String>),
-    /// What else went wrong.
-    Trouble(String),
-    /// It is over.
+    /// The outcome of a command, or its error.
+    Outcome(Result<String, String>),
+    /// The selected swarm cannot be followed, with the reason.
+    Failed(String),
+    /// The view ends.
     End(End),
 }
 
 impl Message {
-    /// Whether an earlier one of its kind is worth nothing any more.
+    /// Whether it replaces earlier messages of its kind.
     pub fn is_latest_only(&self) -> bool {
         use Message::{Away, Resized, State, Status, Swarms};
         matches!(self, Resized | Swarms(_) | Away(_) | Status(_) | State(_))
     }
 }
 
-/// What the view wants of others.
+/// An action for the tasks that send requests.
 #[derive(Debug)]
-pub enum Wish {
-    /// To be told of this swarm, and of no other.
+pub enum Action {
+    /// Follow this swarm, and no other.
     Follow(Option<String>),
-    /// A swarm to do something.
+    /// Send a command.
     Command(Command),
-    /// To end.
+    /// End the view.
     End(End),
 }
 
-/// How it ends.
+/// Why the view ends.
 #[derive(Debug)]
 pub enum End {
-    /// Enough was seen.
+    /// The user quit.
     Quit,
-    /// Ctrl-C, or somebody else wants it to end.
+    /// Ctrl-C or another signal.
     Interrupted,
-    /// It cannot go on.
     Failed(Failure),
 }
 
-/// Something said to who looks on, until something else is.
+/// A text in the status bar.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Said {
-    /// The words.
+pub struct Notice {
     pub text: String,
-    /// Whether something went wrong.
+    /// Whether it is an error.
     pub is_error: bool,
 }
 
-/// All that is shown.
+/// The state of the view.
 #[derive(Debug)]
 pub struct View {
-    /// Where the daemon is reached.
     pub endpoint: String,
-    /// The swarms there are; none before they were told.
+    /// The swarms; none before the first list.
     pub swarms: Option<Vec<SwarmSummary>>,
-    /// Why nobody tells how things are, if that is so.
+    /// Why the daemon does not reply, if it does not.
     pub away: Option<String>,
-    /// The swarm that is looked at.
-    pub chosen: Option<Chosen>,
-    /// Which part of the plane is in sight.
+    pub selected: Option<Selected>,
+    /// The visible part of the plane.
     pub camera: Camera,
-    /// What was said last.
-    pub said: Option<Said>,
-    /// The questions that are asked.
+    /// The last notice.
+    pub notice: Option<Notice>,
+    /// The open prompt.
     pub prompt: Option<Prompt>,
-    /// Whether the keys are explained.
+    /// Whether the keys are shown.
     pub is_help_shown: bool,
-    /// How many commands wait for their answer.
-    pub under_way: usize,
-    /// Whether it looks other than when it was last drawn.
+    /// The number of commands without a reply so far.
+    pub pending: usize,
+    /// Whether it has changed since it was last drawn.
     pub is_changed: bool,
-    /// How many lists the chosen swarm is missing from.
+    /// The number of lists that the selected swarm is missing from.
     misses: u32,
 }
 
 impl View {
-    /// A view that begins with a swarm, or with the first there is.
+    /// A view that selects `swarm`, or the first of the list.
     pub fn new(endpoint: &str, swarm: Option<String>) -> Self {
         View {
             endpoint: endpoint.into(),
             swarms: None,
             away: None,
-            chosen: swarm.map(Chosen::new),
+            selected: swarm.map(Selected::new),
             camera: Camera::default(),
-            said: None,
+            notice: None,
             prompt: None,
             is_help_shown: false,
-            under_way: 0,
+            pending: 0,
             is_changed: true,
             misses: 0,
         }
     }
 
-    /// Takes in what has come about and returns what is to be done about it.
-    pub fn update(&mut self, message: Message) -> Vec<Wish> {
+    /// Applies a message and returns the resulting actions.
+    pub fn update(&mut self, message: Message) -> Vec<Action> {
         match message {
             Message::Key(key) => return self.press(key),
             Message::Resized => self.is_changed = true,
@@ -134,133 +128,130 @@ impl View {
                 self.away = Some(why);
             }
             Message::Status(reply) => {
-                if let Some(chosen) = self.chosen.as_mut().filter(|it| it.name == reply.swarm) {
-                    self.is_changed |= chosen.hear(*reply);
+                if let Some(selected) = self.selected.as_mut().filter(|it| it.name == reply.swarm) {
+                    self.is_changed |= selected.set_status(*reply);
                 }
             }
             Message::State(state) => {
-                if let Some(chosen) = self.chosen.as_mut().filter(|it| it.name == state.swarm) {
-                    self.is_changed |= chosen.see(*state, &mut self.camera);
+                if let Some(selected) = self.selected.as_mut().filter(|it| it.name == state.swarm) {
+                    self.is_changed |= selected.set_state(*state, &mut self.camera);
                 }
             }
-            Message::Events(events) => self.tell(events),
-            Message::Answered(answer) => {
-                self.under_way = self.under_way.saturating_sub(1);
-                match answer {
-                    Ok(text) => self.say(text, false),
-                    Err(text) => self.say(text, true),
-                }
+            Message::Events(events) => self.add_events(events),
+            Message::Outcome(outcome) => {
+                self.pending = self.pending.saturating_sub(1);
+                let is_error = outcome.is_err();
+                self.notify(outcome.unwrap_or_else(|text| text), is_error);
             }
-            Message::Trouble(text) => self.say(text, true),
-            Message::End(end) => return vec![Wish::End(end)],
+            Message::Failed(text) => self.notify(text, true),
+            Message::End(end) => return vec![Action::End(end)],
         }
         Vec::new()
     }
 
-    /// Says something.
-    pub fn say(&mut self, text: String, is_error: bool) {
-        self.said = Some(Said { text, is_error });
+    pub fn notify(&mut self, text: String, is_error: bool) {
+        self.notice = Some(Notice { text, is_error });
         self.is_changed = true;
     }
 
-    /// Chooses the swarm `by` further down the list.
-    pub fn choose(&mut self, by: isize) -> Vec<Wish> {
+    /// Moves the selection `by` swarms down the list.
+    pub fn move_selection(&mut self, by: isize) -> Vec<Action> {
         let swarms = self.swarms.as_deref().unwrap_or_default();
         let Some(last) = swarms.len().checked_sub(1) else {
             return Vec::new();
         };
-        // One that is gone was where it would stand now.
-        let name = self.chosen.as_ref().map_or("", |chosen| &chosen.name);
+        // A deleted swarm keeps its position in the order of names.
+        let name = self.selected.as_ref().map_or("", |selected| &selected.name);
         let at = swarms.partition_point(|it| it.swarm.as_str() < name);
         let to = at.saturating_add_signed(by).min(last);
         let name = swarms[to].swarm.clone();
-        if self.chosen.as_ref().is_some_and(|it| it.name == name) {
+        if self.selected.as_ref().is_some_and(|it| it.name == name) {
             return Vec::new();
         }
-        self.turn_to(Some(name))
+        self.follow_swarm(Some(name))
     }
 
-    fn turn_to(&mut self, name: Option<String>) -> Vec<Wish> {
-        self.chosen = name.clone().map(Chosen::new);
+    fn follow_swarm(&mut self, name: Option<String>) -> Vec<Action> {
+        self.selected = name.clone().map(Selected::new);
         self.camera = Camera::default();
         self.misses = 0;
         self.is_changed = true;
-        vec![Wish::Follow(name)]
+        vec![Action::Follow(name)]
     }
 
-    fn list(&mut self, swarms: Vec<SwarmSummary>) -> Vec<Wish> {
+    fn list(&mut self, swarms: Vec<SwarmSummary>) -> Vec<Action> {
         let is_first = self.swarms.is_none();
         self.is_changed |= self.swarms.as_ref() != Some(&swarms);
         let is_back = self.away.take().is_some() && !is_first;
         if is_back {
-            self.say(BACK.into(), false);
+            self.notify(DAEMON_BACK.into(), false);
         }
         let listed = |name: &str| swarms.iter().find(|it| it.swarm == name);
         let was_missing = self.misses > 0;
-        if let Some(chosen) = &mut self.chosen {
-            match listed(&chosen.name) {
+        if let Some(selected) = &mut self.selected {
+            match listed(&selected.name) {
                 Some(summary) => {
                     self.misses = 0;
-                    self.is_changed |= chosen.glance(summary);
+                    self.is_changed |= selected.set_summary(summary);
                 }
                 None => self.misses += 1,
             }
         }
         self.swarms = Some(swarms);
-        match &self.chosen {
-            None => self.choose(0),
-            Some(chosen) if self.misses >= MISSES => {
-                let text = format!("{} is no longer there", chosen.name);
-                self.say(text, false);
-                self.choose_another()
+        match &self.selected {
+            None => self.move_selection(0),
+            Some(selected) if self.misses >= MAX_MISSES => {
+                let text = format!("{} is no longer there", selected.name);
+                self.notify(text, false);
+                self.select_next()
             }
-            Some(chosen) if is_first || is_back || was_missing && self.misses == 0 => {
-                vec![Wish::Follow(Some(chosen.name.clone()))]
+            Some(selected) if is_first || is_back || was_missing && self.misses == 0 => {
+                vec![Action::Follow(Some(selected.name.clone()))]
             }
             Some(_) => Vec::new(),
         }
     }
 
-    /// Chooses whichever is next to the one that is gone.
-    fn choose_another(&mut self) -> Vec<Wish> {
-        let name = self.chosen.take().map(|chosen| chosen.name);
+    /// Selects the neighbour of a swarm that no longer exists.
+    fn select_next(&mut self) -> Vec<Action> {
+        let name = self.selected.take().map(|selected| selected.name);
         if let Some(swarms) = &mut self.swarms {
             swarms.retain(|it| Some(&it.swarm) != name.as_ref());
             let at = swarms.partition_point(|it| Some(&it.swarm) < name.as_ref());
             let next = swarms.get(at).or(swarms.last());
             let next = next.map(|it| it.swarm.clone());
-            return self.turn_to(next);
+            return self.follow_swarm(next);
         }
-        self.turn_to(None)
+        self.follow_swarm(None)
     }
 
-    fn tell(&mut self, events: Vec<Event>) {
-        let Some(chosen) = &mut self.chosen else {
+    fn add_events(&mut self, events: Vec<Event>) {
+        let Some(selected) = &mut self.selected else {
             return;
         };
         for event in events {
-            if event.swarm != chosen.name {
+            if event.swarm != selected.name {
                 continue;
             }
-            let last = chosen.events.back();
+            let last = selected.events.back();
             let is_new = last.is_none_or(|it| event.number > it.number);
-            let begins_anew = event.event == (EventKind::Created {});
-            if !is_new && !begins_anew || last == Some(&event) {
+            let is_recreated = event.event == (EventKind::Created {});
+            if !is_new && !is_recreated || last == Some(&event) {
                 continue;
             }
-            if begins_anew {
-                chosen.events.clear();
+            if is_recreated {
+                selected.events.clear();
             }
             if event.event == (EventKind::Deleted {}) {
-                // Whatever list comes next, it is not waited for; one of its name is another.
-                self.misses = MISSES;
-                let events = std::mem::take(&mut chosen.events);
-                *chosen = Chosen {
+                // Not waited for: a swarm of this name in the next list is another one.
+                self.misses = MAX_MISSES;
+                let events = std::mem::take(&mut selected.events);
+                *selected = Selected {
                     events,
-                    ..Chosen::new(event.swarm.clone())
+                    ..Selected::new(event.swarm.clone())
                 };
             }
-            chosen.happened(event);
+            selected.push_event(event);
             self.is_changed = true;
         }
     }

@@ -1,4 +1,4 @@
-//! Three ways to show a swarm: a line a second, samples and whole states as JSON.
+//! Three forms of output: a line a second, samples as JSON, and complete states as JSON.
 
 use jostle_proto::{OrderSample, State};
 
@@ -6,15 +6,15 @@ use crate::failure::Failure;
 use crate::format;
 use crate::output::{self, Output};
 
-/// A way to show a swarm. What shows something returns how many it has shown.
+/// A form of output. The methods that print return the number of printed lines.
 pub enum View {
-    /// Whole states, a JSON line each.
+    /// Complete states, a JSON line each.
     Frames,
-    /// Samples as they come, a JSON line each.
+    /// Samples as received, a JSON line each.
     Samples,
     /// For people: a header and at most a line a second.
     Lines {
-        /// What the next line will show.
+        /// The sample of the next line.
         latest: Option<Box<OrderSample>>,
         /// Whether the header and a first line are printed.
         is_begun: bool,
@@ -22,7 +22,7 @@ pub enum View {
 }
 
 impl View {
-    /// The way to show it that was asked for.
+    /// The form that the options select.
     pub fn new(output: Output, frames: bool) -> Self {
         if frames {
             return View::Frames;
@@ -37,29 +37,17 @@ impl View {
     }
 
     /// Prints a line of JSON.
-    ///
-    /// # Errors
-    ///
-    /// When it cannot be written.
     pub fn line(&self, text: &str) -> Result<u64, Failure> {
         output::write(&format!("{text}\n")).map(|()| 1)
     }
 
     /// Prints a state as a line of JSON.
-    ///
-    /// # Errors
-    ///
-    /// When it cannot be written.
     pub fn state(&self, state: &State) -> Result<u64, Failure> {
         let text = serde_json::to_string(state).map_err(Failure::defect)?;
         self.line(&text)
     }
 
     /// Shows a sample to people.
-    ///
-    /// # Errors
-    ///
-    /// When it cannot be written.
     pub fn order(&mut self, sample: OrderSample) -> Result<u64, Failure> {
         match self {
             View::Frames | View::Samples => Ok(0),
@@ -69,58 +57,69 @@ impl View {
                     return Ok(0);
                 }
                 *is_begun = true;
-                output::write(&header())?;
+                let header = [
+                    "step",
+                    "time",
+                    "phase",
+                    "n",
+                    "informed",
+                    "order",
+                    "drift",
+                    "rate",
+                    "actual",
+                    "worst_gap",
+                    "degraded",
+                ];
+                output::write(&line(header))?;
                 self.tick()
             }
         }
     }
 
-    /// Prints the line that is due, if there is anything new.
-    ///
-    /// # Errors
-    ///
-    /// When it cannot be written.
+    /// Prints the next line, if there is a new sample.
     pub fn tick(&mut self) -> Result<u64, Failure> {
         let View::Lines { latest, .. } = self else {
             return Ok(0);
         };
         match latest.take() {
-            Some(sample) => output::write(&line(&sample)).map(|()| 1),
+            Some(sample) => output::write(&describe(&sample)).map(|()| 1),
             None => Ok(0),
         }
     }
 }
 
-fn header() -> String {
-    format!(
-        "{:>9} {:>10} {:7} {:>5} {:>8} {:>6} {:>6} {:>6} {:>6} {:>9} {:>8}\n",
-        "step",
-        "time",
-        "phase",
-        "n",
-        "informed",
-        "order",
-        "drift",
-        "rate",
-        "actual",
-        "worst_gap",
-        "degraded"
-    )
+fn describe(sample: &OrderSample) -> String {
+    line([
+        &sample.step.to_string(),
+        &format::time(sample.time),
+        sample.phase.name(),
+        &sample.n.to_string(),
+        &sample.informed.to_string(),
+        &format::share(Some(sample.order.order)),
+        &format::share(sample.order.drift),
+        &format::rate(sample.rate),
+        &format::factor(sample.real_time_factor),
+        &format::magnitude(sample.certificate.worst_gap),
+        &sample.certificate.degraded.to_string(),
+    ])
 }
 
-fn line(sample: &OrderSample) -> String {
+fn line(cells: [&str; 11]) -> String {
+    let [
+        step,
+        time,
+        phase,
+        n,
+        informed,
+        order,
+        drift,
+        rate,
+        actual,
+        gap,
+        degraded,
+    ] = cells;
     format!(
-        "{:>9} {:>10} {:7} {:>5} {:>8} {:>6} {:>6} {:>6} {:>6} {:>9} {:>8}\n",
-        sample.step,
-        format::time(sample.time),
-        format::phase(sample.phase),
-        sample.n,
-        sample.informed,
-        format::share(Some(sample.order.order)),
-        format::share(sample.order.drift),
-        format::rate(sample.rate),
-        format::factor(sample.real_time_factor),
-        format::magnitude(sample.certificate.worst_gap),
-        sample.certificate.degraded,
+        "{step:>9} {time:>10} {phase:7} {n:>5} {informed:>8} {order:>6} {drift:>6} {rate:>6} \
+         {actual:>6} {gap:>9} {degraded:>8}\n"
     )
 }

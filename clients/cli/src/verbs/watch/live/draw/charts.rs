@@ -1,4 +1,4 @@
-//! How order and drift came about.
+//! Order and drift over time.
 
 use ratatui::Frame;
 use ratatui::layout::{Alignment, Constraint, Layout, Rect};
@@ -13,10 +13,10 @@ use crate::format;
 use crate::verbs::watch::live::history::Point;
 use crate::verbs::watch::live::view::View;
 
-/// The room for the numbers at an axis.
+/// The width of the axis labels.
 const GUTTER: u16 = 3;
-/// The dots between two of a dotted line.
-const DOTTED: usize = 4;
+/// The spacing of a dotted line, in dots.
+const DOT_SPACING: usize = 4;
 
 /// A number over time.
 struct Chart<'a> {
@@ -28,39 +28,32 @@ struct Chart<'a> {
     points: Vec<(f64, Option<f64>)>,
 }
 
-/// Draws the order over time.
-pub fn draw_order(frame: &mut Frame<'_>, area: Rect, view: &View, palette: Palette) {
-    let order = view.chosen.as_ref().and_then(|it| it.numbers.as_ref());
-    let order = order.map(|numbers| numbers.order);
+/// Draws the order and the drift over time.
+pub fn draw(frame: &mut Frame<'_>, [order, drift]: [Rect; 2], view: &View, palette: Palette) {
+    let numbers = view.selected.as_ref().and_then(|it| it.numbers.as_ref());
+    let now = numbers.map(|numbers| numbers.order);
+    let points = |what: fn(&Point) -> Option<f64>| {
+        let points = view.selected.iter().flat_map(|it| it.history.points());
+        points.map(|point| (point.time, what(point))).collect()
+    };
     let chart = Chart {
         name: "order",
-        now: order.map(|it| it.order),
-        mean: order.and_then(|it| it.mean_order),
+        now: now.map(|it| it.order),
+        mean: now.and_then(|it| it.mean_order),
         range: [0.0, 1.0],
         color: palette.body(),
-        points: points_of(view, |point| Some(point.order)),
+        points: points(|point| Some(point.order)),
     };
-    chart.draw(frame, area, palette);
-}
-
-/// Draws the drift over time.
-pub fn draw_drift(frame: &mut Frame<'_>, area: Rect, view: &View, palette: Palette) {
-    let order = view.chosen.as_ref().and_then(|it| it.numbers.as_ref());
-    let order = order.map(|numbers| numbers.order);
+    chart.draw(frame, order, palette);
     let chart = Chart {
         name: "drift",
-        now: order.and_then(|it| it.drift),
-        mean: order.and_then(|it| it.mean_drift),
+        now: now.and_then(|it| it.drift),
+        mean: now.and_then(|it| it.mean_drift),
         range: [-1.0, 1.0],
         color: palette.informed(),
-        points: points_of(view, |point| point.drift),
+        points: points(|point| point.drift),
     };
-    chart.draw(frame, area, palette);
-}
-
-fn points_of(view: &View, what: fn(&Point) -> Option<f64>) -> Vec<(f64, Option<f64>)> {
-    let points = view.chosen.iter().flat_map(|it| it.history.points());
-    points.map(|point| (point.time, what(point))).collect()
+    chart.draw(frame, drift, palette);
 }
 
 impl Chart<'_> {
@@ -88,7 +81,7 @@ impl Chart<'_> {
         let columns = Layout::horizontal([Constraint::Length(GUTTER), Constraint::Fill(1)]);
         let [gutter, plot] = columns.areas(inner);
         self.draw_gutter(frame, gutter, palette);
-        // Without any time there is no scale.
+        // No scale before two times differ.
         let Some([first, last]) = times.filter(|[first, last]| last > first) else {
             return;
         };
@@ -101,7 +94,7 @@ impl Chart<'_> {
                 if self.range[0] < 0.0 {
                     context.draw(&Points {
                         coords: &dotted,
-                        color: palette.ground(),
+                        color: palette.grid(),
                     });
                 }
                 for pair in self.points.windows(2) {
@@ -112,12 +105,12 @@ impl Chart<'_> {
             });
         frame.render_widget(canvas, plot);
         if self.points.iter().all(|(_, number)| number.is_none()) {
-            let text = Line::styled("nobody is informed", palette.faint());
+            let text = Line::styled("no direction given", palette.faint());
             frame.render_widget(text.alignment(Alignment::Center), plot);
         }
     }
 
-    /// The ends of the axis.
+    /// The labels of the axis.
     fn draw_gutter(&self, frame: &mut Frame<'_>, area: Rect, palette: Palette) {
         let [least, most] = self.range;
         let mut lines = vec![Line::default(); usize::from(area.height)];
@@ -136,7 +129,7 @@ fn dotted([first, last]: [f64; 2], width: u16) -> Vec<(f64, f64)> {
     let dots = 2 * usize::from(width);
     let share = |dot: usize| dot as f64 / dots.max(2).saturating_sub(1) as f64;
     (0..dots)
-        .step_by(DOTTED)
+        .step_by(DOT_SPACING)
         .map(|dot| (first + (last - first) * share(dot), 0.0))
         .collect()
 }

@@ -1,11 +1,11 @@
-//! Draws a view: where everything stands at which size.
+//! Draws a view: the layout at each size.
 
 mod bodies;
 mod charts;
-mod foot;
 mod numbers;
 mod palette;
 mod popups;
+mod status_bar;
 mod swarms;
 
 use ratatui::Frame;
@@ -16,22 +16,22 @@ use ratatui::widgets::{Block, BorderType};
 pub use self::palette::Palette;
 use super::view::View;
 
-/// From this size on there is room for boxes, the list and the charts.
-const ROOMY: (u16, u16) = (60, 16);
+/// The least size that has boxes, the list and the charts.
+const MIN_FULL: (u16, u16) = (60, 16);
 /// The height of the events with their box.
 const EVENTS: u16 = 6;
 
 /// Draws a view.
 pub fn draw(frame: &mut Frame<'_>, view: &View, palette: Palette) {
     let area = frame.area();
-    let is_roomy = area.width >= ROOMY.0 && area.height >= ROOMY.1;
+    let is_roomy = area.width >= MIN_FULL.0 && area.height >= MIN_FULL.1;
     let rows = Layout::vertical([
         Constraint::Length(u16::from(area.height > 4)),
         Constraint::Fill(1),
         Constraint::Length(1),
     ]);
-    let [title, middle, foot] = rows.areas(area);
-    foot::draw_title(frame, title, view, palette, is_roomy);
+    let [title, middle, bottom] = rows.areas(area);
+    status_bar::draw_title(frame, title, view, palette, is_roomy);
     let main = if is_roomy {
         let width = (area.width / 4 + 4).clamp(26, 38);
         let columns = Layout::horizontal([Constraint::Length(width), Constraint::Fill(1)]);
@@ -42,11 +42,11 @@ pub fn draw(frame: &mut Frame<'_>, view: &View, palette: Palette) {
         middle
     };
     draw_main(frame, main, view, palette, is_roomy);
-    foot::draw_foot(frame, foot, view, palette);
+    status_bar::draw_status_bar(frame, bottom, view, palette);
     popups::draw(frame, middle, view, palette);
 }
 
-/// The list and, below, how order and drift came about.
+/// The list and, below, the charts of order and drift.
 fn draw_side(frame: &mut Frame<'_>, area: Rect, view: &View, palette: Palette) {
     let count = view.swarms.as_ref().map_or(0, Vec::len);
     let wanted = u16::try_from(count).unwrap_or(u16::MAX).saturating_add(3);
@@ -59,11 +59,10 @@ fn draw_side(frame: &mut Frame<'_>, area: Rect, view: &View, palette: Palette) {
     let [list, order, drift] = rows.areas(area);
     let inner = boxed(frame, list, palette, " swarms ");
     swarms::draw(frame, inner, view, palette);
-    charts::draw_order(frame, order, view, palette);
-    charts::draw_drift(frame, drift, view, palette);
+    charts::draw(frame, [order, drift], view, palette);
 }
 
-/// The bodies of the chosen swarm, its numbers and its events.
+/// The bodies of the selected swarm, its numbers and its events.
 fn draw_main(frame: &mut Frame<'_>, area: Rect, view: &View, palette: Palette, is_roomy: bool) {
     let numbers = match area.height {
         0..5 => 1,
@@ -110,12 +109,12 @@ fn frame_of<'a>(palette: Palette) -> Block<'a> {
         .border_style(palette.faint())
 }
 
-/// Text that is cut where the room ends.
+/// Truncates text to `width` columns.
 fn cut(text: &str, width: usize) -> String {
     console::truncate_str(text, width, "…").into_owned()
 }
 
-/// A name and what it has come to.
+/// A name and its value.
 fn named<'a>(palette: Palette, name: &'a str, value: String) -> Vec<Span<'a>> {
     vec![
         Span::styled(name, palette.faint()),

@@ -1,4 +1,4 @@
-//! The numbers of the chosen swarm, and what happened to it.
+//! The numbers and the events of the selected swarm.
 
 use ratatui::Frame;
 use ratatui::layout::Rect;
@@ -7,49 +7,45 @@ use ratatui::widgets::Paragraph;
 
 use super::{Palette, cut, named};
 use crate::format;
-use crate::verbs::events::what;
-use crate::verbs::watch::live::chosen::Chosen;
+use crate::verbs::events::describe;
+use crate::verbs::watch::live::selected::Selected;
 use crate::verbs::watch::live::view::View;
 
-/// What stands between two numbers.
-const BETWEEN: &str = "  ";
+/// Between two numbers.
+const SEPARATOR: &str = "  ";
 
-/// Draws the numbers, as many as there is room for, the most telling first.
+/// Draws as many numbers as fit, the most important first.
 pub fn draw(frame: &mut Frame<'_>, area: Rect, view: &View, palette: Palette) {
-    let Some(chosen) = &view.chosen else {
+    let Some(selected) = &view.selected else {
         return;
     };
     let width = usize::from(area.width).saturating_sub(1);
-    let mut rows: Vec<Vec<Span<'_>>> = vec![vec![Span::raw(" ")]];
-    for number in numbers(chosen, palette) {
+    let mut lines = vec![Line::from(" ")];
+    for number in numbers(selected, palette) {
         let long: usize = number.iter().map(Span::width).sum();
-        let row = rows
-            .last()
-            .map_or(0, |row| row.iter().map(Span::width).sum());
-        if row > 1 && row + BETWEEN.len() + long > width {
-            if rows.len() == usize::from(area.height) {
-                break;
+        let mut line = lines.pop().expect("there is one");
+        if line.width() > 1 {
+            if line.width() + SEPARATOR.len() + long > width {
+                lines.push(line);
+                if lines.len() == usize::from(area.height) {
+                    break;
+                }
+                line = Line::from(" ");
+            } else {
+                line.push_span(SEPARATOR);
             }
-            rows.push(vec![Span::raw(" ")]);
-        } else if row > 1 {
-            rows.last_mut()
-                .expect("there is one")
-                .push(Span::raw(BETWEEN));
         }
-        rows.last_mut().expect("there is one").extend(number);
+        line.extend(number);
+        lines.push(line);
     }
-    let lines: Vec<Line<'_>> = rows.into_iter().map(Line::from).collect();
     frame.render_widget(Paragraph::new(lines), area);
 }
 
-fn numbers<'a>(chosen: &'a Chosen, palette: Palette) -> Vec<Vec<Span<'a>>> {
-    let Some(numbers) = &chosen.numbers else {
+fn numbers<'a>(selected: &'a Selected, palette: Palette) -> Vec<Vec<Span<'a>>> {
+    let Some(numbers) = &selected.numbers else {
         return Vec::new();
     };
-    let phase = match &chosen.reason {
-        Some(reason) => format!("{} ({reason})", format::phase(numbers.phase)),
-        None => format::phase(numbers.phase).into(),
-    };
+    let phase = format::phase(numbers.phase, selected.reason.as_deref());
     let speed = match numbers.real_time_factor {
         Some(_) => format!(
             "{} of {}",
@@ -94,18 +90,18 @@ fn numbers<'a>(chosen: &'a Chosen, palette: Palette) -> Vec<Vec<Span<'a>>> {
 
 /// Draws the newest events, the newest first.
 pub fn draw_events(frame: &mut Frame<'_>, area: Rect, view: &View, palette: Palette) {
-    let Some(chosen) = &view.chosen else {
+    let Some(selected) = &view.selected else {
         return;
     };
     let width = usize::from(area.width);
-    let newest = chosen.events.iter().rev().take(usize::from(area.height));
+    let newest = selected.events.iter().rev().take(usize::from(area.height));
     let lines: Vec<Line<'_>> = newest
         .map(|event| {
             let when = format!("{:>9}  ", format!("t {:.1}", event.time));
             let room = width.saturating_sub(when.len());
             Line::from(vec![
                 Span::styled(when, palette.faint()),
-                Span::raw(cut(&what(&event.event), room)),
+                Span::raw(cut(&describe(&event.event), room)),
             ])
         })
         .collect();

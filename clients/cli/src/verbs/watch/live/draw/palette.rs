@@ -1,17 +1,17 @@
-//! Colours where the terminal has them, and what stands for them where it has not.
+//! Colours, or text attributes where there are none.
 
 use jostle_proto::Phase;
 use ratatui::style::{Color, Modifier, Style};
 
-/// How things look. The colours are the terminal's own, so that they suit its background.
+/// Styles. The colours are the terminal's own, so that they suit its background.
 #[derive(Clone, Copy, Debug)]
 pub struct Palette {
-    /// Whether there are colours.
+    /// Whether to use colours.
     pub is_coloured: bool,
 }
 
 impl Palette {
-    /// As <https://no-color.org> has it.
+    /// Honours `NO_COLOR`, see <https://no-color.org>.
     pub fn of_the_environment() -> Self {
         Palette {
             is_coloured: std::env::var_os("NO_COLOR").is_none_or(|it| it.is_empty()),
@@ -26,28 +26,27 @@ impl Palette {
         }
     }
 
-    /// Bodies that only follow.
     pub fn body(self) -> Color {
         self.colour(Color::Cyan)
     }
 
-    /// Bodies with a direction of their own, and how the group follows them.
+    /// Informed bodies, and the drift.
     pub fn informed(self) -> Color {
         self.colour(Color::Magenta)
     }
 
-    /// The heads of bodies, as text is written.
+    /// The heads of bodies, in the colour of text.
     pub fn head(self) -> Color {
         Color::Reset
     }
 
-    /// That direction.
+    /// The direction of informed bodies.
     pub fn direction(self) -> Color {
         self.colour(Color::Yellow)
     }
 
-    /// The ground the bodies move on.
-    pub fn ground(self) -> Color {
+    /// The grid of marks behind the bodies.
+    pub fn grid(self) -> Color {
         self.colour(Color::DarkGray)
     }
 
@@ -60,17 +59,14 @@ impl Palette {
         }
     }
 
-    /// What counts.
     pub fn strong(self) -> Style {
         Style::new().add_modifier(Modifier::BOLD)
     }
 
-    /// What is chosen.
-    pub fn chosen(self) -> Style {
+    pub fn selected(self) -> Style {
         Style::new().add_modifier(Modifier::REVERSED)
     }
 
-    /// What went wrong.
     pub fn error(self) -> Style {
         if self.is_coloured {
             Style::new().fg(Color::Red).add_modifier(Modifier::BOLD)
@@ -79,7 +75,6 @@ impl Palette {
         }
     }
 
-    /// What a swarm is doing.
     pub fn phase(self, phase: Phase) -> Style {
         match phase {
             Phase::Running => Style::new().fg(self.colour(Color::Green)),

@@ -1,4 +1,4 @@
-//! What stands above all else: the keys, and the questions of `inform`.
+//! Popups: the keys, and the prompt of `inform`.
 
 use ratatui::Frame;
 use ratatui::layout::Rect;
@@ -7,17 +7,17 @@ use ratatui::widgets::{Clear, Paragraph};
 
 use super::{Palette, boxed, cut};
 use crate::verbs::watch::live::keys::KEYS;
-use crate::verbs::watch::live::prompt::{Prompt, QUESTIONS};
+use crate::verbs::watch::live::prompt::{FIELDS, Prompt};
 use crate::verbs::watch::live::view::View;
 
-/// The least room for the questions; with less the last line asks them one by one.
-const QUESTIONS_NEED: (u16, u16) = (46, 8);
+/// The least size of the prompt; in less the status bar shows one field at a time.
+const MIN_PROMPT: (u16, u16) = (46, 8);
 
-/// Draws what is open.
+/// Draws the open popup.
 pub fn draw(frame: &mut Frame<'_>, area: Rect, view: &View, palette: Palette) {
     if let Some(prompt) = &view.prompt {
-        if area.width >= QUESTIONS_NEED.0 && area.height >= QUESTIONS_NEED.1 {
-            let name = view.chosen.as_ref().map_or("", |it| it.name.as_str());
+        if area.width >= MIN_PROMPT.0 && area.height >= MIN_PROMPT.1 {
+            let name = view.selected.as_ref().map_or("", |it| it.name.as_str());
             draw_prompt(frame, area, prompt, name, palette);
         }
     } else if view.is_help_shown {
@@ -28,21 +28,21 @@ pub fn draw(frame: &mut Frame<'_>, area: Rect, view: &View, palette: Palette) {
 fn draw_keys(frame: &mut Frame<'_>, area: Rect, palette: Palette) {
     let lines: Vec<Line<'_>> = KEYS
         .iter()
-        .map(|(key, does)| {
+        .map(|(key, action)| {
             let key = Span::styled(format!(" {key:9}"), palette.strong());
-            Line::from(vec![key, Span::raw(*does)])
+            Line::from(vec![key, Span::raw(*action)])
         })
         .collect();
     popup(frame, area, palette, " keys ", lines);
 }
 
 fn draw_prompt(frame: &mut Frame<'_>, area: Rect, prompt: &Prompt, swarm: &str, palette: Palette) {
-    let asked = QUESTIONS.iter().zip(&prompt.answers).enumerate();
-    let mut lines: Vec<Line<'_>> = asked
-        .map(|(index, ((name, how), answer))| {
+    let fields = FIELDS.iter().zip(&prompt.texts).enumerate();
+    let mut lines: Vec<Line<'_>> = fields
+        .map(|(index, ((name, how), text))| {
             let is_at = index == prompt.at;
             let (mark, end) = if is_at { ("›", "▏") } else { (" ", " ") };
-            let answer = format!("{answer}{end}");
+            let text = format!("{text}{end}");
             let style = if is_at {
                 palette.strong()
             } else {
@@ -50,14 +50,14 @@ fn draw_prompt(frame: &mut Frame<'_>, area: Rect, prompt: &Prompt, swarm: &str, 
             };
             Line::from(vec![
                 Span::styled(format!("{mark} {name:10}"), style),
-                Span::raw(format!("{answer:8} ")),
+                Span::raw(format!("{text:8} ")),
                 Span::styled(*how, palette.faint()),
             ])
         })
         .collect();
     lines.push(match &prompt.problem {
         Some(problem) => Line::styled(format!("  {problem}"), palette.error()),
-        None => Line::styled("  Enter goes on, Esc leaves", palette.faint()),
+        None => Line::styled("  Enter: next, Esc: cancel", palette.faint()),
     });
     popup(
         frame,

@@ -11,14 +11,14 @@ use super::{Palette, cut};
 use crate::format;
 use crate::verbs::watch::live::view::View;
 
-/// What a name gets before the speed is shown beside it.
+/// The least width of a name when the speed is shown.
 const NAME: usize = 8;
 /// The widths of the columns of numbers.
 const N: usize = 6;
 const ORDER: usize = 6;
 const SPEED: usize = 6;
 
-/// Draws the list; the chosen one is in sight.
+/// Draws the list, scrolled to the selected swarm.
 pub fn draw(frame: &mut Frame<'_>, area: Rect, view: &View, palette: Palette) {
     let width = usize::from(area.width);
     let fixed = 2 + N + ORDER;
@@ -30,20 +30,20 @@ pub fn draw(frame: &mut Frame<'_>, area: Rect, view: &View, palette: Palette) {
     }
     let mut lines = vec![Line::styled(header, palette.faint())];
     match view.swarms.as_deref() {
-        None => lines.push(Line::styled("asking …", palette.faint())),
+        None => lines.push(Line::styled("loading …", palette.faint())),
         Some([]) => lines.push(Line::styled("none yet", palette.faint())),
         Some(swarms) => {
-            let chosen = view.chosen.as_ref().map(|it| it.name.as_str());
+            let selected = view.selected.as_ref().map(|it| it.name.as_str());
             let at = swarms
                 .iter()
-                .position(|it| Some(it.swarm.as_str()) == chosen);
+                .position(|it| Some(it.swarm.as_str()) == selected);
             let room = usize::from(area.height).saturating_sub(1).max(1);
             let first = at.unwrap_or(0).saturating_sub(room - 1);
             let rows = swarms.iter().enumerate().skip(first).take(room);
             lines.extend(rows.map(|(index, swarm)| {
                 let line = row(swarm, name, with_speed, palette);
                 if Some(index) == at {
-                    line.style(palette.chosen())
+                    line.style(palette.selected())
                 } else {
                     line
                 }

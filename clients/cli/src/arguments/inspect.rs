@@ -1,0 +1,101 @@
+//! The arguments of the verbs that only read.
+
+use std::path::PathBuf;
+
+use clap::builder::PossibleValuesParser;
+use clap::{Args, ValueEnum, ValueHint};
+use clap_complete::engine::ArgValueCompleter;
+
+use crate::completion;
+use crate::values;
+
+#[derive(Debug, Args)]
+pub struct TopArguments {
+    /// End after this many screens
+    #[arg(short = 'n', long, value_parser = values::positive, allow_negative_numbers = true)]
+    pub count: Option<u64>,
+    /// The time between two screens
+    #[arg(long, value_name = "SECS", value_parser = values::seconds, default_value = "1", allow_negative_numbers = true)]
+    pub interval: f64,
+    /// The order of the swarms
+    #[arg(long, value_enum, default_value_t)]
+    pub sort: Sort,
+}
+
+/// The orders of `top --sort`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum Sort {
+    /// By CPU time, the most first
+    #[default]
+    Cost,
+    /// By the reached share of their rate, the least first; then by real-time factor
+    Factor,
+    /// By name
+    Name,
+}
+
+#[derive(Debug, Args)]
+pub struct JournalArguments {
+    /// The swarm
+    #[arg(value_parser = values::name, add = ArgValueCompleter::new(completion::swarms))]
+    pub name: String,
+    /// Only commands with a higher seq
+    #[arg(long, value_name = "SEQ", value_parser = values::whole, default_value = "0", hide_default_value = true, allow_negative_numbers = true)]
+    pub after: u64,
+    /// Only the newest ones, up to this many
+    #[arg(long, value_name = "COUNT", value_parser = values::count, allow_negative_numbers = true)]
+    pub limit: Option<usize>,
+}
+
+#[derive(Debug, Args)]
+pub struct EventsArguments {
+    /// The swarm
+    #[arg(value_parser = values::name, add = ArgValueCompleter::new(completion::swarms))]
+    pub name: String,
+    /// Only events with a higher number
+    #[arg(long, value_name = "NUMBER", value_parser = values::whole, default_value = "0", hide_default_value = true, allow_negative_numbers = true)]
+    pub after: u64,
+    /// Of the past events only the newest, up to this many
+    #[arg(long, value_name = "COUNT", value_parser = values::count, allow_negative_numbers = true)]
+    pub limit: Option<usize>,
+    /// Follow new events until the swarm is deleted
+    #[arg(short, long)]
+    pub follow: bool,
+}
+
+#[derive(Debug, Args)]
+pub struct WatchArguments {
+    /// The swarm; may be omitted on a terminal, which shows all
+    #[arg(value_parser = values::name, add = ArgValueCompleter::new(completion::swarms))]
+    pub name: Option<String>,
+    /// Print complete states as JSON Lines instead
+    #[arg(long)]
+    pub frames: bool,
+    /// Print lines, and end after this many samples, states or lines
+    #[arg(long, value_parser = values::positive, allow_negative_numbers = true)]
+    pub count: Option<u64>,
+    /// End after this long
+    #[arg(long = "for", value_name = "SECS", value_parser = values::seconds, allow_negative_numbers = true)]
+    pub for_secs: Option<f64>,
+}
+
+#[derive(Debug, Args)]
+pub struct SchemaArguments {
+    /// The message, such as step.args [default: lists all messages]
+    #[arg(add = ArgValueCompleter::new(completion::messages))]
+    pub message: Option<String>,
+}
+
+#[derive(Debug, Args)]
+pub struct CompletionsArguments {
+    /// The shell
+    #[arg(value_parser = PossibleValuesParser::new(completion::SHELLS))]
+    pub shell: String,
+}
+
+#[derive(Debug, Args)]
+pub struct ManArguments {
+    /// Write a page for each verb into this folder
+    #[arg(short, long, value_name = "FOLDER", value_hint = ValueHint::DirPath)]
+    pub out: Option<PathBuf>,
+}

@@ -1,0 +1,15 @@
+//! The verbs that read the state of swarms and daemons and change nothing.
+
+mod controllers;
+mod journal;
+mod nodes;
+mod parameters;
+mod show;
+mod top;
+
+pub use self::controllers::controllers;
+pub use self::journal::{FullJournal, full_journal, journal};
+pub use self::nodes::nodes;
+pub use self::parameters::parameters;
+pub use self::show::{list, spec, status};
+pub use self::top::top;

@@ -1,0 +1,117 @@
+//! The selected swarm: its last status, state and events.
+
+use std::collections::VecDeque;
+
+use jostle_proto::{Event, OrderSample, Phase, Reply, State, Status, SwarmSummary};
+
+use super::camera::Camera;
+use super::history::{History, Point};
+use crate::verbs::watch::sample_of;
+
+/// The number of events kept.
+const MAX_EVENTS: usize = 64;
+
+#[derive(Debug)]
+pub struct Selected {
+    pub name: String,
+    /// Its numbers, after the first status.
+    pub numbers: Option<OrderSample>,
+    /// Why it is paused or faulted.
+    pub reason: Option<String>,
+    /// Length over width of a body.
+    pub pi1: f64,
+    /// Its last state.
+    pub state: Option<State>,
+    /// Order and drift over time.
+    pub history: History,
+    /// Its events, oldest first.
+    pub events: VecDeque<Event>,
+}
+
+impl Selected {
+    /// A swarm without a status yet.
+    pub fn new(name: String) -> Self {
+        Selected {
+            name,
+            numbers: None,
+            reason: None,
+            pi1: 4.0,
+            state: None,
+            history: History::default(),
+            events: VecDeque::new(),
+        }
+    }
+
+    /// Applies a status and returns whether anything visible changed.
+    pub fn set_status(&mut self, reply: Reply<Status>) -> bool {
+        let is_late = |numbers: &OrderSample| {
+            (reply.epoch, reply.step) < (numbers.epoch, numbers.step)
+                && reply.phase == Phase::Running
+        };
+        self.pi1 = reply.result.parameters.pi1;
+        if self.numbers.as_ref().is_some_and(is_late) {
+            return false;
+        }
+        let reason = reply.result.reason.clone();
+        let numbers = sample_of(reply, 0);
+        let is_changed = self.numbers.as_ref() != Some(&numbers) || self.reason != reason;
+        self.numbers = Some(numbers);
+        self.reason = reason;
+        self.record_order();
+        is_changed
+    }
+
+    /// Applies a state and returns whether it is new.
+    pub fn set_state(&mut self, state: State, camera: &mut Camera) -> bool {
+        if self.state.as_ref() == Some(&state) {
+            return false;
+        }
+        camera.track(&state);
+        if let Some(numbers) = &mut self.numbers {
+            numbers.epoch = state.epoch;
+            (numbers.step, numbers.time) = (state.step, state.time);
+            numbers.phase = state.phase;
+            numbers.n = state.id.len() as u64;
+            numbers.informed = state.weight.iter().filter(|weight| **weight > 0.0).count() as u64;
+            (numbers.order, numbers.certificate) = (state.order, state.certificate);
+            self.record_order();
+        }
+        self.state = Some(state);
+        true
+    }
+
+    /// Applies an entry of the list, which has the rate, and returns whether anything changed.
+    pub fn set_summary(&mut self, summary: &SwarmSummary) -> bool {
+        let Some(numbers) = &mut self.numbers else {
+            return false;
+        };
+        let before = (numbers.phase, numbers.rate, numbers.real_time_factor);
+        let reason = self.reason.clone();
+        (numbers.rate, numbers.real_time_factor) = (summary.rate, summary.real_time_factor);
+        if summary.step >= numbers.step {
+            numbers.phase = summary.phase;
+            self.reason.clone_from(&summary.reason);
+        }
+        let now = (numbers.phase, numbers.rate, numbers.real_time_factor);
+        before != now || reason != self.reason
+    }
+
+    pub fn push_event(&mut self, event: Event) {
+        if self.events.len() == MAX_EVENTS {
+            self.events.pop_front();
+        }
+        self.events.push_back(event);
+    }
+
+    /// Adds the current order to the history.
+    fn record_order(&mut self) {
+        if let Some(numbers) = &self.numbers {
+            let point = Point {
+                time: numbers.time,
+                order: numbers.order.order,
+                drift: numbers.order.drift,
+            };
+            self.history.add(numbers.epoch, point);
+        }
+    }
+}

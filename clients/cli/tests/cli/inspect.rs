@@ -1,0 +1,171 @@
+//! The verbs that only read: parameters, journal, events, nodes, schemas.
+
+use std::time::{Duration, SystemTime};
+
+use serde_json::{Value, json};
+
+use crate::support::{Daemon, TIMEOUT, object};
+
+/// Asserts that the second column of a line is the wall-clock time of a moment ago, in UTC.
+fn assert_is_of_now(line: &str) {
+    let when = line.split_whitespace().nth(1).unwrap();
+    assert!(when.ends_with('Z') && when.len() == 24, "{line}");
+    let since = humantime::parse_rfc3339(when).unwrap();
+    // A millisecond is rounded up, too.
+    let now = SystemTime::now() + Duration::from_millis(1);
+    assert!(now.duration_since(since).unwrap() < 2 * TIMEOUT, "{line}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn parameters_are_listed_with_their_ranges_and_verbs() {
+    let daemon = Daemon::start().await;
+    daemon.said("create demo --n 10 --pi1 6 --rate max").await;
+    let reply = daemon.reply("parameters demo").await;
+    let parameters = reply["result"]["parameters"].as_array().unwrap();
+    let pi1 = parameters.iter().find(|it| it["name"] == "pi1").unwrap();
+    assert_eq!(
+        (&pi1["value"], &pi1["maximum"]),
+        (&json!(6.0), &json!(32.0))
+    );
+    let table = daemon.said("parameters demo").await;
+    let line = |name: &str| {
+        let is_its = |line: &&str| line.split_whitespace().next() == Some(name);
+        let line = table
+            .lines()
+            .find(is_its)
+            .unwrap_or_else(|| panic!("{name}: {table}"));
+        line.split_whitespace().collect::<Vec<_>>().join(" ")
+    };
+    assert_eq!(
+        line("pi1"),
+        "pi1 6 4 1 to 32 set Length over width of a body"
+    );
+    assert!(line("n").contains("inject, remove"));
+    assert!(line("rate").starts_with("rate max 1 "));
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_journal_lists_applied_commands_and_can_be_limited() {
+    let daemon = Daemon::start().await;
+    daemon.said("create demo --n 10").await;
+    let nothing = daemon.jostle("journal demo").await;
+    assert_eq!((nothing.code, nothing.stdout.as_str()), (Some(0), ""));
+    assert!(nothing.stderr.contains("no command yet"), "{nothing:?}");
+    for pi3 in ["2", "3", "4"] {
+        daemon.said(&format!("set demo pi3={pi3}")).await;
+    }
+    let table = daemon.said("journal demo").await;
+    let lines: Vec<&str> = table.lines().collect();
+    assert_eq!(lines.len(), 4, "{table}");
+    assert!(
+        lines[3].contains("tester@") && lines[3].ends_with("set pi3=4"),
+        "{table}"
+    );
+    assert_eq!(
+        lines[0].split_whitespace().collect::<Vec<_>>(),
+        ["seq", "when", "epoch", "step", "time", "client", "command"]
+    );
+    lines[1..].iter().for_each(|line| assert_is_of_now(line));
+    let seqs = |journal: &Value| {
+        let entries = journal["result"]["entries"].as_array().unwrap();
+        entries
+            .iter()
+            .map(|entry| entry["seq"].clone())
+            .collect::<Vec<_>>()
+    };
+    assert_eq!(seqs(&daemon.reply("journal demo").await), [1, 2, 3]);
+    assert_eq!(seqs(&daemon.reply("journal demo --after 1").await), [2, 3]);
+    assert_eq!(seqs(&daemon.reply("journal demo --limit 1").await), [3]);
+    daemon.said("annotate demo ready").await;
+    for line in ["journal demo", "events demo"] {
+        let table = daemon.said(line).await;
+        assert!(table.contains(r#"annotate "ready""#), "{line}: {table}");
+    }
+    let ended = daemon.jostle_with("annotate demo \u{7}", "").await;
+    assert_eq!(ended.code, Some(2), "{ended:?}");
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_journal_longer_than_a_reply_is_fetched_completely() {
+    let daemon = Daemon::start().await;
+    daemon.said("create demo --n 3").await;
+    for _ in 0..5 {
+        let change = json!({"verb": "set", "args": {"pi3": 2}}).to_string();
+        let changes = format!("[{}]", vec![change; 256].join(","));
+        let ended = daemon.jostle_with("batch demo -", &changes).await;
+        assert_eq!(ended.code, Some(0), "{ended:?}");
+    }
+    let journal = daemon.reply("journal demo").await;
+    let entries = journal["result"]["entries"].as_array().unwrap();
+    assert_eq!(entries.len(), 5);
+    assert_eq!(entries[4]["seq"], 5 * 256);
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn events_are_listed_and_followed_until_the_swarm_is_deleted() {
+    let daemon = Daemon::start().await;
+    daemon.said("create demo --n 10").await;
+    daemon.said("set demo pi3=2").await;
+    let table = daemon.said("events demo").await;
+    assert!(
+        table.contains("created") && table.contains("set pi3=2 (seq 1, by tester@"),
+        "{table}"
+    );
+    assert!(table.starts_with(" number  when"), "{table}");
+    table.lines().skip(1).for_each(assert_is_of_now);
+    let ended = daemon.jostle("--json events demo --limit 1").await;
+    assert_eq!(object(&ended)["event"]["verb"], "set");
+    assert!(object(&ended)["unix_secs"].as_f64() > Some(1.7e9));
+    let last = object(&ended)["number"].as_u64().unwrap();
+
+    let line = format!("--json events demo --follow --after {last}");
+    let mut following = daemon.begin(&line);
+    daemon.said("set demo pi3=3").await;
+    let event: Value = serde_json::from_str(&following.lines(1)[0]).unwrap();
+    assert_eq!(
+        event["number"],
+        last + 1,
+        "past events are not printed again"
+    );
+    assert_eq!(event["event"]["args"], json!({"pi3": 3}));
+    daemon.said("delete demo").await;
+    let ended = following.end().await;
+    assert_eq!(
+        (ended.code, ended.stderr.as_str()),
+        (Some(0), ""),
+        "{ended:?}"
+    );
+    let numbers: Vec<Value> = ended.json_lines();
+    assert_eq!(numbers.last().unwrap()["event"]["kind"], "deleted");
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn daemons_and_messages_are_listed() {
+    let daemon = Daemon::start().await;
+    let table = daemon.said("nodes").await;
+    let words: Vec<Vec<&str>> = table
+        .lines()
+        .map(|line| line.split_whitespace().collect())
+        .collect();
+    assert_eq!(words[0][..3], ["node", "version", "wire"]);
+    assert_eq!(words[1][..3], ["test", env!("CARGO_PKG_VERSION"), "1"]);
+    let nodes = daemon.reply("nodes").await;
+    assert_eq!(nodes["nodes"][0]["hello"]["wire_version"], 1);
+
+    let list = daemon.said("schema").await;
+    assert!(
+        list.lines().any(|line| line.starts_with("step.args  ")),
+        "{list}"
+    );
+    let schema: Value = serde_json::from_str(&daemon.said("schema step.args").await).unwrap();
+    assert_eq!(schema["additionalProperties"], false);
+    assert_eq!(daemon.reply("schema step.args").await, schema);
+    let unknown = daemon.refusal("schema step.arg").await;
+    assert_eq!(unknown["code"], "not_found");
+    assert_eq!(unknown["details"]["nearest"], json!(["step.args"]));
+    daemon.stop().await;
+}

@@ -1,0 +1,303 @@
+//! Finds daemons and swarms by their liveliness tokens, and explains missing replies.
+
+use std::time::{Duration, Instant};
+
+use jostle_proto::role::rejection;
+use jostle_proto::{Claim, NodeReply, WhoAmI, claim, keys};
+
+use crate::client::{Client, Target};
+use crate::error::Error;
+
+/// The timeout of a query for tokens.
+const QUERY_TIMEOUT: Duration = Duration::from_secs(2);
+
+/// How long after it listens a daemon may declare its token, and the interval of the queries for it.
+const START_TIMEOUT: Duration = Duration::from_secs(1);
+const POLL_INTERVAL: Duration = Duration::from_millis(50);
+
+/// How long two daemons that were just connected may both claim to serve a name. They resolve it
+/// within 0.4 s; the rest is for a busy machine.
+const CONTEST_TIMEOUT: Duration = Duration::from_secs(1);
+
+impl Client {
+    /// The daemons that host a swarm.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::TimedOut`] after 2 s, or [`Error::Internal`].
+    pub async fn hosts_of(&self, swarm: &str) -> Result<Vec<String>, Error> {
+        self.tokens(&keys::alive(&self.0.prefix, swarm, "*")).await
+    }
+
+    /// The daemons that are reachable.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::TimedOut`] after 2 s, or [`Error::Internal`].
+    pub async fn nodes(&self) -> Result<Vec<String>, Error> {
+        self.tokens(&keys::node_alive(&self.0.prefix, "*")).await
+    }
+
+    /// The swarms of all daemons.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::TimedOut`] after 2 s, or [`Error::Internal`].
+    pub async fn swarms(&self) -> Result<Vec<String>, Error> {
+        let prefix = format!("{}/", self.0.prefix);
+        let mut swarms: Vec<String> = self
+            .keys_of_tokens(&keys::alive(&self.0.prefix, "*", "*"))
+            .await?
+            .iter()
+            .filter_map(|key| key.strip_prefix(&prefix)?.split('/').next())
+            .map(str::to_owned)
+            .collect();
+        swarms.sort();
+        swarms.dedup();
+        Ok(swarms)
+    }
+
+    /// The daemon that receives requests to a daemon: that named in the options, or the only one.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::ManyNodes`]; [`Error::NoNode`] or [`Error::NoDaemon`] if there is none.
+    pub async fn node(&self) -> Result<String, Error> {
+        if let Some(node) = &self.0.node {
+            return Ok(node.clone());
+        }
+        let mut there = self.nodes_soon().await?;
+        match there.len() {
+            0 => Err(self.no_node().await),
+            1 => Ok(there.remove(0)),
+            _ => Err(Error::ManyNodes { there }),
+        }
+    }
+
+    /// The daemon named in the options, or all.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::NoNode`] or [`Error::NoDaemon`] if there is none.
+    pub async fn nodes_to_query(&self) -> Result<Vec<String>, Error> {
+        if let Some(node) = &self.0.node {
+            return Ok(vec![node.clone()]);
+        }
+        let there = self.nodes_soon().await?;
+        if there.is_empty() {
+            return Err(self.no_node().await);
+        }
+        Ok(there)
+    }
+
+    /// The daemons that are reachable; waits for the token of one that starts.
+    async fn nodes_soon(&self) -> Result<Vec<String>, Error> {
+        let start = Instant::now();
+        loop {
+            let there = self.nodes().await?;
+            if !there.is_empty() || start.elapsed() > START_TIMEOUT {
+                return Ok(there);
+            }
+            tokio::time::sleep(POLL_INTERVAL).await;
+        }
+    }
+
+    /// The daemons in the keys of liveliness tokens, ordered.
+    async fn tokens(&self, key: &str) -> Result<Vec<String>, Error> {
+        let keys = self.keys_of_tokens(key).await?;
+        let mut nodes: Vec<String> = keys
+            .iter()
+            .filter_map(|key| node_of(&self.0.prefix, key))
+            .collect();
+        nodes.sort();
+        nodes.dedup();
+        Ok(nodes)
+    }
+
+    /// Fails if several daemons serve the name for longer than [`CONTEST_TIMEOUT`] or the timeout of
+    /// the client, since each of them would execute a command. Checks once per connection: while the
+    /// daemons can reach each other, they reject commands themselves.
+    pub(crate) async fn check_contested(&self, target: Target<'_>) -> Result<(), Error> {
+        let checked = (target.to_string(), self.connections_lost());
+        if self
+            .0
+            .uncontested
+            .lock()
+            .is_ok_and(|all| all.contains(&checked))
+        {
+            return Ok(());
+        }
+        let timeout = CONTEST_TIMEOUT.min(self.0.timeout);
+        let deadline = Instant::now() + timeout;
+        while let Some(servers) = claim::servers(&self.claims(target).await?) {
+            if Instant::now() < deadline {
+                tokio::time::sleep(POLL_INTERVAL).await;
+                continue;
+            }
+            let swarm = match target {
+                Target::Swarm(swarm) => Some(swarm),
+                Target::Node(_) => None,
+            };
+            return Err(Error::rejected(claim::rejection(swarm, &servers)));
+        }
+        if let Ok(mut all) = self.0.uncontested.lock() {
+            all.insert(checked);
+        }
+        Ok(())
+    }
+
+    /// The claims of a name.
+    async fn claims(&self, target: Target<'_>) -> Result<Vec<Claim>, Error> {
+        let key = match target {
+            Target::Swarm(swarm) => keys::claim(&self.0.prefix, swarm, "*", "*", "*"),
+            Target::Node(node) => keys::node_claim(&self.0.prefix, node, "*", "*"),
+        };
+        let keys = self.keys_of_tokens(&key).await?;
+        let claims = keys.iter();
+        Ok(claims
+            .filter_map(|key| Claim::read(&self.0.prefix, key))
+            .collect())
+    }
+
+    /// The keys of the declared liveliness tokens.
+    async fn keys_of_tokens(&self, key: &str) -> Result<Vec<String>, Error> {
+        let replies = self
+            .0
+            .session
+            .liveliness()
+            .get(key)
+            .timeout(QUERY_TIMEOUT)
+            .await
+            .map_err(Error::internal)?;
+        let mut keys = Vec::new();
+        while let Ok(reply) = replies.recv_async().await {
+            // The only error is the timeout, after which tokens may be missing.
+            let token = reply.result().map_err(|_| Error::TimedOut {
+                target: "the daemon".into(),
+                secs: QUERY_TIMEOUT.as_secs_f64(),
+            })?;
+            keys.push(token.key_expr().to_string());
+        }
+        Ok(keys)
+    }
+
+    /// The error for a query without a reply, whose cause zenoh does not report: derived from the
+    /// tokens, and from the daemon's reply to `whoami`.
+    pub(crate) async fn explain_silence(&self, target: Target<'_>, key: &str) -> Error {
+        let there = self.nodes_soon().await;
+        let hosts = match target {
+            Target::Swarm(swarm) => self.hosts_of(swarm).await,
+            Target::Node(_) => Ok(Vec::new()),
+        };
+        let (hosts, there) = match (hosts, there) {
+            (Ok(hosts), Ok(there)) => (hosts, there),
+            (Err(error), _) | (_, Err(error)) => return error,
+        };
+        let is_there = match target {
+            Target::Swarm(_) => !hosts.is_empty(),
+            Target::Node(node) => there.iter().any(|it| it == node),
+        };
+        if !is_there
+            && let Ok(claims) = self.claims(target).await
+            && let Some(error) = claim::unserved(&claims)
+        {
+            return Error::rejected(error);
+        }
+        match target {
+            Target::Swarm(_) if !hosts.is_empty() => {
+                self.explain_refusal(target, &hosts[0], key).await
+            }
+            _ if there.is_empty() => self.no_node().await,
+            Target::Swarm(swarm) => self.no_swarm(swarm).await,
+            Target::Node(node) if there.iter().any(|name| name == node) => {
+                self.explain_refusal(target, node, key).await
+            }
+            Target::Node(node) => Error::UnknownNode {
+                node: node.into(),
+                there,
+            },
+        }
+    }
+
+    /// The error for a swarm that does not exist; names those that do.
+    pub async fn no_swarm(&self, swarm: &str) -> Error {
+        Error::NoSwarm {
+            swarm: swarm.into(),
+            there: self.swarms().await.unwrap_or_default(),
+        }
+    }
+
+    /// The error for a dropped request: `permission_denied` if the client's role forbids it.
+    async fn explain_refusal(&self, target: Target<'_>, node: &str, key: &str) -> Error {
+        let verb = key.split_once("/cmd/").map(|(_, verb)| verb);
+        // `get/recording` is the only query that requires a role: the role of `record`.
+        let verb = verb.or(key.contains("/get/recording?").then_some("record"));
+        match (verb, self.whoami(node).await) {
+            (Some(verb), Some(who)) if who.role.is_none_or(|role| !role.may(verb)) => {
+                Error::rejected(rejection(who.person.as_deref().zip(who.role), verb))
+            }
+            _ => Error::Silent {
+                target: target.to_string(),
+            },
+        }
+    }
+
+    /// The role of this client; `None` if the daemon does not reply.
+    async fn whoami(&self, node: &str) -> Option<WhoAmI> {
+        let key = keys::node_get(&self.0.prefix, node, "whoami");
+        let mut query = self.0.session.get(key).timeout(QUERY_TIMEOUT);
+        if let Some(token) = self.token() {
+            query = query.attachment(token);
+        }
+        let reply = query.await.ok()?.recv_async().await.ok()?;
+        let reply = reply.into_result().ok()?;
+        let reply: NodeReply<WhoAmI> = serde_json::from_slice(&reply.payload().to_bytes()).ok()?;
+        Some(reply.result)
+    }
+
+    /// The error if there is no daemon.
+    pub async fn no_node(&self) -> Error {
+        let info = self.0.session.info();
+        let connected = info.peers_zid().await.count() + info.routers_zid().await.count() > 0;
+        let claims = match connected {
+            true => self.claims(Target::Node("*")).await.unwrap_or_default(),
+            false => Vec::new(),
+        };
+        if let Some(error) = claim::unserved(&claims) {
+            Error::rejected(error)
+        } else if connected {
+            Error::NoNode {
+                endpoint: self.0.endpoint.clone(),
+                prefix: self.0.prefix.clone(),
+            }
+        } else {
+            Error::NoDaemon {
+                endpoint: self.0.endpoint.clone(),
+                cause: "the connection was lost".into(),
+            }
+        }
+    }
+}
+
+/// The name of the daemon in the key of its own token or of a swarm's token.
+pub(crate) fn node_of(prefix: &str, key: &str) -> Option<String> {
+    let rest = key.strip_prefix(prefix)?.strip_prefix('/')?;
+    match rest.split('/').collect::<Vec<_>>()[..] {
+        ["@node", node, "alive"] | [_, "alive", node] => Some(node.into()),
+        _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn keys_of_tokens_contain_the_node() {
+        let node = |key: &str| node_of("a/jostle", key);
+        assert_eq!(node("a/jostle/demo/alive/here").as_deref(), Some("here"));
+        assert_eq!(node("a/jostle/@node/here/alive").as_deref(), Some("here"));
+        assert_eq!(node("a/jostle/demo/state"), None);
+        assert_eq!(node("b/jostle/demo/alive/here"), None);
+    }
+}

@@ -1,0 +1,244 @@
+//! Follows a swarm of a daemon in a process of its own, which is killed and started again.
+
+#![expect(clippy::unwrap_used, reason = "tests")]
+
+mod daemon;
+
+use std::io::{BufRead, BufReader};
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::time::Duration;
+
+use jostle_client::{Client, ConnectOptions, Error, EventsFrom, Follow, FollowOptions, Update};
+use jostle_proto::verbs::{AnnotateArgs, CreateArgs, DeleteArgs, RunArgs};
+use jostle_proto::{EventKind, Spec};
+
+use daemon::{Daemon, serve};
+
+/// Makes a copy of this program a daemon: its folder and its endpoint.
+const DAEMON: &str = "JOSTLE_CLIENT_TEST_DAEMON";
+
+/// The timeout of each update, on a machine that runs other tests.
+const TIMEOUT: Duration = Duration::from_secs(60);
+
+/// The daemon process; ends with the test.
+struct Process(Child);
+
+impl Process {
+    fn start(folder: &Path, listen: &str) -> (Self, String) {
+        let mut child = Command::new(std::env::current_exe().unwrap())
+            .args(["daemon_process", "--exact", "--nocapture"])
+            .env(DAEMON, format!("{} {listen}", folder.display()))
+            .stdout(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let lines = BufReader::new(child.stdout.take().unwrap()).lines();
+        let mut endpoints =
+            lines.filter_map(|it| Some(it.unwrap().split_once("listening on ")?.1.to_owned()));
+        let endpoint = endpoints.next().unwrap();
+        (Process(child), endpoint)
+    }
+
+    /// Suspends it; an end works as before.
+    fn suspend(&self) {
+        let id = self.0.id().to_string();
+        let status = Command::new("kill").args(["-STOP", &id]).status().unwrap();
+        assert!(status.success());
+    }
+
+    fn kill(mut self) {
+        self.0.kill().unwrap();
+        self.0.wait().unwrap();
+    }
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// Not a test: the daemon, in a copy of this program.
+#[tokio::test(flavor = "multi_thread")]
+async fn daemon_process() {
+    let Ok(arguments) = std::env::var(DAEMON) else {
+        return;
+    };
+    let (folder, listen) = arguments.split_once(' ').unwrap();
+    let server = serve(Path::new(folder), listen).await;
+    println!("listening on {}", server.endpoints[0]);
+    std::future::pending::<()>().await;
+}
+
+async fn next(updates: &mut Follow) -> Option<Result<Update, Error>> {
+    tokio::time::timeout(TIMEOUT, updates.next()).await.unwrap()
+}
+
+/// Skips to the first update of which `take` returns something.
+async fn until<T>(updates: &mut Follow, mut take: impl FnMut(&Update) -> Option<T>) -> T {
+    loop {
+        let update = next(updates).await.unwrap().unwrap();
+        if let Some(taken) = take(&update) {
+            return taken;
+        }
+    }
+}
+
+async fn create(client: &Client) {
+    let args = CreateArgs {
+        name: "demo".into(),
+        spec: Spec {
+            rate: Some(1.0),
+            ..Spec::new(10)
+        },
+        exist_ok: false,
+    };
+    client.create(&args).await.unwrap();
+}
+
+fn note(text: &str) -> AnnotateArgs {
+    AnnotateArgs { text: text.into() }
+}
+
+fn is_note(update: &Update, text: &str) -> Option<()> {
+    let Update::Event(event) = update else {
+        return None;
+    };
+    let EventKind::Command { verb, args, .. } = &event.event else {
+        return None;
+    };
+    (verb == "annotate" && args["text"] == text).then_some(())
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_swarm_is_followed_through_a_kill_and_a_restart_until_it_is_deleted() {
+    let folder = tempfile::tempdir().unwrap();
+    let (daemon, endpoint) = Process::start(folder.path(), "tcp/127.0.0.1:0");
+    let client = Client::connect(ConnectOptions::to(&*endpoint))
+        .await
+        .unwrap();
+    create(&client).await;
+    client.execute("demo", &RunArgs::default()).await.unwrap();
+    let options = FollowOptions {
+        status: true,
+        states: Some(4),
+        order: Some(4),
+        events: Some(EventsFrom::After(0)),
+    };
+    let mut updates = client.follow("demo", options).await.unwrap();
+    let first = next(&mut updates).await.unwrap().unwrap();
+    assert!(matches!(first, Update::Status(status) if status.epoch == 1));
+    let second = next(&mut updates).await.unwrap().unwrap();
+    assert!(matches!(second, Update::State(state) if state.x.len() == 10));
+    let third = next(&mut updates).await.unwrap().unwrap();
+    let is_created = |update: &Update| matches!(update, Update::Event(event) if event.number == 1 && event.event == EventKind::Created {});
+    assert!(is_created(&third), "{third:?}");
+    client.execute("demo", &note("before")).await.unwrap();
+    until(&mut updates, |it| is_note(it, "before")).await;
+
+    daemon.kill();
+    until(&mut updates, |it| matches!(it, Update::Away).then_some(())).await;
+    let (_daemon, _) = Process::start(folder.path(), &endpoint);
+    until(&mut updates, |it| matches!(it, Update::Back).then_some(())).await;
+    let epoch = until(&mut updates, |it| match it {
+        Update::Restarted { epoch } => Some(*epoch),
+        _ => None,
+    });
+    assert_eq!(epoch.await, 2);
+    client.execute("demo", &note("after")).await.unwrap();
+    until(&mut updates, |it| is_note(it, "after")).await;
+    until(&mut updates, |it| match it {
+        Update::State(state) if state.epoch == 2 => Some(()),
+        _ => None,
+    })
+    .await;
+
+    client.execute("demo", &DeleteArgs {}).await.unwrap();
+    until(&mut updates, |it| {
+        matches!(it, Update::Deleted).then_some(())
+    })
+    .await;
+    assert!(next(&mut updates).await.is_none());
+    client.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_daemon_that_comes_back_without_the_swarm_ends_the_stream() {
+    let folders = [(); 2].map(|()| tempfile::tempdir().unwrap());
+    let (daemon, endpoint) = Process::start(folders[0].path(), "tcp/127.0.0.1:0");
+    let client = Client::connect(ConnectOptions::to(&*endpoint))
+        .await
+        .unwrap();
+    create(&client).await;
+    let mut updates = client
+        .follow("demo", FollowOptions::default())
+        .await
+        .unwrap();
+    daemon.kill();
+    let away = next(&mut updates).await.unwrap().unwrap();
+    assert!(matches!(away, Update::Away), "{away:?}");
+    let (_daemon, _) = Process::start(folders[1].path(), &endpoint);
+    let ended = next(&mut updates).await.unwrap();
+    assert!(
+        matches!(ended, Err(Error::NotRecovered { .. })),
+        "{ended:?}"
+    );
+    assert!(next(&mut updates).await.is_none());
+    client.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_suspended_daemon_is_not_one_without_swarms() {
+    let folder = tempfile::tempdir().unwrap();
+    let (daemon, endpoint) = Process::start(folder.path(), "tcp/127.0.0.1:0");
+    let client = Client::connect(ConnectOptions::to(&*endpoint))
+        .await
+        .unwrap();
+    create(&client).await;
+    assert_eq!(client.swarms().await.unwrap(), ["demo"]);
+    daemon.suspend();
+    let swarms = client.swarms().await;
+    assert!(matches!(swarms, Err(Error::TimedOut { .. })), "{swarms:?}");
+    daemon.kill();
+    client.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn events_without_gaps_and_errors_with_their_variant() {
+    let daemon = Daemon::start().await;
+    let client = Client::connect(ConnectOptions::to(daemon.endpoint()))
+        .await
+        .unwrap();
+    let options = FollowOptions {
+        status: true,
+        ..FollowOptions::default()
+    };
+    let error = client.follow("demo", options).await.unwrap_err();
+    assert!(matches!(error, Error::NoSwarm { .. }), "{error}");
+    create(&client).await;
+    let options = FollowOptions {
+        events: Some(EventsFrom::After(0)),
+        ..FollowOptions::default()
+    };
+    let mut updates = client.follow("demo", options).await.unwrap();
+    // More than the queue of events holds.
+    for number in 0..200 {
+        client
+            .execute("demo", &note(&number.to_string()))
+            .await
+            .unwrap();
+    }
+    let mut numbers = Vec::new();
+    until(&mut updates, |it| {
+        if let Update::Event(event) = it {
+            numbers.push(event.number);
+        }
+        is_note(it, "199")
+    })
+    .await;
+    let expected: Vec<u64> = (1..=numbers.len() as u64).collect();
+    assert_eq!(numbers, expected);
+    assert!(numbers.len() > 200);
+    client.close().await;
+}
