@@ -25,7 +25,7 @@ PROGRAMS = ("jostled", "jostle")
 # What `cargo build` of the programs reads, below the root of the repository.
 WORKSPACE = (
     *("Cargo.toml", "Cargo.lock", ".cargo/config.toml", "LICENSE-MIT", "LICENSE-APACHE"),
-    *("src", "proto", "crates", "benches", "clients/cli", "clients/web/dist"),
+    *("src", "proto", "crates", "benches", "clients/cli", "clients/rust", "clients/web/dist"),
 )
 
 

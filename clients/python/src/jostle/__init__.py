@@ -1,4 +1,4 @@
-"""Steers and reads the swarms that a jostled daemon hosts.
+"""Python client of the daemon jostled: creates, steers and reads swarms.
 
     import jostle
 
@@ -11,8 +11,8 @@
             if state.phase == "paused":
                 break
 
-Lengths are in body sizes, speeds in free speeds, times in their quotient; angles are in radians,
-counter-clockwise from +x. Everything raised on purpose is a `JostleError`.
+Lengths are in body sizes, speeds in free speeds, times in body sizes over free speed; angles are in
+radians, counter-clockwise from +x. Every error of this package is a `JostleError`.
 """
 
 from ._arguments import (
@@ -28,10 +28,22 @@ from ._arguments import (
     poses,
     within,
 )
+from ._at_step import AtStep
 from ._changes import Change, Inform, Inject, Remove, Set, Uninform
 from ._client import Client, connect, experiment
 from ._commands import Options
 from ._controller import Controller
+from ._controller_messages import (
+    Advanced,
+    Arrived,
+    ControllerSummary,
+    Departed,
+    Miss,
+    Mode,
+    News,
+    OnTimeout,
+    Puts,
+)
 from ._credentials import Role, WhoAmI
 from ._errors import (
     AlreadyExists,
@@ -52,17 +64,6 @@ from ._errors import (
     Unavailable,
 )
 from ._events import Event, JournalEntry
-from ._exchange import (
-    Advanced,
-    Arrived,
-    ControllerSummary,
-    Departed,
-    Miss,
-    Mode,
-    News,
-    OnTimeout,
-    Puts,
-)
 from ._experiment import Experiment
 from ._frame import frame
 from ._local import Local, local
@@ -93,8 +94,8 @@ from ._node import Hello, Limits, NodeStatus, Schemas, SwarmSummary
 from ._objective import Objective
 from ._recording import RecordedFrame, Recording, read_recording
 from ._recordings import RecordingFormat, RecordingPhase, RecordingStatus
+from ._repr import HtmlList
 from ._results import ExperimentPhase, OrderSeries, Progress, ResultRow, RunUnderWay
-from ._show import Listed
 from ._snapshot import Snapshot
 from ._spec import Disc, Given, Spec
 from ._state import State
@@ -107,6 +108,7 @@ __all__ = [
     "Advanced",
     "AlreadyExists",
     "Arrived",
+    "AtStep",
     "Awaited",
     "BatchResult",
     "Busy",
@@ -129,6 +131,7 @@ __all__ = [
     "Given",
     "Hello",
     "HistoryFrom",
+    "HtmlList",
     "IdsResult",
     "IncorrectState",
     "Inform",
@@ -138,7 +141,6 @@ __all__ = [
     "JostleError",
     "JournalEntry",
     "Limits",
-    "Listed",
     "Local",
     "Metrics",
     "Miss",

@@ -1,6 +1,6 @@
-"""What callers hand in: names, selections, starts, and how they become JSON.
+"""Arguments of callers: names, selections and starts, and their encoding as JSON.
 
-Whatever NumPy has for a number or a column of numbers is taken as one.
+Numbers and columns of numbers may be NumPy's.
 """
 
 from __future__ import annotations
@@ -10,35 +10,35 @@ import math
 import operator
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, SupportsFloat, SupportsIndex, TypedDict, cast
+from typing import Any, SupportsFloat, SupportsIndex, TypedDict
 
 import msgspec
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from ._errors import InvalidArgument
+from ._errors import InvalidArgument, invalid
 from ._spec import Disc, Given
 
 _NAME = re.compile(r"[a-z0-9][a-z0-9_-]{0,63}")
 _MAX_LABEL_BYTES = 256
-# No request nests deeper; a list within itself has no end.
-_DEEPEST = 16
+# No request nests deeper; a list that contains itself would recurse without end.
+_MAX_DEPTH = 16
 
 
 class Ids(TypedDict):
-    """These individuals."""
+    """Individuals by id."""
 
     ids: Sequence[int]
 
 
 class Count(TypedDict):
-    """This many, drawn by the daemon."""
+    """A number of individuals, drawn by the daemon."""
 
     count: int
 
 
 class Fraction(TypedDict):
-    """This share, 0 to 1, drawn by the daemon; rounded to a whole number of individuals."""
+    """A fraction of the individuals, 0 to 1, drawn by the daemon; rounded to a whole number."""
 
     fraction: float
 
@@ -52,7 +52,7 @@ class Region(TypedDict):
 
 
 class Pose(TypedDict):
-    """Where a body is: absolute position, body sizes, and heading, radians from +x."""
+    """Absolute position, body sizes, and heading, radians from +x."""
 
     x: float
     y: float
@@ -60,84 +60,124 @@ class Pose(TypedDict):
 
 
 class Within(TypedDict):
-    """All whose centre is in a disc."""
+    """All individuals whose centre is in a disc."""
 
     within: Region
 
 
 class AlongCount(TypedDict):
-    """How many, and along which direction in radians, counter-clockwise from +x."""
+    """A number of individuals, and a direction in radians, counter-clockwise from +x."""
 
     count: int
     along: float
 
 
 class Foremost(TypedDict):
-    """The ones furthest along a direction."""
+    """The individuals furthest along a direction."""
 
     foremost: AlongCount
 
 
 Select = Ids | Count | Fraction | Within | Foremost
-"""Which individuals a command is about: a dictionary of one of these shapes."""
+"""Selects individuals: a dictionary of one of these shapes. `ids`, `count`, … make them."""
 
 
 def ids(individuals: Iterable[SupportsIndex]) -> Ids:
-    """Selects individuals by id, such as `ids(state.id[state.x > 0])`.
+    """Selects individuals by id.
+
+        swarm.inform(jostle.ids(state.id[state.x > 0]), direction=0.0)
+
+    Args:
+        individuals: The ids, shape (m,).
 
     Raises:
-        InvalidArgument: One of them is no whole number.
+        InvalidArgument: One of them is not a whole number.
     """
     if not isinstance(individuals, Iterable):
-        raise InvalidArgument(
+        raise invalid(
+            "select.ids",
             f"select.ids is {individuals!r}, but must be several whole numbers, such as [1, 2]",
-            details={"field": "select.ids"},
         )
     return {"ids": [whole("select.ids", individual) for individual in individuals]}
 
 
 def count(individuals: SupportsIndex) -> Count:
-    """Selects so many individuals, drawn by the daemon from the swarm's seed."""
+    """Selects a number of individuals, which the daemon draws from the swarm's seed.
+
+        swarm.remove(jostle.count(3))
+
+    Raises:
+        InvalidArgument: It is not a whole number.
+    """
     return {"count": whole("select.count", individuals)}
 
 
 def fraction(share: float) -> Fraction:
-    """Selects a share of the individuals, 0 to 1, drawn by the daemon from the swarm's seed."""
+    """Selects a fraction of the individuals, 0 to 1, which the daemon draws from the swarm's seed.
+
+    swarm.inform(jostle.fraction(0.1), direction=0.0)
+    """
     return {"fraction": share}
 
 
 def within(x: float, y: float, radius: float) -> Within:
-    """Selects all whose centre is in a disc: absolute centre and radius, body sizes."""
+    """Selects all individuals whose centre is in a disc.
+
+        swarm.uninform(jostle.within(0.0, 0.0, radius=5.0))
+
+    Args:
+        x: Absolute position of the centre, body sizes.
+        y: Absolute position of the centre, body sizes.
+        radius: Radius, body sizes.
+    """
     return {"within": {"x": x, "y": y, "radius": radius}}
 
 
 def foremost(count: SupportsIndex, along: float) -> Foremost:
-    """Selects the `count` individuals furthest along a direction, in radians from +x."""
+    """Selects the individuals furthest along a direction.
+
+        swarm.inform(jostle.foremost(3, along=0.0), direction=math.pi / 2)
+
+    Args:
+        count: Number of individuals.
+        along: The direction, radians, counter-clockwise from +x.
+
+    Raises:
+        InvalidArgument: `count` is not a whole number.
+    """
     return {"foremost": {"count": whole("select.foremost.count", count), "along": along}}
 
 
 def check_select(select: Select) -> Select:
-    """Returns `select` if it may be a selection.
+    """Returns `select` if it is a mapping; the daemon checks the rest.
 
     Raises:
-        InvalidArgument: It is none.
+        InvalidArgument: It is not.
     """
     if not isinstance(select, Mapping):
-        raise InvalidArgument(
+        raise invalid(
+            "select",
             f"select is {select!r}, but must be a selection such as jostle.count(3) or "
             "jostle.ids([1, 2])",
-            details={"field": "select"},
         )
     return select
 
 
 def disc(radius: float | None = None) -> Disc:
-    """A start drawn uniformly in a disc; its radius in body sizes, None is √n, at least 1."""
+    """A start: individuals drawn uniformly in a disc, without overlap.
+
+        jostle.Spec(n=50, start=jostle.disc(10.0))
+
+    Args:
+        radius: Radius of the disc, body sizes; None is √n, at least 1.
+    """
     return Disc(radius)
 
 
 def given(x: ArrayLike, y: ArrayLike, alpha: ArrayLike) -> Given:
-    """A start with every individual exactly where it is told, to the bit.
+    """A start: every individual at an exact pose.
+
+        jostle.Spec(n=2, start=jostle.given([0.0, 3.0], [0.0, 0.0], [0.0, math.pi]))
 
     Args:
         x: Absolute positions, shape (n,), body sizes.
@@ -145,160 +185,151 @@ def given(x: ArrayLike, y: ArrayLike, alpha: ArrayLike) -> Given:
         alpha: Headings, shape (n,), radians, counter-clockwise from +x.
 
     Raises:
-        InvalidArgument: They are no columns of one length, of finite numbers.
+        InvalidArgument: They are not columns of finite numbers of the same length.
     """
-    columns = [_column(name, c) for name, c in (("x", x), ("y", y), ("alpha", alpha))]
+    columns: list[list[float]] = []
+    for name, values in (("x", x), ("y", y), ("alpha", alpha)):
+        field = f"spec.start.{name}"
+        column = numbers(name, values, field)
+        if column.ndim != 1:
+            raise invalid(field, f"{name} has shape {column.shape}, not (n,)")
+        if not np.isfinite(column).all():
+            raise invalid(field, f"{name} holds a number that is not finite")
+        columns.append(column.tolist())
     lengths = [len(column) for column in columns]
     if len(set(lengths)) != 1:
-        raise InvalidArgument(
-            f"x, y and alpha have lengths {lengths}, but must be of one length",
-            details={"field": "spec.start"},
+        raise invalid(
+            "spec.start", f"x, y and alpha have lengths {lengths}, but must be of one length"
         )
     return Given(*columns)
 
 
-def _column(name: str, values: ArrayLike) -> list[float]:
-    field = {"field": f"spec.start.{name}"}
+def numbers(name: str, values: ArrayLike, field: str) -> NDArray[np.float64]:
+    """An array of numbers.
+
+    Raises:
+        InvalidArgument: They are not numbers.
+    """
     try:
-        column = np.asarray(values, dtype=np.float64)
+        return np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise InvalidArgument(f"{name} is no column of numbers: {error}", details=field) from error
-    if column.ndim != 1:
-        raise InvalidArgument(f"{name} has shape {column.shape}, not (n,)", details=field)
-    if not np.isfinite(column).all():
-        raise InvalidArgument(f"{name} holds a number that is not finite", details=field)
-    return cast("list[float]", column.tolist())
+        raise invalid(field, f"{name} is not a column of numbers: {error}") from error
 
 
 def poses(rows: ArrayLike) -> list[Pose]:
-    """Where bodies are to be, one row each, for `jostle.Inject(at=…)`.
+    """Poses of bodies, for `jostle.Inject(at=…)`.
+
+        jostle.Inject(at=jostle.poses([[12.0, 0.0, math.pi]]))
 
     Args:
-        rows: x, y, alpha: shape (m, 3), absolute positions in body sizes, headings in radians.
+        rows: Rows of x, y, alpha, shape (m, 3), absolute positions in body sizes, headings in
+            radians.
 
     Raises:
-        InvalidArgument: They are of another shape, or no numbers.
+        InvalidArgument: They are of another shape, or not numbers.
     """
-    try:
-        columns = np.asarray(rows, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise InvalidArgument(
-            f"`at` holds no rows of numbers: {error}", details={"field": "at"}
-        ) from error
+    columns = numbers("`at`", rows, "at")
     if columns.ndim != 2 or columns.shape[1] != 3:
-        raise InvalidArgument(
-            f"`at` has shape {columns.shape}, not (m, 3): rows of x, y, alpha",
-            details={"field": "at"},
-        )
+        raise invalid("at", f"`at` has shape {columns.shape}, not (m, 3): rows of x, y, alpha")
     return [{"x": x, "y": y, "alpha": alpha} for x, y, alpha in columns.tolist()]
 
 
 def whole(what: str, number: SupportsIndex) -> int:
-    """Returns `number` as an int, whatever kind of whole number it is.
+    """Returns a whole number of any type as an int.
 
     Raises:
-        InvalidArgument: It is none.
+        InvalidArgument: It is not a whole number.
     """
     try:
         return operator.index(number)
     except TypeError as error:
-        raise InvalidArgument(
-            f"{what} is {number!r}, but must be a whole number", details={"field": what}
-        ) from error
+        raise invalid(what, f"{what} is {number!r}, but must be a whole number") from error
 
 
 def whole_from_0(what: str, number: SupportsIndex) -> int:
-    """Returns `number` as an int, if it is whole and not below 0.
+    """Returns a whole number of any type as an int.
 
     Raises:
-        InvalidArgument: It is not.
+        InvalidArgument: It is not a whole number, or below 0.
     """
-    if whole(what, number) < 0:
-        raise InvalidArgument(
-            f"{what} is {number}, but must not be below 0", details={"field": what}
-        )
-    return whole(what, number)
+    value = whole(what, number)
+    if value < 0:
+        raise invalid(what, f"{what} is {number}, but must not be below 0")
+    return value
 
 
 def check_name(what: str, name: str) -> str:
-    """Returns `name` if it may name a swarm or a node.
+    """Returns `name` if it is valid.
 
-    A name becomes part of a key, where `*` or `/` would mean other swarms.
+    A name becomes part of a key, where `*` or `/` would address other swarms.
 
     Raises:
-        InvalidArgument: It may not.
+        InvalidArgument: It is invalid.
     """
     if not isinstance(name, str) or _NAME.fullmatch(name) is None:
-        raise InvalidArgument(
-            f"{name!r} cannot name a {what}: names match ^[a-z0-9][a-z0-9_-]{{0,63}}$",
-            details={"field": what},
+        raise invalid(
+            what, f"{name!r} cannot name a {what}: names match ^[a-z0-9][a-z0-9_-]{{0,63}}$"
         )
     return name
 
 
 def check_label(what: str, label: str) -> str:
-    """Returns `label` if a request may bear it.
+    """Returns `label` if a request may contain it.
 
     Raises:
-        InvalidArgument: It is no text, empty, or longer than 256 bytes.
+        InvalidArgument: It is not a text of 1 to 256 bytes.
     """
     if not isinstance(label, str) or not 0 < len(label.encode()) <= _MAX_LABEL_BYTES:
-        raise InvalidArgument(
+        raise invalid(
+            what,
             f"{what} is {str(label)[:40]!r}, but must be a text of 1 to {_MAX_LABEL_BYTES} bytes",
-            details={"field": what},
         )
     return label
 
 
 def check_seconds(what: str, seconds: float) -> float:
-    """Returns `seconds` if one can wait that long.
+    """Returns `seconds` as a float.
 
     Raises:
         InvalidArgument: They are not finite, or not above 0.
     """
-    # Lock-step comes by here thousands of times a second, and a protocol is slow to look at: last.
+    # Lock-step calls this thousands of times a second; `isinstance` of a protocol is slow, so it
+    # comes last.
     is_number = isinstance(seconds, float | int | SupportsFloat)
     if not is_number or not 0.0 < float(seconds) < math.inf:
-        raise InvalidArgument(
-            f"{what} is {seconds!r}, but must be finite seconds above 0", details={"field": what}
-        )
+        raise invalid(what, f"{what} is {seconds!r}, but must be finite seconds above 0")
     return float(seconds)
 
 
 def to_json(message: Mapping[str, Any]) -> bytes:
-    """Writes a request.
-
-    JSON has no NaN and no infinity, and what would be sent instead means something else, so they
-    are refused here.
+    """Encodes a request. JSON has no NaN and no infinity, so they are rejected.
 
     Raises:
-        InvalidArgument: A number is not finite, or something is not a number, text or column.
+        InvalidArgument: A number is not finite, or a value is not a number, text or column.
     """
     try:
         return json.dumps(message, allow_nan=False, default=_plain).encode()
     except (TypeError, ValueError, RecursionError) as error:
         field = _find_not_finite(message)
         if field is not None:
-            raise InvalidArgument(
-                f"{field} is not a finite number", details={"field": field}
-            ) from error
+            raise invalid(field, f"{field} is not a finite number") from error
         raise InvalidArgument(f"the arguments cannot be sent: {error}") from error
 
 
 def _plain(value: object) -> object:
-    """What JSON can say of a struct, a NumPy scalar or a NumPy array."""
+    """A struct, a NumPy scalar or a NumPy array as a value of JSON."""
     if isinstance(value, msgspec.Struct):
         return msgspec.to_builtins(value, enc_hook=_plain)
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     if isinstance(value, SupportsIndex):
         return operator.index(value)
-    raise TypeError(f"{value!r} is no number, text, column or struct of jostle's")
+    raise TypeError(f"{value!r} is not a number, a text, a column or a struct of jostle")
 
 
 def _find_not_finite(value: object, path: str = "", depth: int = 0) -> str | None:
     """The first number that is not finite, as a path such as `select.within.x`."""
-    if depth > _DEEPEST:
+    if depth > _MAX_DEPTH:
         return None
     if isinstance(value, msgspec.Struct | np.ndarray | np.generic):
         value = _plain(value)
@@ -306,7 +337,7 @@ def _find_not_finite(value: object, path: str = "", depth: int = 0) -> str | Non
         return path
     parts: Iterable[tuple[str, object]] = ()
     if isinstance(value, Mapping):
-        # The arguments are what the caller sees, not the envelope they are in.
+        # The caller knows the arguments, not the envelope around them.
         parts = (
             (f"{path}.{key}" if path else ("" if key == "args" else str(key)), part)
             for key, part in value.items()

@@ -1,51 +1,53 @@
-"""What a swarm publishes, as an asynchronous iterator."""
+"""A stream of what a swarm publishes, as an asynchronous iterator."""
 
 from __future__ import annotations
 
 import asyncio
 import threading
 from collections.abc import Callable, Generator
-from types import TracebackType
 from typing import Any, Generic, Self, TypeVar
 
 from . import _stream
 from ._cancel import Cancelled, Canceller
 from ._errors import Unavailable
-from ._offload import finish, start
-from ._workers import workers
+from ._threads import call_in_thread, is_exiting
+from ._to_thread import finish, start
 
 T = TypeVar("T")
 
 
 class Stream(Generic[T]):
-    """What a swarm publishes, as `jostle.Stream`.
+    """The messages that a swarm publishes; the asynchronous form of `jostle.Stream`.
 
-    It listens from its first item on, or from when it is awaited or its `async with` block is
-    entered. A cancelled `anext` loses nothing: what it was waiting for is there for the next.
+        async for state in swarm.states(timeout=10.0):
+            print(state.step, state.order.order)
+
+    It subscribes when it is first iterated over, awaited, or entered as an `async with` block. A
+    cancelled `anext` loses no message: the next `anext` returns it.
     """
 
     def __init__(self, open_: Callable[[], _stream.Stream[T]]) -> None:
         self._source = _Source(open_)
-        self._coming: asyncio.Future[T | _End] | None = None
-        self._turn = asyncio.Lock()
+        self._pending: asyncio.Future[T | _End] | None = None
+        self._lock = asyncio.Lock()
 
     def __aiter__(self) -> Self:
         return self
 
     async def __anext__(self) -> T:
-        async with self._turn:
-            if self._coming is None:
-                self._coming = start(self._source.next, self._source.canceller)
-            coming = self._coming
+        async with self._lock:
+            if self._pending is None:
+                self._pending = start(self._source.next, self._source.canceller)
+            pending = self._pending
             try:
-                item = await asyncio.shield(coming)
+                item = await asyncio.shield(pending)
             except asyncio.CancelledError:
-                # Also if it has come at just that moment.
+                # `_pending` is kept, even if its result arrived at this moment.
                 raise
             except BaseException:
-                self._coming = None
+                self._pending = None
                 raise
-            self._coming = None
+            self._pending = None
         if isinstance(item, _End):
             raise StopAsyncIteration
         return item
@@ -58,33 +60,27 @@ class Stream(Generic[T]):
         return self
 
     async def close(self) -> None:
-        """Stops listening, and ends a loop over it; harmless when done already."""
+        """Unsubscribes, and ends a loop over it; a second call does nothing."""
         await finish(self._source.close)
 
     async def __aenter__(self) -> Self:
         return await self._opened()
 
-    async def __aexit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    async def __aexit__(self, kind: object, error: object, traceback: object) -> None:
         await self.close()
 
     def __del__(self) -> None:
-        # Whoever left a loop over it with `break` holds it no more.
-        # At the interpreter's end every link is closed already.
-        if hasattr(self, "_source") and not self._source.is_closed and not workers.is_over:
-            workers.start(self._source.close)
+        # After a `break` the loop drops the last reference. Closing may block, so a thread does it.
+        if hasattr(self, "_source") and not self._source.is_closed and not is_exiting():
+            call_in_thread(self._source.close)
 
 
 class _End:
-    """The end of a stream: no future takes a `StopIteration`."""
+    """The end of a stream: a future cannot hold a `StopIteration`."""
 
 
 class _Source(Generic[T]):
-    """What the threads of a `Stream` hold, so that a stream nobody holds is collected."""
+    """What the threads of a `Stream` reference, so that an unreferenced stream is collected."""
 
     def __init__(self, open_: Callable[[], _stream.Stream[T]]) -> None:
         self._open = open_
@@ -94,7 +90,7 @@ class _Source(Generic[T]):
         self.is_closed = False
 
     def open(self) -> _stream.Stream[T]:
-        """The stream, opened now if it is not yet."""
+        """Returns the stream, and opens it first if it is not open."""
         with self._opening:
             if self._stream is None:
                 try:
@@ -106,7 +102,7 @@ class _Source(Generic[T]):
             return self._stream
 
     def next(self) -> T | _End:
-        """What comes next."""
+        """Returns the next message."""
         if self.is_closed:
             return _End()
         try:
@@ -117,7 +113,7 @@ class _Source(Generic[T]):
             raise
 
     def close(self) -> None:
-        """Ends it, also while it is being opened, which looks at `is_closed` afterwards."""
+        """Closes it, also while it is being opened: `open` checks `is_closed` afterwards."""
         self.is_closed = True
         self.canceller.cancel()
         if self._stream is not None:

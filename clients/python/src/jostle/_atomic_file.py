@@ -1,4 +1,4 @@
-"""Files that exist as a whole or not at all."""
+"""Files that are written completely or not at all."""
 
 from __future__ import annotations
 
@@ -26,20 +26,20 @@ def atomic_file(path: str | os.PathLike[str], *, force: bool = True) -> Iterator
         OSError: It cannot be written.
     """
     path = Path(path)
-    draft = path.with_name(f"{path.name}.{os.getpid()}.part")
+    temporary = path.with_name(f"{path.name}.{os.getpid()}.part")
     try:
-        with draft.open("xb") as file:
+        with temporary.open("xb") as file:
             yield file
             file.flush()
             os.fsync(file.fileno())
         if force:
-            draft.replace(path)
+            temporary.replace(path)
         else:
             # Unlike a rename, it fails if the file exists.
-            os.link(draft, path)
+            os.link(temporary, path)
         _sync(path.parent)
     finally:
-        draft.unlink(missing_ok=True)
+        temporary.unlink(missing_ok=True)
 
 
 def _sync(folder: Path) -> None:

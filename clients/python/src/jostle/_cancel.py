@@ -1,69 +1,60 @@
-"""How a call that waits in a thread is told to give up: by `jostle.aio`, when nobody awaits it."""
+"""Cancellation of a call that blocks in a thread, by `jostle.aio`."""
 
 from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
 from contextvars import ContextVar
-from typing import TypeVar
 
 import zenoh
 
-T = TypeVar("T")
-
 
 class Cancelled(BaseException):
-    """Nobody waits for this call any more; like asyncio's own it is no `Exception`."""
+    """The call was cancelled; like asyncio's own error it is no `Exception`."""
 
 
 class Canceller:
-    """Ends the calls that were made with it: their queries, and their rests between two tries."""
+    """Cancels the calls in whose context it is `current`: their queries and their pauses."""
 
     def __init__(self) -> None:
         self.token = zenoh.CancellationToken()
-        self.told = threading.Event()
+        self.event = threading.Event()
 
     def cancel(self) -> None:
-        """Has every call with this end soon, with `Cancelled`; may wait for zenoh a moment."""
-        self.told.set()
+        """Makes these calls raise `Cancelled` soon; may block within zenoh for a moment."""
+        self.event.set()
         self.token.cancel()
 
 
-_current: ContextVar[Canceller | None] = ContextVar("jostle_canceller", default=None)
-
-
-def call_with(canceller: Canceller, work: Callable[[], T]) -> T:
-    """Calls `work` so that `canceller` ends it; within a context of its own."""
-    _current.set(canceller)
-    return work()
+current: ContextVar[Canceller | None] = ContextVar("jostle_canceller", default=None)
+"""The canceller of the running call; None if it cannot be cancelled."""
 
 
 def token() -> zenoh.CancellationToken | None:
-    """What ends the queries of this call; None if nothing does."""
-    canceller = _current.get()
+    """The token that cancels the queries of this call; None if it cannot be cancelled."""
+    canceller = current.get()
     return None if canceller is None else canceller.token
 
 
 def check() -> None:
-    """Goes no further in a call that was cancelled.
+    """Raises if this call was cancelled.
 
     Raises:
         Cancelled: It was.
     """
-    canceller = _current.get()
-    if canceller is not None and canceller.told.is_set():
+    canceller = current.get()
+    if canceller is not None and canceller.event.is_set():
         raise Cancelled
 
 
-def rest(seconds: float) -> None:
-    """Waits so long.
+def sleep(seconds: float) -> None:
+    """Sleeps.
 
     Raises:
         Cancelled: The call was cancelled meanwhile.
     """
-    canceller = _current.get()
+    canceller = current.get()
     if canceller is None:
         time.sleep(seconds)
-    elif canceller.told.wait(seconds):
+    elif canceller.event.wait(seconds):
         raise Cancelled

@@ -1,4 +1,4 @@
-"""The changes of a swarm that a `batch` is made of: the arguments of their verbs."""
+"""The changes of a swarm: the arguments of `set`, `inform`, `uninform`, `inject` and `remove`."""
 
 from __future__ import annotations
 
@@ -8,25 +8,26 @@ from typing import Any, ClassVar
 import msgspec
 
 from ._arguments import Pose, Region, Select
-from ._errors import InvalidArgument
+from ._errors import invalid
 
 
 class Set(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """Changes the parameters named, and no others.
+    """Changes parameters, in a `batch`; a parameter that is None does not change.
+
+        swarm.batch([jostle.Set(pi3=2.0), jostle.Set(noise=0.1)])
 
     Attributes:
-        pi1: Length over width of a body: 1 to 32.
-        pi2: Weight of individuals informed without one; those informed keep theirs.
-        pi3: Body size over turning radius: above 0.
-        pi4: Translational over rotational drag: above 0.
-        contacts: `endpoints`, `closest` or `clamped`; all but `closest` need that no axes cross.
-        stepping: `position` or `velocity`.
-        relinearise: How many more programs a step solves: 0 or 1.
-        attraction: What an individual turns towards, such as `{"kind": "voronoi"}`; see `Spec`.
-        noise: Intensity of white noise on the turning rate: 0 or more.
-        publish_every: Steps between two published states: 1 or more.
-        make_room: With `pi1`: scale positions about the centroid by the least factor that lets
-            the longer bodies in.
+        pi1: See `Swarm.set`.
+        pi2: See `Swarm.set`.
+        pi3: See `Swarm.set`.
+        pi4: See `Swarm.set`.
+        contacts: See `Swarm.set`.
+        stepping: See `Swarm.set`.
+        relinearise: See `Swarm.set`.
+        attraction: See `Swarm.set`.
+        noise: See `Swarm.set`.
+        publish_every: See `Swarm.set`.
+        make_room: See `Swarm.set`.
     """
 
     verb: ClassVar[str] = "set"
@@ -45,13 +46,15 @@ class Set(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class Inform(msgspec.Struct, frozen=True, omit_defaults=True):
-    """Gives individuals a direction of their own.
+    """Informs individuals, in a `batch`.
+
+        swarm.batch([jostle.Inform(jostle.ids([0, 1]), direction=0.0, weight=2.0)])
 
     Attributes:
-        select: Whom, such as `jostle.fraction(0.1)`; draws are from the whole group.
-        direction: Theirs, radians, counter-clockwise from +x.
-        weight: How much it counts beside attraction: above 0; None is `pi2`.
-        for_time: After so many time units they are uninformed again; None is for good.
+        select: See `Swarm.inform`.
+        direction: See `Swarm.inform`; radians, counter-clockwise from +x.
+        weight: See `Swarm.inform`.
+        for_time: See `Swarm.inform`; body sizes over free speed.
     """
 
     verb: ClassVar[str] = "inform"
@@ -63,10 +66,10 @@ class Inform(msgspec.Struct, frozen=True, omit_defaults=True):
 
 
 class Uninform(msgspec.Struct, frozen=True):
-    """Takes individuals' direction away.
+    """Removes the preferred direction of individuals, in a `batch`.
 
     Attributes:
-        select: Whose, such as `jostle.ids([1, 2])`; draws are from the informed.
+        select: See `Swarm.uninform`.
     """
 
     verb: ClassVar[str] = "uninform"
@@ -75,14 +78,16 @@ class Uninform(msgspec.Struct, frozen=True):
 
 
 class Inject(msgspec.Struct, frozen=True, omit_defaults=True):
-    """Adds individuals, informed or not, where they overlap nobody. One of `count` and `at`.
+    """Adds individuals, in a `batch`; give one of `count` and `at`.
+
+        swarm.batch([jostle.Inject(at=jostle.poses([[12.0, 0.0, math.pi]]))])
 
     Attributes:
-        count: How many, drawn at the border of the group or `within` a disc.
-        at: Exactly there instead; `jostle.poses` makes it from an array.
-        within: With `count`: absolute centre and radius of the disc, body sizes.
-        direction: Informs them: their preferred direction in radians.
-        weight: With `direction`: how much it counts beside attraction; None is `pi2`.
+        count: See `Swarm.inject`.
+        at: Their poses; `jostle.poses` makes them from an array.
+        within: With `count`: the disc, absolute centre and radius in body sizes.
+        direction: See `Swarm.inject`; radians, counter-clockwise from +x.
+        weight: See `Swarm.inject`.
     """
 
     verb: ClassVar[str] = "inject"
@@ -95,10 +100,10 @@ class Inject(msgspec.Struct, frozen=True, omit_defaults=True):
 
 
 class Remove(msgspec.Struct, frozen=True):
-    """Takes individuals out of the group. The last one cannot be removed.
+    """Removes individuals from the group, in a `batch`. The last one cannot be removed.
 
     Attributes:
-        select: Whom, such as `jostle.count(3)`; draws are from the whole group.
+        select: See `Swarm.remove`.
     """
 
     verb: ClassVar[str] = "remove"
@@ -107,29 +112,29 @@ class Remove(msgspec.Struct, frozen=True):
 
 
 Change = Set | Inform | Uninform | Inject | Remove
-"""What a `batch` takes several of."""
+"""A change of a `batch`."""
 
 
 def commands(changes: Iterable[Change | Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """The changes of a `batch` as the wire has them.
+    """The changes of a `batch` as on the wire.
 
     Raises:
-        InvalidArgument: They are not several, or one of them is no change.
+        InvalidArgument: They are no iterable, or one of them is no change.
     """
     if not isinstance(changes, Iterable):
-        raise InvalidArgument(
+        raise invalid(
+            "commands",
             f"commands is {changes!r}, but must be several changes, such as [jostle.Set(pi3=2)]",
-            details={"field": "commands"},
         )
-    written = []
+    encoded = []
     for index, change in enumerate(changes):
         if isinstance(change, Change):
-            written.append({"verb": change.verb, "args": change})
+            encoded.append({"verb": change.verb, "args": change})
         elif isinstance(change, Mapping):
-            written.append(dict(change))
+            encoded.append(dict(change))
         else:
-            raise InvalidArgument(
+            raise invalid(
+                f"commands[{index}]",
                 f"commands[{index}] is {change!r}, but must be a change such as jostle.Set(pi3=2)",
-                details={"field": f"commands[{index}]"},
             )
-    return written
+    return encoded

@@ -33,7 +33,7 @@ def read_claims(keys: Iterable[str]) -> list[Claim]:
     return sorted(claims)
 
 
-def contest(swarm: str, claims: Iterable[Claim]) -> Contested | None:
+def contested_error(swarm: str, claims: Iterable[Claim]) -> Contested | None:
     """The error if several daemons serve the name; a daemon whose standing changes counts once."""
     serving = {(it.instance, it.node): it for it in claims if it.serves}
     if len(serving) < 2:
@@ -48,7 +48,7 @@ def contest(swarm: str, claims: Iterable[Claim]) -> Contested | None:
     )
 
 
-def unserved(swarm: str, claims: Iterable[Claim]) -> Contested | None:
+def unserved_error(swarm: str, claims: Iterable[Claim]) -> Contested | None:
     """The error if a daemon holds the name and does not serve it."""
     claims = list(claims)
     waiting = next((it for it in claims if not it.serves), None)

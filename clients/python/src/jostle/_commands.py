@@ -1,47 +1,50 @@
-"""What a swarm can be told: it changes something."""
+"""The commands of a swarm: requests that change it."""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterable, Mapping
 from types import EllipsisType
 from typing import Any, Literal, SupportsIndex, TypedDict, TypeVar, Unpack, overload
 
 from numpy.typing import ArrayLike
 
-from ._arguments import Region, Select, check_select, poses
-from ._changes import Change, commands
-from ._errors import InvalidArgument
+from ._arguments import Region, Select, check_select, poses, whole
+from ._changes import Change, Inform, Inject, Remove, Set, Uninform, commands
+from ._decode import read_batch, read_reply, read_scheduled
+from ._errors import DeadlineExceeded, invalid, late
 from ._messages import (
     BatchResult,
     IdsResult,
     Reply,
     ResetResult,
     RunResult,
-    Scheduled,
     SetResult,
     Status,
     StepResult,
 )
-from ._questions import Questions
-from ._reading import read_batch, read_reply, read_scheduled
+from ._queries import BodyShape, Queries
+from ._session import Session
 from ._state import State, fetch_state, read_step_reply
 
 T = TypeVar("T")
 
-# The longest that the daemon takes for a `timeout_secs`.
-PATIENT_SECS = 3600.0
+# The daemon's limit of `timeout_secs`.
+MAX_TIMEOUT_SECS = 3600.0
 
 
 class Options(TypedDict, total=False):
-    """What any command may be given besides its own arguments and `at_step`.
+    """The options of every command.
+
+        swarm.set(pi3=2.0, expect_step=100, timeout=1.0)
 
     Attributes:
         expect_step: Raise `Conflict` and change nothing unless the swarm is at this step.
         expect_epoch: Raise `Conflict` and change nothing unless the swarm is in this epoch.
         timeout: Seconds the command may take; the client's `timeout` if left out.
-        request_id: What to call it, 1 to 256 bytes; a new one if left out. A command that was
-            carried out is not carried out again under the same id by a `client` of the same
-            name: its first answer comes again. Another command under that id is a `Conflict`.
+        request_id: The id of the request, 1 to 256 bytes; a new one if left out. The daemon
+            executes a request id only once for all clients of the same `client` name: a repeated
+            command gets the first reply, and another command with that id raises `Conflict`.
     """
 
     expect_step: SupportsIndex
@@ -50,8 +53,23 @@ class Options(TypedDict, total=False):
     request_id: str
 
 
-class Commands(Questions):
-    """The part of a `Swarm` that commands it."""
+class Pending(Exception):
+    """The reply to a command that waits for its step; its argument is the `Scheduled`."""
+
+
+class Commands(Queries):
+    """The part of a `Swarm` that sends commands."""
+
+    def __init__(
+        self,
+        session: Session,
+        name: str,
+        shape: BodyShape | None = None,
+        at_step: int | None = None,
+    ) -> None:
+        super().__init__(session, name, shape)
+        # The step of all its commands, which then raise `Pending`; None is the current step.
+        self._at_step = at_step
 
     @overload
     def run(
@@ -63,17 +81,6 @@ class Commands(Questions):
         wait: Literal[False] = False,
         **options: Unpack[Options],
     ) -> RunResult: ...
-    @overload
-    def run(
-        self,
-        until: float | None = None,
-        *,
-        until_step: SupportsIndex | None = None,
-        rate: float | EllipsisType | None = ...,
-        wait: Literal[False] = False,
-        at_step: SupportsIndex | None,
-        **options: Unpack[Options],
-    ) -> RunResult | Scheduled: ...
     @overload
     def run(
         self,
@@ -93,58 +100,70 @@ class Commands(Questions):
         rate: float | EllipsisType | None = ...,
         wait: bool = False,
         show: bool | None = None,
-        at_step: SupportsIndex | None = None,
         **options: Unpack[Options],
-    ) -> RunResult | Status | Scheduled:
-        """Lets it run, to an end or until paused; changes end and rate if it runs already.
+    ) -> RunResult | Status:
+        """Runs the swarm until an end or until it is paused.
+
+            swarm.run(until=100.0, rate=None, wait=True)   # as fast as possible
+
+        If the swarm is running, this changes its end and its rate.
 
         Args:
-            until: Pause at the first step at or after this time.
+            until: Pause at the first step at or after this time, body sizes over free speed.
             until_step: Pause at this step; at most one of the two.
-            rate: Time units per second of wall clock; None is as fast as possible; left out, no
-                change.
-            wait: Return when it has arrived, however long that takes. It needs an end, and no
-                `at_step`.
-            show: With `wait`: show a bar; None is if it is seen, on a terminal or in a notebook.
-            at_step: Carry it out at this step, see `Swarm`.
+            rate: Time units per second of wall clock; None is as fast as possible; left out, the
+                rate does not change.
+            wait: Return when the end is reached; requires an end. Without a `timeout` it has no
+                limit.
+            show: With `wait`: show a progress bar; None shows it on a terminal and in a notebook.
             options: See `Options`.
 
         Returns:
-            How it now runs; with `wait`, the status when it has arrived.
+            The end and the rate; with `wait`, the status at the end.
 
         Raises:
-            Faulted: With `wait`: it faulted on the way.
-            IncorrectState: It is faulted; or, with `wait`, it was paused on the way.
+            DeadlineExceeded: With `wait`: the end is not reached within `timeout`; the swarm runs
+                on, and `pause` pauses it.
+            Faulted: With `wait`: the swarm faulted before the end.
+            IncorrectState: The swarm is faulted; or, with `wait`, it was paused before the end.
+            InvalidArgument: An argument is out of range, or `wait` without an end.
         """
         if wait and until is None and until_step is None:
-            raise InvalidArgument(
+            raise invalid(
+                "wait",
                 "waiting for a run without an end would never end: give `until` or `until_step`",
-                details={"field": "wait"},
             )
-        if wait and at_step is not None:
-            raise InvalidArgument(
-                "a run that is yet to begin cannot be waited for: leave out `wait`, and "
-                "`wait(step=…)` for its end",
-                details={"field": "wait"},
-            )
-        args = _named(until_time=until, until_step=until_step)
+        args = _given(until_time=until, until_step=until_step)
         if not isinstance(rate, EllipsisType):
             args["rate"] = rate
-        result = self._command("run", args, RunResult, at_step, options)
-        if not wait or isinstance(result, Scheduled):
+        began = time.monotonic()
+        result = self._command("run", args, RunResult, options)
+        if not wait:
             return result
-        if result.until_step is None:
+        end = result.until_step
+        if end is None:
             return self.status()
-        return self.wait(step=result.until_step, show=show)
+        seconds = options.get("timeout")
+        if seconds is None:
+            return self.wait(step=end, show=show)
+        try:
+            left = max(began + seconds - time.monotonic(), 0.001)
+            return self.wait(step=end, timeout=left, show=show)
+        except DeadlineExceeded as error:
+            what = f"swarm {self._name!r} did not reach step {end}"
+            remedy = "it runs on; `pause()` pauses it, `wait` waits for it"
+            raise late(what, seconds, remedy, error) from error
 
-    def pause(self, *, at_step: SupportsIndex | None = None, **options: Unpack[Options]) -> Reply:
-        """Stops it after the step it is at; no change if it is paused.
+    def pause(self, **options: Unpack[Options]) -> Reply:
+        """Pauses the swarm after its current step; a paused swarm does not change.
 
         Args:
-            at_step: Carry it out at this step, see `Swarm`; a `Scheduled` if that lies ahead.
             options: See `Options`.
+
+        Raises:
+            IncorrectState: The swarm is faulted.
         """
-        return self._command("pause", {}, Reply, at_step, options)
+        return self._command("pause", {}, Reply, options)
 
     @overload
     def step(
@@ -154,82 +173,60 @@ class Commands(Questions):
     def step(
         self, steps: SupportsIndex = 1, *, state: Literal[True], **options: Unpack[Options]
     ) -> State: ...
-    @overload
     def step(
-        self,
-        steps: SupportsIndex = 1,
-        *,
-        state: bool = False,
-        at_step: SupportsIndex | None = None,
-        **options: Unpack[Options],
-    ) -> StepResult | State | Scheduled: ...
-    def step(
-        self,
-        steps: SupportsIndex = 1,
-        *,
-        state: bool = False,
-        at_step: SupportsIndex | None = None,
-        **options: Unpack[Options],
-    ) -> StepResult | State | Scheduled:
-        """Runs a paused swarm some steps on, as fast as it can whatever its rate.
+        self, steps: SupportsIndex = 1, *, state: bool = False, **options: Unpack[Options]
+    ) -> StepResult | State:
+        """Steps a paused swarm, as fast as possible whatever its rate, and returns when it has.
+
+            state = swarm.step(50, state=True)
+            print(state.time, state.position.mean(axis=0))
+
+        Each step solves the quadratic program of Principle 1, eq. (7), and takes `dt`.
 
         Args:
-            steps: How many: 1 to 10⁹.
-            state: Return the state reached, its `state_hash` filled in.
-            at_step: Carry it out at this step, see `Swarm`.
+            steps: Number of steps: 1 to 10⁹.
+            state: Return the state reached, with its `state_hash`.
             options: See `Options`; without a `timeout` it may take an hour, whatever the client's.
 
         Returns:
-            Where it arrived: that many steps on, unless another command came between.
+            The step reached: `steps` further, unless another command interrupted it.
 
         Raises:
-            DeadlineExceeded: It takes longer than `timeout`; it goes on and can be waited for.
-            IncorrectState: It runs or is faulted.
-            Conflict: The reply was lost, and when the daemon sent it again without its state
-                (more than 4 KiB are not remembered), the swarm had changed.
+            DeadlineExceeded: It takes longer than `timeout`. The swarm continues; `wait` waits.
+            IncorrectState: The swarm is running or faulted.
+            Conflict: The reply was lost, the daemon sent it again without its state (it stores
+                replies of at most 4 KiB), and the swarm had changed since.
             Faulted: A step failed.
         """
-        options.setdefault("timeout", PATIENT_SECS)
+        result, reached = self._step(steps, state, options)
+        return result if reached is None else reached
+
+    def _step(
+        self, steps: SupportsIndex, state: bool, options: Options
+    ) -> tuple[StepResult, State | None]:
+        options.setdefault("timeout", MAX_TIMEOUT_SECS)
         if not state:
-            return self._command("step", {"steps": steps}, StepResult, at_step, options)
-        payload = self._send("step", {"steps": steps, "return": "state"}, at_step, options)
-        scheduled = None if at_step is None else read_scheduled(payload)
-        if scheduled is not None:
-            return scheduled
+            return self._command("step", {"steps": steps}, StepResult, options), None
+        payload = self._request("step", {"steps": steps, "return": "state"}, options)
         result, reached = read_step_reply(payload)
-        return self._shaped(fetch_state(self._get, result) if reached is None else reached)
+        if reached is None:
+            reached = fetch_state(self._get, result)
+        return result, self._with_pi1(reached)
 
-    @overload
-    def reset(
-        self, seed: SupportsIndex | None = None, **options: Unpack[Options]
-    ) -> ResetResult: ...
-    @overload
-    def reset(
-        self,
-        seed: SupportsIndex | None = None,
-        *,
-        at_step: SupportsIndex | None,
-        **options: Unpack[Options],
-    ) -> ResetResult | Scheduled: ...
-    def reset(
-        self,
-        seed: SupportsIndex | None = None,
-        *,
-        at_step: SupportsIndex | None = None,
-        **options: Unpack[Options],
-    ) -> ResetResult | Scheduled:
-        """Puts it back to the start of its spec, at step 0 of a new epoch, paused.
+    def reset(self, seed: SupportsIndex | None = None, **options: Unpack[Options]) -> ResetResult:
+        """Resets the swarm to the start of its spec: step 0 of a new epoch, paused.
 
-        Commands that wait for their step are refused.
+        Scheduled commands are rejected: each becomes an event `refused`.
 
         Args:
-            seed: A new one: 0 to 2⁵³ - 1; None keeps the old one.
-            at_step: Carry it out at this step, see `Swarm`.
+            seed: A new seed: 0 to 2⁵³ - 1; None keeps the seed.
             options: See `Options`.
+
+        Raises:
+            InvalidArgument: The seed is out of range.
         """
-        return self._command("reset", _named(seed=seed), ResetResult, at_step, options)
+        return self._command("reset", _given(seed=seed), ResetResult, options)
 
-    @overload
     def set(
         self,
         *,
@@ -245,91 +242,63 @@ class Commands(Questions):
         publish_every: SupportsIndex | None = None,
         make_room: bool = False,
         **options: Unpack[Options],
-    ) -> SetResult: ...
-    @overload
-    def set(
-        self,
-        *,
-        pi1: float | None = None,
-        pi2: float | None = None,
-        pi3: float | None = None,
-        pi4: float | None = None,
-        contacts: str | None = None,
-        stepping: str | None = None,
-        relinearise: SupportsIndex | None = None,
-        attraction: dict[str, Any] | None = None,
-        noise: float | None = None,
-        publish_every: SupportsIndex | None = None,
-        make_room: bool = False,
-        at_step: SupportsIndex | None,
-        **options: Unpack[Options],
-    ) -> SetResult | Scheduled: ...
-    def set(
-        self,
-        *,
-        pi1: float | None = None,
-        pi2: float | None = None,
-        pi3: float | None = None,
-        pi4: float | None = None,
-        contacts: str | None = None,
-        stepping: str | None = None,
-        relinearise: SupportsIndex | None = None,
-        attraction: dict[str, Any] | None = None,
-        noise: float | None = None,
-        publish_every: SupportsIndex | None = None,
-        make_room: bool = False,
-        at_step: SupportsIndex | None = None,
-        **options: Unpack[Options],
-    ) -> SetResult | Scheduled:
-        """Changes the parameters named, and no others, between two steps.
+    ) -> SetResult:
+        """Changes parameters between two steps.
 
-        A parameter that is None stays as it is.
+            swarm.set(pi3=2.0, attraction={"kind": "topological", "neighbours": 7})
+
+        A parameter that is None does not change. Table 1 of the paper defines π1 to π4.
 
         Args:
-            pi1: Length over width of a body: 1 to 32.
-            pi2: Weight of individuals informed without one; those informed keep theirs.
-            pi3: Body size over turning radius: above 0.
-            pi4: Translational over rotational drag: above 0.
-            contacts: `endpoints`, `closest` or `clamped`; all but `closest` need that no axes
-                cross.
-            stepping: `position` or `velocity`.
-            relinearise: How many more programs a step solves: 0 or 1.
-            attraction: What an individual turns towards, such as `{"kind": "voronoi"}`; see
-                `Spec`.
-            noise: Intensity of white noise on the turning rate: 0 or more.
-            publish_every: Steps between two published states: 1 or more.
-            make_room: With `pi1`: scale positions about the centroid by the least factor that
-                lets the longer bodies in.
-            at_step: Carry it out at this step, see `Swarm`.
+            pi1: π1, length over width of a body: 1 to 32.
+            pi2: π2, weight of individuals that are informed without a weight: 0 to 10⁶;
+                individuals that are informed already keep theirs.
+            pi3: π3, body size over turning radius: above 0, to 10⁶.
+            pi4: π4, translational over rotational drag: above 0, to 10⁶.
+            contacts: The contact rule, `endpoints`, `closest` or `clamped`; all but `closest`
+                require that no two axes cross.
+            stepping: What a contact limits, `position` or `velocity`; see `Spec`.
+            relinearise: Number of further programs that a step solves: 0 or 1.
+            attraction: The law of attraction, eq. (4) or another; see `Spec`.
+            noise: Intensity of white noise on the turning rate, squared radians per time unit:
+                0 to 10⁶.
+            publish_every: Number of steps between two published states: 1 or more.
+            make_room: With `pi1`: scale all positions about the centroid by the smallest factor
+                that lets longer bodies fit.
             options: See `Options`.
+
+        Returns:
+            The values before and after, and the factor of `make_room`.
+
+        Raises:
+            InvalidArgument: A value is out of range, or no parameter is given.
+            IncorrectState: The swarm is faulted, or axes cross and the contact rule forbids that.
+            ResourceExhausted: Longer bodies would overlap; see `make_room`.
         """
-        args = _named(
+        check_options("set", options)
+        change = Set(
             pi1=pi1,
             pi2=pi2,
             pi3=pi3,
             pi4=pi4,
             contacts=contacts,
             stepping=stepping,
-            relinearise=relinearise,
+            relinearise=_whole("relinearise", relinearise),
             attraction=attraction,
             noise=noise,
-            publish_every=publish_every,
+            publish_every=_whole("publish_every", publish_every),
+            make_room=make_room,
         )
-        _check_options("set", options)
-        if not args and not make_room:
-            raise InvalidArgument(
+        if change == Set():
+            raise invalid(
+                "args",
                 "nothing to set: give pi1, pi2, pi3, pi4, contacts, stepping, relinearise, "
                 "attraction, noise or publish_every; None leaves a parameter as it is",
-                details={"field": "args"},
             )
-        if make_room:
-            args["make_room"] = True
-        result = self._command("set", args, SetResult, at_step, options)
-        if isinstance(result, SetResult):
-            self._pi1 = result.now.pi1
+        result = self._change(change, SetResult, options)
+        self._shape.pi1 = result.now.pi1
         return result
 
-    @overload
     def inform(
         self,
         select: Select,
@@ -338,196 +307,140 @@ class Commands(Questions):
         weight: float | None = None,
         for_time: float | None = None,
         **options: Unpack[Options],
-    ) -> IdsResult: ...
-    @overload
-    def inform(
-        self,
-        select: Select,
-        direction: float,
-        *,
-        weight: float | None = None,
-        for_time: float | None = None,
-        at_step: SupportsIndex | None,
-        **options: Unpack[Options],
-    ) -> IdsResult | Scheduled: ...
-    def inform(
-        self,
-        select: Select,
-        direction: float,
-        *,
-        weight: float | None = None,
-        for_time: float | None = None,
-        at_step: SupportsIndex | None = None,
-        **options: Unpack[Options],
-    ) -> IdsResult | Scheduled:
-        """Gives individuals a direction of their own.
+    ) -> IdsResult:
+        """Informs individuals: each gets a preferred direction of its own.
+
+            # A tenth of the group walks east, for 50 time units.
+            leaders = swarm.inform(jostle.fraction(0.1), direction=0.0, for_time=50.0).ids
+            # Then the same individuals turn north, with twice the weight.
+            swarm.inform(jostle.ids(leaders), direction=math.pi / 2, weight=2.0)
+
+        An informed individual turns towards `p_s + weight · p_p`, eq. (3): `p_s` is the mean of
+        the unit vectors to the others, eq. (4), and `p_p` the unit vector of `direction`. If it is
+        informed already, the new direction, weight and time replace the old ones.
 
         Args:
-            select: Whom, such as `jostle.fraction(0.1)`; draws are from the whole group.
-            direction: Theirs, radians, counter-clockwise from +x.
-            weight: How much it counts beside attraction: above 0; None is `pi2`.
-            for_time: After so many time units they are uninformed again; None is for good.
-            at_step: Carry it out at this step, see `Swarm`.
-            options: See `Options`.
-        """
-        args = {"select": check_select(select), "direction": direction}
-        args |= _named(weight=weight, for_time=for_time)
-        return self._command("inform", args, IdsResult, at_step, options)
-
-    @overload
-    def uninform(self, select: Select, **options: Unpack[Options]) -> IdsResult: ...
-    @overload
-    def uninform(
-        self, select: Select, *, at_step: SupportsIndex | None, **options: Unpack[Options]
-    ) -> IdsResult | Scheduled: ...
-    def uninform(
-        self, select: Select, *, at_step: SupportsIndex | None = None, **options: Unpack[Options]
-    ) -> IdsResult | Scheduled:
-        """Takes individuals' direction away.
-
-        Args:
-            select: Whose, such as `jostle.ids([1, 2])`; draws are from the informed.
-            at_step: Carry it out at this step, see `Swarm`.
-            options: See `Options`.
-        """
-        return self._command(
-            "uninform", {"select": check_select(select)}, IdsResult, at_step, options
-        )
-
-    @overload
-    def inject(
-        self,
-        count: SupportsIndex | None = None,
-        *,
-        at: ArrayLike | None = None,
-        within: Region | tuple[float, float, float] | None = None,
-        direction: float | None = None,
-        weight: float | None = None,
-        **options: Unpack[Options],
-    ) -> IdsResult: ...
-    @overload
-    def inject(
-        self,
-        count: SupportsIndex | None = None,
-        *,
-        at: ArrayLike | None = None,
-        within: Region | tuple[float, float, float] | None = None,
-        direction: float | None = None,
-        weight: float | None = None,
-        at_step: SupportsIndex | None,
-        **options: Unpack[Options],
-    ) -> IdsResult | Scheduled: ...
-    def inject(
-        self,
-        count: SupportsIndex | None = None,
-        *,
-        at: ArrayLike | None = None,
-        within: Region | tuple[float, float, float] | None = None,
-        direction: float | None = None,
-        weight: float | None = None,
-        at_step: SupportsIndex | None = None,
-        **options: Unpack[Options],
-    ) -> IdsResult | Scheduled:
-        """Adds individuals, informed or not, where they overlap nobody.
-
-        Args:
-            count: How many, drawn at the border of the group or `within` a disc.
-            at: Exactly there instead: rows of x, y, alpha, shape (m, 3), absolute positions in
-                body sizes and headings in radians.
-            within: With `count`: absolute centre and radius of the disc, body sizes.
-            direction: Informs them: their preferred direction in radians.
-            weight: With `direction`: how much it counts beside attraction; None is `pi2`.
-            at_step: Carry it out at this step, see `Swarm`.
+            select: Which individuals, such as `jostle.fraction(0.1)`; the daemon draws from the
+                whole group.
+            direction: The preferred direction, radians, counter-clockwise from +x.
+            weight: Weight of the direction beside attraction: above 0; None is `pi2`.
+            for_time: Uninform them after this time, body sizes over free speed; None is never.
             options: See `Options`.
 
         Returns:
-            Their ids.
-        """
-        args = _named(count=count, direction=direction, weight=weight)
-        if at is not None:
-            args["at"] = poses(at)
-        if within is not None:
-            args["within"] = (
-                within
-                if isinstance(within, Mapping)
-                else dict(zip(("x", "y", "radius"), within, strict=True))
-            )
-        return self._command("inject", args, IdsResult, at_step, options)
+            The ids of the individuals, and the size of the group.
 
-    @overload
-    def remove(self, select: Select, **options: Unpack[Options]) -> IdsResult: ...
-    @overload
-    def remove(
-        self, select: Select, *, at_step: SupportsIndex | None, **options: Unpack[Options]
-    ) -> IdsResult | Scheduled: ...
-    def remove(
-        self, select: Select, *, at_step: SupportsIndex | None = None, **options: Unpack[Options]
-    ) -> IdsResult | Scheduled:
-        """Takes individuals out of the group. The last one cannot be removed.
+        Raises:
+            InvalidArgument: An argument is out of range, or an individual does not exist.
+            IncorrectState: The swarm is faulted.
+        """
+        change = Inform(check_select(select), direction, weight, for_time)
+        return self._change(change, IdsResult, options)
+
+    def uninform(self, select: Select, **options: Unpack[Options]) -> IdsResult:
+        """Removes the preferred direction of individuals.
+
+            swarm.uninform(jostle.fraction(1.0))   # all of them
 
         Args:
-            select: Whom, such as `jostle.count(3)`; draws are from the whole group.
-            at_step: Carry it out at this step, see `Swarm`.
+            select: Which individuals, such as `jostle.ids([1, 2])`; the daemon draws from the
+                informed ones.
             options: See `Options`.
-        """
-        return self._command(
-            "remove", {"select": check_select(select)}, IdsResult, at_step, options
-        )
 
-    @overload
+        Returns:
+            The ids of the individuals, and the size of the group.
+
+        Raises:
+            InvalidArgument: An individual does not exist.
+            IncorrectState: The swarm is faulted.
+        """
+        return self._change(Uninform(check_select(select)), IdsResult, options)
+
+    def inject(
+        self,
+        count: SupportsIndex | None = None,
+        *,
+        at: ArrayLike | None = None,
+        within: Region | tuple[float, float, float] | None = None,
+        direction: float | None = None,
+        weight: float | None = None,
+        **options: Unpack[Options],
+    ) -> IdsResult:
+        """Adds individuals where they overlap no other body.
+
+            swarm.inject(5, within=(0.0, 0.0, 10.0))          # five, in a disc
+            swarm.inject(at=[[12.0, 0.0, math.pi]], direction=math.pi)
+
+        Args:
+            count: Number of individuals, drawn at the border of the group, or `within` a disc.
+            at: Their poses instead: rows of x, y, alpha, shape (m, 3), absolute positions in body
+                sizes and headings in radians.
+            within: With `count`: the disc, absolute centre and radius in body sizes.
+            direction: Informs them: their preferred direction, radians from +x; None does not.
+            weight: With `direction`: its weight beside attraction, above 0; None is `pi2`.
+            options: See `Options`.
+
+        Returns:
+            The ids of the new individuals, and the size of the group.
+
+        Raises:
+            InvalidArgument: An argument is out of range, or a pose overlaps a body.
+            IncorrectState: The swarm is faulted.
+            ResourceExhausted: The disc has no space, or the daemon's `max_individuals` is reached.
+        """
+        if isinstance(within, tuple):
+            x, y, radius = within
+            within = Region(x=x, y=y, radius=radius)
+        poses_ = None if at is None else poses(at)
+        change = Inject(_whole("count", count), poses_, within, direction, weight)
+        return self._change(change, IdsResult, options)
+
+    def remove(self, select: Select, **options: Unpack[Options]) -> IdsResult:
+        """Removes individuals from the group. The last one cannot be removed.
+
+            swarm.remove(jostle.within(0.0, 0.0, 5.0))
+
+        Args:
+            select: Which individuals, such as `jostle.count(3)`; the daemon draws from the whole
+                group.
+            options: See `Options`.
+
+        Returns:
+            The ids of the removed individuals, and the size of the group.
+
+        Raises:
+            InvalidArgument: An individual does not exist, or none would be left.
+        """
+        return self._change(Remove(check_select(select)), IdsResult, options)
+
     def batch(
         self, changes: Iterable[Change | Mapping[str, Any]], **options: Unpack[Options]
-    ) -> BatchResult: ...
-    @overload
-    def batch(
-        self,
-        changes: Iterable[Change | Mapping[str, Any]],
-        *,
-        at_step: SupportsIndex | None,
-        **options: Unpack[Options],
-    ) -> BatchResult | Scheduled: ...
-    def batch(
-        self,
-        changes: Iterable[Change | Mapping[str, Any]],
-        *,
-        at_step: SupportsIndex | None = None,
-        **options: Unpack[Options],
-    ) -> BatchResult | Scheduled:
+    ) -> BatchResult:
         """Applies several changes at one step, or none of them.
 
             swarm.batch([jostle.Set(pi3=2.0), jostle.Inform(jostle.fraction(0.1), 0.0)])
 
         Args:
-            changes: 1 to 256 of `Set, Inform, Uninform, Inject, Remove`, applied in this order as
-                if each had come alone; or what the wire has for one, a dictionary of `verb` and
-                `args`.
-            at_step: Carry it out at this step, see `Swarm`.
+            changes: 1 to 256 of `Set`, `Inform`, `Uninform`, `Inject` and `Remove`, applied in this
+                order; or mappings with `verb` and `args`, as on the wire.
             options: See `Options`.
 
+        Returns:
+            The result of each change.
+
         Raises:
-            JostleError: What is wrong with the first change that is; `details["field"]` says
-                which, such as `commands[1].args.pi1`. Nothing has changed then.
+            JostleError: The error of the first invalid change; `details["field"]` names it, such
+                as `commands[1].args.pi1`. No change was applied.
         """
-        payload = self._send("batch", {"commands": commands(changes)}, at_step, options)
-        scheduled = None if at_step is None else read_scheduled(payload)
-        if scheduled is not None:
-            return scheduled
+        payload = self._request("batch", {"commands": commands(changes)}, options)
         result = read_batch(payload)
-        # What was set on the way.
         for changed in result.results:
-            self._pi1 = self._pi1 if changed.now is None else changed.now.pi1
+            if changed.now is not None:
+                self._shape.pi1 = changed.now.pi1
         return result
 
-    @overload
-    def annotate(self, text: str, **options: Unpack[Options]) -> Reply: ...
-    @overload
-    def annotate(
-        self, text: str, *, at_step: SupportsIndex | None, **options: Unpack[Options]
-    ) -> Reply | Scheduled: ...
-    def annotate(
-        self, text: str, *, at_step: SupportsIndex | None = None, **options: Unpack[Options]
-    ) -> Reply | Scheduled:
-        """Writes a note into its journal and its events, in every phase.
+    def annotate(self, text: str, **options: Unpack[Options]) -> Reply:
+        """Writes a note into the swarm's journal and events, in every phase.
 
             swarm.annotate("camera 2 replaced")
             notes = [entry.args["text"] for entry in swarm.journal() if entry.verb == "annotate"]
@@ -536,51 +449,64 @@ class Commands(Questions):
 
         Args:
             text: The note: 1 to 1000 characters in one line, without control characters.
-            at_step: Carry it out at this step, see `Swarm`.
             options: See `Options`.
-        """
-        return self._command("annotate", {"text": text}, Reply, at_step, options)
 
-    def delete(self, *, at_step: SupportsIndex | None = None, **options: Unpack[Options]) -> Reply:
-        """Deletes the swarm from its daemon, for good.
+        Raises:
+            InvalidArgument: The text is empty, too long, or not one line.
+        """
+        return self._command("annotate", {"text": text}, Reply, options)
+
+    def delete(self, **options: Unpack[Options]) -> Reply:
+        """Deletes the swarm and its history from the daemon, permanently.
 
         Args:
-            at_step: Carry it out at this step, see `Swarm`; a `Scheduled` if that lies ahead.
             options: See `Options`.
+
+        Raises:
+            Contested: Several daemons have a swarm of this name; see `Client.discard`.
         """
-        return self._command("delete", {}, Reply, at_step, options)
+        return self._command("delete", {}, Reply, options)
+
+    def _change(self, change: Change, kind: type[T], options: Options) -> T:
+        return self._command(change.verb, change, kind, options)
 
     def _command(
-        self,
-        verb: str,
-        args: dict[str, Any],
-        kind: type[T],
-        at_step: SupportsIndex | None,
-        options: Options,
-    ) -> T | Scheduled:
-        payload = self._send(verb, args, at_step, options)
-        scheduled = None if at_step is None else read_scheduled(payload)
-        return read_reply(payload, kind) if scheduled is None else scheduled
+        self, verb: str, args: dict[str, Any] | Change, kind: type[T], options: Options
+    ) -> T:
+        return read_reply(self._request(verb, args, options), kind)
 
-    def _send(
-        self, verb: str, args: dict[str, Any], at_step: SupportsIndex | None, options: Options
-    ) -> bytes:
-        _check_options(verb, options)
-        key = self._link.swarm_key(self._name, f"cmd/{verb}")
-        return self._link.command(key, args, swarm=self._name, at_step=at_step, **options)
+    def _request(self, verb: str, args: dict[str, Any] | Change, options: Options) -> bytes:
+        """Sends a command and returns the payload of the reply.
+
+        Raises:
+            Pending: It is for a later step.
+        """
+        check_options(verb, options)
+        key = self._session.swarm_key(self._name, f"cmd/{verb}")
+        payload = self._session.command(
+            key, args, swarm=self._name, at_step=self._at_step, **options
+        )
+        if self._at_step is not None and (scheduled := read_scheduled(payload)) is not None:
+            raise Pending(scheduled)
+        return payload
 
 
-def _check_options(verb: str, options: Options) -> None:
-    """Refuses what no command takes.
+def check_options(verb: str, options: Options) -> None:
+    """Rejects unknown options.
 
     Raises:
         TypeError: One of them is unknown.
     """
     for name in options:
         if name not in Options.__annotations__:
-            raise TypeError(f"{verb}() got an unexpected keyword argument {name!r}")
+            hint = f"; use at(step).{verb}()" if name == "at_step" else ""
+            raise TypeError(f"{verb}() got an unexpected keyword argument {name!r}{hint}")
 
 
-def _named(**arguments: object) -> dict[str, Any]:
-    """The arguments that were given; what is left out changes nothing."""
+def _whole(name: str, number: SupportsIndex | None) -> int | None:
+    return None if number is None else whole(name, number)
+
+
+def _given(**arguments: object) -> dict[str, Any]:
+    """The arguments that are not None."""
     return {name: value for name, value in arguments.items() if value is not None}

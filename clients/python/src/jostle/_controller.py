@@ -1,4 +1,4 @@
-"""A controller: a program that steers some individuals of a swarm, in lock-step or beside it."""
+"""A controller: a client that steers individuals of a swarm."""
 
 from __future__ import annotations
 
@@ -10,49 +10,51 @@ import uuid
 from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass
-from types import TracebackType
 from typing import Any, Literal, Self, SupportsIndex, Unpack, cast, overload
 
 import msgspec
-import numpy as np
 import zenoh
 from numpy.typing import ArrayLike
 
-from ._arguments import Select, check_name, check_seconds, ids, to_json, whole
-from ._commands import PATIENT_SECS, Options
+from ._arguments import check_name, check_seconds, ids, numbers, to_json, whole
+from ._commands import MAX_TIMEOUT_SECS, Options
+from ._controller_messages import (
+    Advanced,
+    Arrived,
+    Controllers,
+    ControllerSummary,
+    Joined,
+    Mode,
+    News,
+    read_advanced,
+    with_state,
+)
+from ._decode import read_reply
 from ._errors import (
     Conflict,
+    DeadlineExceeded,
+    IncorrectState,
     InvalidArgument,
     JostleError,
     NotFound,
     PermissionDenied,
     Unavailable,
+    invalid,
+    late,
 )
-from ._exchange import (
-    Advanced,
-    Arrived,
-    Controllers,
-    Joined,
-    Mode,
-    News,
-    OnTimeout,
-    read_advanced,
-    with_state,
-)
-from ._link import Link
 from ._messages import Reply
-from ._patience import Patience
-from ._reading import read_reply
+from ._retry import Backoff
+from ._session import Session
 from ._state import State, fetch_state, read_state
 
-# What a daemon that crashed may have forgotten. Of what it has on the disk nothing is kept, and it
-# is some milliseconds behind, so that there are so many only if the disk is full.
-_MOST_ANSWERED = 10_000
+# Advances that a crash of the daemon may take back. They are dropped when they are durable, a few
+# milliseconds later, so that there are this many only if the daemon's disk is full.
+_MAX_UNSAVED = 10_000
 
 
 @dataclass(frozen=True, slots=True)
 class _Request:
-    """An advance: what it is called, the step it is made for, and what it asks."""
+    """An advance: its request id, the step it is for, and its arguments as JSON."""
 
     request_id: str
     step: int
@@ -60,8 +62,8 @@ class _Request:
 
 
 @dataclass(frozen=True, slots=True)
-class _Answered:
-    """An advance that a crash of the daemon may still take back, and where it led."""
+class _Unsaved:
+    """An advance that is not durable yet, and its result."""
 
     request: _Request
     reached: int
@@ -71,34 +73,37 @@ class _Answered:
 class Controller:
     """A controller that has joined a swarm; `Swarm.join` makes one.
 
-    Leaving its `with` block has it leave. It is for one thread at a time. Its liveliness token
-    stands from before it joins until it leaves: when its process ends or its link is cut, the
-    daemon notices, and the others go on without it.
+        with swarm.join("ada", jostle.ids([0, 1])) as ada:
+            for heading in np.linspace(0.0, np.pi, 100):
+                state = ada.advance(direction=heading, state=True).state
 
-    In lock-step every `advance` is carried out once and made for a certain step, `step`. When the
-    daemon is started again it goes on as if nothing had been: what a crash took back is advanced
-    anew, as it was. When it has been late or has left, `advance` raises `Conflict` or `NotFound`,
-    and `sync` gets it in line again.
+    Leaving its `with` block leaves the swarm. One thread at a time may use it. It holds a
+    liveliness token while it has joined: when its process ends or its connection breaks, the
+    daemon removes it, and the other controllers continue.
+
+    In lock-step every `advance` is executed once and is for one step, `step`. After a restart of
+    the daemon `advance` continues: the client sends the advances again that a crash took back.
+    After a missed deadline `advance` raises `Conflict` or `NotFound`, and `sync` resumes.
     """
 
     def __init__(
-        self, link: Link, swarm: str, name: str, terms: dict[str, Any], options: Options
+        self, session: Session, swarm: str, name: str, terms: dict[str, Any], options: Options
     ) -> None:
-        self._link = link
+        self._session = session
         self._swarm = swarm
         self._name = check_name("controller", name)
         self._terms = terms
         self._token: zenoh.LivelinessToken | None = None
         self._ids: list[int] = []
-        # What it sends bears the numbers of one series, and is apart from that of any other.
+        # Request ids are a random series and a number, so that no other controller has the same.
         self._series = uuid.uuid4().hex
         self._numbers = itertools.count(1)
-        # One that comes back under the same name goes on from a higher number.
+        # A controller that rejoins under the same name must begin with a higher number.
         self._sequence = time.time_ns() // 1000
-        self._unanswered: _Request | None = None
-        self._answered: deque[_Answered] = deque(maxlen=_MOST_ANSWERED)
+        self._unacknowledged: _Request | None = None
+        self._unsaved: deque[_Unsaved] = deque(maxlen=_MAX_UNSAVED)
         self._step = 0
-        link.controllers.add(self)
+        session.controllers.add(self)
         try:
             self._join(terms, options)
         except BaseException:
@@ -117,26 +122,26 @@ class Controller:
 
     @property
     def ids(self) -> list[int]:
-        """Whom it steers, ascending; a new list."""
+        """The ids of the individuals that it steers, ascending; a new list."""
         return list(self._ids)
 
     @property
     def step(self) -> int:
-        """The step that it takes the swarm to be at, and makes its next advance for."""
+        """The step that the next `advance` is for."""
         return self._step
 
     @property
     def epoch(self) -> int:
-        """The epoch it last heard of."""
+        """The epoch in the last reply."""
         return self._epoch
 
     @property
     def news(self) -> News:
-        """What it was last told beside the step: who was late, who has left, who was removed."""
+        """Missed deadlines, departures and removed individuals in the last reply."""
         return self._news
 
     def __repr__(self) -> str:
-        return f"Controller({self._name!r} of {self._swarm!r} at {self._link.endpoint})"
+        return f"Controller({self._name!r} of {self._swarm!r} at {self._session.endpoint})"
 
     @overload
     def advance(
@@ -176,70 +181,88 @@ class Controller:
         state: bool = False,
         timeout: float | None = None,
     ) -> Advanced:
-        """Lets the swarm step, and returns when it has: when every other controller let it too.
+        """Advances the swarm, and returns when every controller in lock-step has advanced.
+
+            state = ada.advance(direction=[0.0, 0.5], weight=2.0, state=True).state
 
         Args:
-            steps: How many: 1 to 10⁹; one exchange for all of them.
-            ids: Whom `direction` is for; None is all that it steers, in the order of `ids`.
+            steps: Number of steps: 1 to 10⁹; one exchange for all of them.
+            ids: The individuals that the set-points are for, shape (m,); None is all that it
+                steers, in the order of `ids`.
             direction: Preferred directions from the next step on, shape (m,) or one for all,
-                radians, counter-clockwise from +x. None, and whoever is not named: as before.
-            weight: How much each counts beside attraction, shape (m,) or one for all: 0 is
-                uninformed; None is `pi2`.
-            turn: Beyond the paper, if it joined with `driving`: turning rates in place of the
-                model's, shape (m,) or one for all, at most the fastest free one; NaN is as by
-                itself.
-            speed: The same with factors of the free speed, 0 to 1.
-            state: Have the state reached in the answer, as its `state`.
-            timeout: Seconds it may take; None is an hour, since the others have deadlines. A
-                daemon that does not answer at all has two more, and the client's `timeout` to come
-                back.
+                radians, counter-clockwise from +x. None changes no set-point.
+            weight: Weights of the directions beside attraction, eq. (4), shape (m,) or one for all:
+                0 is uninformed; None is `pi2`.
+            turn: Beyond the paper, requires `driving`: turning rates in place of the model's,
+                radians per time unit, shape (m,) or one for all; the daemon limits them to
+                `pi3 * (1 + largest weight)`. NaN is the model's.
+            speed: Beyond the paper, requires `driving`: factors of the free speed, 0 to 1, shape
+                (m,) or one for all. NaN is the model's.
+            state: Return the state reached, as `state` of the result.
+            timeout: Seconds it may take; None is an hour, since the other controllers have
+                deadlines. A daemon that does not reply has two more seconds, and the client's
+                `timeout` to reconnect.
 
         Returns:
-            Where it arrived: that many steps on, unless another command came between.
+            The step reached: `steps` further, unless another command interrupted it.
 
         Raises:
-            Conflict: The swarm is not at `step`: it went on without this controller, or was
-                reset. The error's `step` is the right one; nothing has changed, and `sync` gets
-                in line again. With `state` also when the reply was lost, the daemon sent it again
-                without the state (more than 4 KiB are not remembered), and the swarm had changed;
-                the advance was carried out then.
-            DeadlineExceeded: The others take longer than `timeout`; the advance stands.
-            InvalidArgument: A number is out of range, or somebody is not its own.
-            NotFound: It has left: its link was cut or it was late, as the message says. `sync`
-                joins again.
-            Unavailable: The daemon does not come back within the client's `timeout`. Called
-                again with the same arguments it goes on where it was.
+            Conflict: The swarm is not at `step`: it stepped without this controller, or was reset.
+                The error's `step` is the swarm's; nothing has changed, and `sync` resumes. Or it
+                still takes the steps of an earlier advance: `Swarm.pause` ends them. Or, with
+                `state`: the advance was executed, but the reply was lost, the daemon sent it again
+                without its state (it stores replies of at most 4 KiB), and the swarm had changed.
+            DeadlineExceeded: Other controllers or the steps take longer than `timeout`. The advance
+                remains, and the same call waits for it. A different one replaces it while the swarm
+                waits for another controller, and raises `Conflict` while the swarm steps.
+            IncorrectState: It joined in mode `free_running`, which uses `put`.
+            InvalidArgument: A number is out of range, or an individual is not its own. Without
+                `ids`, individuals that another client removed are left out; `news` reports them.
+            NotFound: It has left, since its connection broke or it was late (see the message);
+                `sync` rejoins.
+            Unavailable: The daemon is not back within the client's `timeout`. A call with the same
+                arguments resumes.
         """
+        self._check_mode("lockstep", "`put`")
         args: dict[str, Any] = {"controller": self._name}
+        if isinstance(steps, bool):
+            raise invalid("steps", f"steps is {steps}, but must be a whole number")
         if steps != 1:
             args["steps"] = whole("steps", steps)
         if direction is not None:
             args["set"] = self._set_points(ids, direction, weight, turn, speed)
         elif not (ids is None and weight is None and turn is None and speed is None):
-            raise InvalidArgument(
-                "`ids`, `weight`, `turn` and `speed` say nothing without a `direction`",
-                details={"field": "set.direction"},
+            raise invalid(
+                "set.direction",
+                "`ids`, `weight`, `turn` and `speed` have no effect without a `direction`",
             )
         if state:
             args["return"] = "state"
-        seconds = PATIENT_SECS if timeout is None else check_seconds("timeout", timeout)
-        request = self._unanswered
-        # What was not answered and is asked for again is the same exchange.
-        payload = msgspec.json.encode(args)
-        if request is None or (request.step, request.args) != (self._step, payload):
-            request_id = f"{self._series}-{next(self._numbers)}"
-            request = self._unanswered = _Request(request_id, self._step, payload)
-        advanced = self._carry_out(request, seconds)
-        self._unanswered = None
-        self._heard(advanced)
+        seconds = MAX_TIMEOUT_SECS if timeout is None else check_seconds("timeout", timeout)
+        try:
+            request, advanced = self._advance(args, seconds)
+        except InvalidArgument as error:
+            if not _is_not_claimed(error):
+                raise
+            if ids is not None:
+                raise InvalidArgument(
+                    f"{error.message}; if it was removed, `sync()` updates `ids`",
+                    details=error.details,
+                    step=error.step,
+                ) from error
+            # Another client has removed individuals: the rejected advance has changed nothing.
+            self._leave_out_removed(args)
+            request, advanced = self._advance(args, seconds)
+        self._unacknowledged = None
+        self._update(advanced)
         self._step = advanced.step
-        while self._answered and self._answered[0].reached <= advanced.durable_step:
-            self._answered.popleft()
+        while self._unsaved and self._unsaved[0].reached <= advanced.durable_step:
+            self._unsaved.popleft()
         if advanced.steps > 0 and advanced.step > advanced.durable_step:
-            self._answered.append(_Answered(request, advanced.step, advanced.state_hash))
+            self._unsaved.append(_Unsaved(request, advanced.step, advanced.state_hash))
         if state and advanced.state is None:
-            # The reply was lost, and the one that the daemon remembered has no state. In lock-step
-            # the swarm waits for this controller.
+            # The reply was lost, and the one that the daemon stored has no state. In lock-step the
+            # swarm waits for this controller.
             return with_state(advanced, fetch_state(self._get, advanced))
         return advanced
 
@@ -252,56 +275,61 @@ class Controller:
         turn: ArrayLike | None = None,
         speed: ArrayLike | None = None,
     ) -> None:
-        """Puts set-points for a swarm that runs, if it joined in mode `free_running`.
+        """Publishes set-points for a running swarm, if it joined in mode `free_running`.
 
-        They apply at the swarm's next step, unless newer ones come before. There is no answer:
-        `Swarm.controllers` counts what became of them.
+            ada.put(direction=0.5, weight=2.0)
+
+        They apply from the swarm's next step on, unless newer ones arrive before. There is no
+        reply: `Puts` in `Swarm.controllers` counts the outcomes.
 
         Args:
-            ids: Whom; None is all that it steers, in the order of `ids`.
+            ids: The individuals, shape (m,); None is all that it steers, in the order of `ids`.
             direction: Preferred directions, shape (m,) or one for all, radians,
                 counter-clockwise from +x.
-            weight: How much each counts beside attraction, shape (m,) or one for all: 0 is
+            weight: Weights of the directions beside attraction, shape (m,) or one for all: 0 is
                 uninformed; None is `pi2`.
             turn: Turning rates, see `advance`.
             speed: Factors of the free speed, see `advance`.
 
         Raises:
-            InvalidArgument: They are no numbers, or not as many as individuals.
+            IncorrectState: It joined in lock-step, which uses `advance`, or has left.
+            InvalidArgument: They are not numbers, or not as many as individuals.
             Unavailable: The client is closed.
         """
+        self._check_mode("free_running", "`advance`")
+        if self._token is None:
+            raise IncorrectState(f"controller {self._name!r} has left: `sync()` rejoins")
         self._sequence += 1
         set_points = self._set_points(ids, direction, weight, turn, speed)
         payload = to_json({"sequence": self._sequence, "set": set_points})
-        self._link.put(self._link.swarm_key(self._swarm, f"ctl/{self._name}"), payload)
+        self._session.put(self._session.swarm_key(self._swarm, f"ctl/{self._name}"), payload)
 
     def sync(self) -> State:
-        """Gets in line again after a `Conflict` or a `NotFound`, and returns the state as it is.
+        """Resumes after a `Conflict` or a `NotFound`, and returns the present state.
 
-        If it has left it joins again, on the same terms, to steer whom it did and who is still
-        there. Its next advance is made for the step of that state.
+        If it has left, it rejoins on the same terms and steers those of its individuals that
+        exist. The next advance is for the step of the returned state.
 
         Raises:
-            Conflict: Another controller steers one of them by now.
-            NotFound: The swarm is gone.
+            Conflict: Another controller steers one of them.
+            NotFound: There is no such swarm.
         """
-        listed = read_reply(self._get("get/controllers"), Controllers).controllers
-        mine = [one for one in listed if one.controller == self._name]
+        mine = self._listed()
         state = read_state(self._get("state"))
-        if mine:
-            self._ids = mine[0].ids
+        if mine is not None:
+            self._ids = mine.ids
         else:
-            there = set(state.id.tolist())
-            select = ids(one for one in self._ids if one in there)
+            existing = set(state.id.tolist())
+            select = ids(one for one in self._ids if one in existing)
             self._join({**self._terms, "select": select, "again": True}, {})
             state = read_state(self._get("state"))
-        self._unanswered = None
-        self._answered.clear()
+        self._unacknowledged = None
+        self._unsaved.clear()
         self._step, self._epoch = state.step, state.epoch
         return state
 
     def leave(self, **options: Unpack[Options]) -> Reply:
-        """Leaves. Whom it steered is uninformed, unless it joined to `hold` them.
+        """Leaves the swarm. Its individuals are uninformed, unless `on_timeout` is `hold`.
 
         Args:
             options: See `Options`.
@@ -310,66 +338,114 @@ class Controller:
             NotFound: It has left already.
         """
         try:
-            payload = self._link.command(
-                self._link.swarm_key(self._swarm, "cmd/leave"),
-                {"controller": self._name},
-                swarm=self._swarm,
-                **options,
-            )
+            args = {"controller": self._name}
+            return self._session.swarm_command(self._swarm, "leave", args, Reply, **options)
         finally:
             self._drop_token()
-        return read_reply(payload, Reply)
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        # Who has left already is out, and what went wrong before says more than what does now.
+    def __exit__(self, kind: object, error: object, traceback: object) -> None:
+        # It may have left already; and an error of the block is not replaced by one of leaving.
         with contextlib.suppress(NotFound if error is None else JostleError):
             if self._token is not None:
                 self.leave()
 
     def _join(self, terms: dict[str, Any], options: Options) -> None:
         if self._token is None:
-            key = self._link.swarm_key(self._swarm, f"ctl/{self._name}/alive")
-            self._token = self._link.declare_token(key)
-        payload = self._link.command(
-            self._link.swarm_key(self._swarm, "cmd/join"),
-            {"controller": self._name, **terms},
-            swarm=self._swarm,
-            **options,
-        )
-        joined = read_reply(payload, Joined)
+            key = self._session.swarm_key(self._swarm, f"ctl/{self._name}/alive")
+            self._token = self._session.declare_token(key)
+        args = {"controller": self._name, **terms}
+        joined = self._session.swarm_command(self._swarm, "join", args, Joined, **options)
         self._ids, self._step = joined.ids, joined.step
-        self._heard(joined)
+        self._update(joined)
 
     def _drop_token(self) -> None:
         token, self._token = self._token, None
         if token is not None:
-            # With the session the token is gone already.
+            # A closed session has undeclared the token.
             with contextlib.suppress(zenoh.ZError):
                 token.undeclare()
 
-    def _heard(self, told: Joined | Advanced) -> None:
-        self._news, self._epoch = told.news, told.epoch
-        if told.news.removed:
-            gone = set(told.news.removed)
+    def _update(self, reply: Joined | Advanced) -> None:
+        self._news, self._epoch = reply.news, reply.epoch
+        if reply.news.removed:
+            gone = set(reply.news.removed)
             self._ids = [one for one in self._ids if one not in gone]
 
-    def _carry_out(self, request: _Request, seconds: float) -> Advanced:
-        """Sends an advance until it is answered, also by a daemon that was started again.
+    def _check_mode(self, mode: Mode, other: str) -> None:
+        joined: Mode = self._terms["mode"]
+        if joined != mode:
+            raise IncorrectState(
+                f"controller {self._name!r} joined in mode {joined}: use {other}, or join in mode "
+                f"{mode}"
+            )
 
-        That is safe with any daemon: another one knows no controller of this name, and refuses.
+    def _advance(self, args: dict[str, Any], seconds: float) -> tuple[_Request, Advanced]:
+        """Sends an advance for the present step; returns it and its reply."""
+        request = self._unacknowledged
+        # A call that repeats an advance without a reply repeats its request id.
+        payload = msgspec.json.encode(args)
+        if request is None or (request.step, request.args) != (self._step, payload):
+            request_id = f"{self._series}-{next(self._numbers)}"
+            request = self._unacknowledged = _Request(request_id, self._step, payload)
+        try:
+            return request, self._execute(request, seconds)
+        except DeadlineExceeded as error:
+            remedy = "the advance remains, and the same call waits for it"
+            raise late("not advanced", seconds, remedy, error) from error
+
+    def _leave_out_removed(self, args: dict[str, Any]) -> None:
+        """Leaves the individuals that the controller does not steer any more out of set-points."""
+        mine = self._listed()
+        kept = set() if mine is None else set(mine.ids)
+        points: dict[str, list[Any]] = args.pop("set")
+        keeps = [one in kept for one in points["ids"]]
+        if any(keeps):
+            args["set"] = {
+                name: list(itertools.compress(column, keeps)) for name, column in points.items()
+            }
+
+    def _listed(self) -> ControllerSummary | None:
+        """The daemon's record of this controller; None if it has left."""
+        listed = read_reply(self._get("get/controllers"), Controllers).controllers
+        return next((one for one in listed if one.controller == self._name), None)
+
+    def _explain(self, error: Conflict) -> None:
+        """Raises the error of an advance for another step than the swarm's, with its remedy.
+
+        Raises:
+            Conflict: It is that error.
         """
-        patience: Patience | None = None
+        if error.details.get("field") not in ("expect_step", "controller"):
+            return
+        try:
+            mine = self._listed()
+        except JostleError:
+            mine = None
+        target = None if mine is None else mine.target_step
+        if target is not None and error.step is not None and target > error.step:
+            message = (
+                f"the swarm is at step {error.step} and steps to {target}, as an earlier advance "
+                "permits: `Swarm.pause()` ends that, then `sync()` resumes"
+            )
+        else:
+            message = (
+                f"the swarm is at step {error.step}, not {self._step}: it was reset, or stepped "
+                "without this controller, which missed a deadline; `sync()` resumes"
+            )
+        raise Conflict(message, details=error.details, step=error.step) from error
+
+    def _execute(self, request: _Request, seconds: float) -> Advanced:
+        """Sends an advance until it is replied to, also by a restarted daemon.
+
+        That is safe with any daemon: another one has no controller of this name, and rejects it.
+        """
+        backoff: Backoff | None = None
         is_behind = False
-        # Each daemon needs to be told only once of what the one before was told.
-        told: frozenset[str] | None = None
+        # The daemon that received the unsaved advances again: once is enough.
+        resent_to: frozenset[str] | None = None
         while True:
             try:
                 if is_behind:
@@ -378,38 +454,39 @@ class Controller:
                 return self._send(request, seconds)
             except Conflict as error:
                 is_behind = error.step is not None and error.step < self._step
-                daemon = self._link.connected()
-                if not is_behind or not self._answered or daemon == told:
+                daemon = self._session.connected()
+                if not is_behind or not self._unsaved or daemon == resent_to:
+                    self._explain(error)
                     raise
-                told, patience = daemon, None
+                resent_to, backoff = daemon, None
             except (Unavailable, NotFound, PermissionDenied) as error:
                 is_silence = isinstance(error, Unavailable) or error.details.get("is_silence")
-                if not is_silence or not self._link.is_open():
+                if not is_silence or not self._session.is_open():
                     raise
-                # So it sounds while a daemon is being started again.
-                told = None
-                patience = patience or Patience(time.monotonic(), seconds, self._link.timeout)
-                patience.pause(error)
+                # A daemon that is being restarted causes these errors.
+                resent_to = None
+                backoff = backoff or Backoff(time.monotonic(), seconds, self._session.timeout)
+                backoff.sleep(error)
 
     def _catch_up(self, seconds: float) -> None:
-        """Advances anew what a crash took back.
+        """Sends the unsaved advances again after a crash of the daemon.
 
-        What it did not take back is not carried out again, but answered as it was. All of it is
-        kept until it is on the disk, as the next crash may come before that.
+        The daemon executes those that the crash took back, and repeats its reply to the others.
+        All are kept until they are durable, since the daemon may crash again.
         """
-        for before in list(self._answered):
+        for before in list(self._unsaved):
             advanced = self._send(before.request, seconds)
             if advanced.state_hash != before.state_hash:
-                self._answered.clear()
+                self._unsaved.clear()
                 raise Conflict(
-                    "the daemon was started again, and with what the others do now step "
-                    f"{before.reached} is not as it was: `sync` gets in line again",
+                    "the daemon was restarted, and the other controllers do not repeat their "
+                    f"advances: step {before.reached} has another state now. Call `sync` to resume",
                     step=advanced.step,
                 )
 
     def _send(self, request: _Request, seconds: float) -> Advanced:
-        payload = self._link.command(
-            self._link.swarm_key(self._swarm, "cmd/advance"),
+        payload = self._session.command(
+            self._session.swarm_key(self._swarm, "cmd/advance"),
             msgspec.Raw(request.args),
             swarm=self._swarm,
             expect_step=request.step,
@@ -426,62 +503,48 @@ class Controller:
         turn: ArrayLike | None,
         speed: ArrayLike | None,
     ) -> dict[str, Any]:
-        whom = self._ids if ids is None else [whole("set.ids", one) for one in ids]
+        chosen = self._ids if ids is None else [whole("set.ids", one) for one in ids]
+        if ids is not None and not chosen:
+            raise invalid("set.ids", "`ids` is empty: leave it out for all that it steers")
         points: dict[str, Any] = {
-            "ids": whom,
-            "direction": _column("direction", direction, len(whom)),
+            "ids": chosen,
+            "direction": _column("direction", direction, len(chosen)),
         }
         if weight is not None:
-            points["weight"] = _column("weight", weight, len(whom))
+            points["weight"] = _column("weight", weight, len(chosen))
         for name, driven in (("turn", turn), ("speed", speed)):
             if driven is not None:
-                column = _column(name, driven, len(whom), may_be_nan=True)
+                column = _column(name, driven, len(chosen), may_be_nan=True)
                 points[name] = [None if math.isnan(value) else value for value in column]
         return points
 
     def _get(self, rest: str) -> bytes:
-        return self._link.get(self._link.swarm_key(self._swarm, rest), swarm=self._swarm)
+        return self._session.get(self._session.swarm_key(self._swarm, rest), swarm=self._swarm)
 
 
-def terms(
-    select: Select | None,
-    mode: Mode,
-    deadline: float,
-    on_timeout: OnTimeout,
-    driving: bool,
-    again: bool,
-) -> dict[str, Any]:
-    """What a controller joins with, as the wire has it."""
-    terms: dict[str, Any] = {
-        "mode": mode,
-        "deadline_secs": check_seconds("deadline", deadline),
-        "on_timeout": on_timeout,
-        "driving": driving,
-        "again": again,
-    }
-    return terms if select is None else {"select": select, **terms}
+def _is_not_claimed(error: InvalidArgument) -> bool:
+    """Whether set-points were for an individual that no controller steers."""
+    details = error.details
+    return "controller" in details and details["controller"] is None
 
 
 def _column(name: str, values: ArrayLike, length: int, *, may_be_nan: bool = False) -> list[float]:
-    """One number for each of so many individuals.
+    """A number for each of `length` individuals.
 
     Raises:
-        InvalidArgument: They are no finite numbers, or not so many.
+        InvalidArgument: They are not finite numbers, or not as many.
     """
-    field = {"field": f"set.{name}"}
-    try:
-        column = np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise InvalidArgument(f"{name} is no column of numbers: {error}", details=field) from error
+    field = f"set.{name}"
+    column = numbers(name, values, field)
     if column.ndim > 0 and column.shape != (length,):
-        raise InvalidArgument(
+        raise invalid(
+            field,
             f"{name} has shape {column.shape}, not ({length},) as there are ids, nor is it one "
             "number",
-            details=field,
         )
-    numbers = cast("list[float]", column.tolist() if column.ndim > 0 else [float(column)] * length)
-    # For as few as one controller steers this is faster than NumPy's.
-    is_fine = all(map(math.isfinite, numbers))
-    if not is_fine and (not may_be_nan or any(map(math.isinf, numbers))):
-        raise InvalidArgument(f"{name} holds a number that is not finite", details=field)
-    return numbers
+    points = cast("list[float]", column.tolist() if column.ndim > 0 else [float(column)] * length)
+    # For a few numbers this is faster than NumPy.
+    is_fine = all(map(math.isfinite, points))
+    if not is_fine and (not may_be_nan or any(map(math.isinf, points))):
+        raise invalid(field, f"{name} holds a number that is not finite")
+    return points

@@ -1,4 +1,4 @@
-"""Who somebody is to a daemon, and what proves it."""
+"""Credentials of a person, and the role that a daemon assigns to a client."""
 
 from __future__ import annotations
 
@@ -8,24 +8,24 @@ from typing import Any, Literal
 
 import msgspec
 
-from ._errors import InvalidArgument
-from ._show import Shown
+from ._errors import invalid
+from ._repr import HtmlStruct
 
 Role = Literal["viewer", "controller", "operator"]
-"""What a person may do: watch; steer as a controller too; everything."""
+"""A role: a viewer queries and subscribes, a controller also steers, an operator does all."""
 
 _FILE = "credentials.json"
 
 
-class WhoAmI(Shown, frozen=True, kw_only=True):
-    """Who a daemon takes this client for.
+class WhoAmI(HtmlStruct, frozen=True, kw_only=True):
+    """The person and role that a daemon assigns to this client.
 
     Attributes:
         node: The daemon's name.
-        person: Who; None where the daemon knows no people, and for a token that is nobody's.
-        role: What they are; None for a token that is nobody's.
-        verbs: What they may have swarms execute.
-        node_verbs: What they may have the daemon execute.
+        person: The person; None if the daemon has no authentication, or for an unknown token.
+        role: The role; None for an unknown token.
+        verbs: The permitted commands of swarms.
+        node_verbs: The permitted commands of the daemon.
     """
 
     node: str
@@ -40,7 +40,7 @@ class WhoAmI(Shown, frozen=True, kw_only=True):
 
 
 class Credentials(msgspec.Struct, frozen=True):
-    """What `credentials.json` says, and the folder it is in. The secrets are in no `repr`."""
+    """The content of `credentials.json`. Its `repr` has no secrets."""
 
     person: str
     role: Role
@@ -54,10 +54,10 @@ class Credentials(msgspec.Struct, frozen=True):
 
 
 def read_credentials(folder: str | os.PathLike[str] | None) -> tuple[Credentials, Path] | None:
-    """Reads a folder that `jostled auth` made; None is that of `JOSTLE_CREDENTIALS`, if any.
+    """Reads a folder of `jostled auth`; None is the one in `JOSTLE_CREDENTIALS`, if any.
 
     Raises:
-        InvalidArgument: It is none.
+        InvalidArgument: It contains no credentials.
     """
     folder = os.environ.get("JOSTLE_CREDENTIALS") or None if folder is None else folder
     if folder is None:
@@ -66,14 +66,14 @@ def read_credentials(folder: str | os.PathLike[str] | None) -> tuple[Credentials
     try:
         return msgspec.json.decode(path.read_bytes(), type=Credentials), Path(folder)
     except (OSError, msgspec.DecodeError) as error:
-        raise InvalidArgument(
-            f"{path}: {error}: credentials are a folder that `jostled auth` made",
-            details={"field": "credentials"},
+        raise invalid(
+            "credentials",
+            f"{path}: {error}: give a folder of credentials that `jostled auth` created",
         ) from None
 
 
-def proofs(credentials: Credentials, folder: Path) -> dict[str, Any]:
-    """What zenoh needs to prove who it is."""
+def zenoh_auth(credentials: Credentials, folder: Path) -> dict[str, Any]:
+    """The settings of zenoh for authentication."""
     return {
         "transport/auth/usrpwd": {"user": credentials.person, "password": credentials.password},
         "transport/link/tls": {
@@ -91,12 +91,12 @@ def proofs(credentials: Credentials, folder: Path) -> dict[str, Any]:
 _OF_CONTROLLERS = ("join", "advance", "leave", "annotate")
 
 
-def refusal(who: WhoAmI, verb: str) -> str:
-    """The words for a verb that takes another role, as the daemon has them."""
+def denial_reason(who: WhoAmI, verb: str) -> str:
+    """The message for a verb that requires another role, with the daemon's words."""
     takes = "a controller" if verb in _OF_CONTROLLERS else "an operator"
     if who.person is None or who.role is None:
-        told = "no token came along that belongs to a person here"
+        identity = "the request has no token of a known person"
     else:
         article = "an" if who.role == "operator" else "a"
-        told = f"you are {who.person}, {article} {who.role}"
-    return f"{told}, and {verb} takes {takes}: ask whoever runs the daemon"
+        identity = f"you are {who.person}, {article} {who.role}"
+    return f"{identity}, and {verb} takes {takes}: ask whoever runs the daemon"

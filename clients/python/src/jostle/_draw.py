@@ -1,4 +1,4 @@
-"""Pictures of a swarm as SVG: bodies to scale, their heads marked, the informed coloured."""
+"""Pictures of a swarm as SVG: bodies to scale, their heads marked, informed ones coloured."""
 
 from __future__ import annotations
 
@@ -9,65 +9,79 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ._state import State
-
 WIDTH, HEIGHT = 520, 360
 _MARGIN_PX = 14.0
 _EDGE_PX = 1.3
-# A group that has become this much smaller than the picture is drawn larger again.
-_LOOSE = 0.6
-# Without knowing better, bodies are drawn as the paper's.
-_USUAL_PI1 = 4.0
+# The scale increases when the group takes less than this share of the picture.
+_MIN_FILL = 0.6
+# The paper's value, if that of the swarm is not known.
+_DEFAULT_PI1 = 4.0
 
 PLAIN = ("#8fb3d1", "#2f5474")
 INFORMED = ("#f2a154", "#8a4408")
-_WISH = "#d9711a"
+_ARROW = "#d9711a"
 
 
 @dataclass
 class Camera:
-    """Which part of the plane is seen: around a point, so many pixels to a body size."""
+    """The visible part of the plane: its centre, body sizes, and pixels per body size."""
 
     x: float = 0.0
     y: float = 0.0
     scale: float = 0.0
 
     def follow(self, position: NDArray[np.float64]) -> None:
-        """Keeps everyone in the picture, without changing the scale for every little."""
+        """Keeps all individuals in the picture; small changes do not change the scale."""
         low, high = position.min(axis=0) - 0.6, position.max(axis=0) + 0.6
         self.x, self.y = (low + high) / 2.0
         room = (WIDTH - 2.0 * _MARGIN_PX, HEIGHT - 2.0 * _MARGIN_PX)
         fits = float(min(room / (high - low)))
-        if not _LOOSE * fits <= self.scale <= fits:
-            # Nobody is so near that three bodies fill the picture.
+        if not _MIN_FILL * fits <= self.scale <= fits:
+            # The largest scale: the picture is 6.5 body sizes wide.
             self.scale = min(fits * (0.85 if self.scale else 1.0), 80.0)
 
     def pixels(self, position: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Where positions are in the picture, whose y grows downwards."""
+        """The pixels of positions; the y of a picture increases downwards."""
         away = (position - (self.x, self.y)) * (self.scale, -self.scale)
         pixels: NDArray[np.float64] = away + np.array((WIDTH / 2.0, HEIGHT / 2.0))
         return pixels
 
 
-def draw(state: State, pi1: float | None = None, camera: Camera | None = None) -> str:
-    """Draws the bodies of `state`, `pi1` times as long as wide, with a caption; as HTML."""
-    pi1 = pi1 or state.pi1 or _USUAL_PI1
+def draw(
+    position: NDArray[np.float64],
+    alpha: NDArray[np.float64],
+    informed: NDArray[np.bool_],
+    direction: NDArray[np.float64],
+    pi1: float | None,
+    caption: str,
+    camera: Camera | None = None,
+) -> str:
+    """Draws bodies as HTML.
+
+    Args:
+        position: Absolute positions, shape (n, 2), body sizes.
+        alpha: Headings, shape (n,), radians.
+        informed: Whether each is informed, shape (n,).
+        direction: Preferred directions, shape (n,), radians.
+        pi1: Length over width of a body; None is the paper's.
+        caption: A text below the picture.
+        camera: The visible part, which follows the bodies.
+    """
     camera = camera or Camera()
-    position = state.position
     camera.follow(position)
     parts = [_grid(camera)]
-    heading = np.column_stack((np.cos(state.alpha), np.sin(state.alpha)))
-    for informed, colours in ((False, PLAIN), (True, INFORMED)):
-        those = state.informed == informed
-        parts.append(_bodies(position[those], heading[those], pi1, camera, colours))
-    parts.append(_wishes(state))
-    said = html.escape(_caption(state), quote=True)
+    heading = np.column_stack((np.cos(alpha), np.sin(alpha)))
+    for is_informed, colours in ((False, PLAIN), (True, INFORMED)):
+        those = informed == is_informed
+        parts.append(_bodies(position[those], heading[those], pi1 or _DEFAULT_PI1, camera, colours))
+    parts.append(_arrows(direction[informed]))
+    caption = html.escape(caption, quote=True)
     return (
         f'<div style="max-width:{WIDTH}px;font:11.5px system-ui,sans-serif">'
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {HEIGHT}" '
         f'style="width:100%;height:auto;display:block" fill="none" role="img" '
-        f'aria-label="{said}">{"".join(parts)}</svg>'
-        f'<div style="opacity:.85;padding:4px 2px">{said}</div></div>'
+        f'aria-label="{caption}">{"".join(parts)}</svg>'
+        f'<div style="opacity:.85;padding:4px 2px">{caption}</div></div>'
     )
 
 
@@ -85,10 +99,10 @@ def _bodies(
     half_length = (pi1 - 1.0) * radius
     head = camera.pixels(centre + half_length * heading)
     tail = camera.pixels(centre - half_length * heading)
-    # On a disc only the mark tells where its head is.
+    # The mark of a disc is nearer to its edge, since nothing else shows its heading.
     slender = min(pi1 - 1.0, 1.0)
     mark = camera.pixels(centre + (half_length + (0.45 - 0.3 * slender) * radius) * heading)
-    # Everyone in one path, twice: the first shows between two bodies that touch.
+    # All bodies are one path, drawn twice: the wider one separates bodies that touch.
     lines = "".join(f"M{a:.1f} {b:.1f}L{c:.1f} {d:.1f}" for a, b, c, d in np.hstack((tail, head)))
     dots = "".join(f"M{a:.1f} {b:.1f}h0" for a, b in mark)
     width = 2.0 * radius * camera.scale
@@ -103,7 +117,7 @@ def _bodies(
 
 
 def _grid(camera: Camera) -> str:
-    """Lines that stand still in the plane, and how far they are apart."""
+    """Lines that are fixed in the plane, and a legend of their distance."""
     rough = 60.0 / camera.scale
     power = 10.0 ** math.floor(math.log10(rough))
     spacing = power * next(step for step in (1.0, 2.0, 5.0, 10.0) if step * power >= rough)
@@ -130,9 +144,9 @@ def _grid(camera: Camera) -> str:
     return path + border + legend
 
 
-def _wishes(state: State) -> str:
-    """An arrow in the corner for each direction that someone wants to go."""
-    directions = np.unique(np.round(np.mod(state.direction[state.informed], 2.0 * math.pi), 3))
+def _arrows(preferred: NDArray[np.float64]) -> str:
+    """An arrow in the corner for each preferred direction."""
+    directions = np.unique(np.round(np.mod(preferred, 2.0 * math.pi), 3))
     if not 0 < len(directions) <= 8:
         return ""
     x, y, length = WIDTH - 30.0, 30.0, 17.0
@@ -150,20 +164,7 @@ def _wishes(state: State) -> str:
             foot = (x, y)
         arrows.append(
             f'<path d="M{foot[0]:.1f} {foot[1]:.1f}L{shaft[0]:.1f} {shaft[1]:.1f}" '
-            f'stroke="{_WISH}" stroke-width="3"/><polygon points="{points}" fill="{_WISH}"/>'
+            f'stroke="{_ARROW}" stroke-width="3"/><polygon points="{points}" fill="{_ARROW}"/>'
         )
-    disc = f'<circle cx="{x}" cy="{y}" r="23" fill="{_WISH}" fill-opacity=".18"/>'
+    disc = f'<circle cx="{x}" cy="{y}" r="23" fill="{_ARROW}" fill-opacity=".18"/>'
     return f"<g>{disc}{''.join(arrows)}</g>"
-
-
-def _caption(state: State) -> str:
-    informed = int(state.informed.sum())
-    drift = state.order.drift
-    said = [
-        f"{state.swarm}, {state.phase}",
-        f"step {state.step}, t = {state.time:g}",
-        f"{state.n} individual{'s' if state.n > 1 else ''}"
-        + (f", {informed} informed" if informed else ""),
-        f"order {state.order.order:.2f}" + ("" if drift is None else f", drift {drift:+.2f}"),
-    ]
-    return " · ".join(said)

@@ -1,4 +1,4 @@
-"""The one tree of errors: everything this package raises on purpose is a `JostleError`."""
+"""The errors of this package, all subclasses of `JostleError`."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ import msgspec
 
 
 class ErrorMessage(msgspec.Struct, frozen=True, kw_only=True):
-    """An error as the wire has it: what an answer raises, and what an event tells as `error`.
+    """An error as on the wire: the `error` of an `Event`.
 
     Attributes:
         code: The kind of error, such as `conflict`.
-        message: For people: what is wrong and what to do.
+        message: For people: what is wrong, and the remedy.
         details: For programs, such as `field` and `range`; may be empty.
-        step: The swarm's step when it happened; None if it was about no swarm.
+        step: The swarm's step at that time; None if it concerns no swarm.
     """
 
     code: str
@@ -26,13 +26,18 @@ class ErrorMessage(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class JostleError(Exception):
-    """A request was refused, failed, or found nobody to answer it.
+    """A request was rejected, failed, or had no reply; the base class of all errors.
+
+        try:
+            swarm.set(pi1=0.5)
+        except jostle.InvalidArgument as error:
+            print(error.details["field"], error.details["range"])
 
     Attributes:
-        code: The wire's word for the kind of error; the same for every instance of a subclass.
-        message: For people: what is wrong and what to do.
+        code: The code of the error on the wire; the same for every instance of a subclass.
+        message: For people: what is wrong, and the remedy.
         details: For programs, such as `field` and `range`; may be empty.
-        step: The swarm's step when it happened; None if it was about no swarm, or is not known.
+        step: The swarm's step at that time; None if it concerns no swarm, or is not known.
     """
 
     code: str = "error"
@@ -51,7 +56,7 @@ class JostleError(Exception):
 
 
 class NotFound(JostleError):
-    """No such swarm, or no such individual, noun or verb."""
+    """There is no such swarm, individual, noun or verb."""
 
     code = "not_found"
 
@@ -63,37 +68,37 @@ class AlreadyExists(JostleError):
 
 
 class InvalidArgument(JostleError):
-    """The request is wrong, whatever the swarm's state; `details["field"]` says where."""
+    """An argument is invalid in every state of the swarm; `details["field"]` names it."""
 
     code = "invalid_argument"
 
 
 class IncorrectState(JostleError):
-    """The request is right, but not in this phase."""
+    """The request is valid, but not in the swarm's present phase or state."""
 
     code = "incorrect_state"
 
 
 class ResourceExhausted(JostleError):
-    """A limit of the daemon."""
+    """A limit of the daemon is reached."""
 
     code = "resource_exhausted"
 
 
 class Busy(JostleError):
-    """Too much at once, and still so after asking again until the deadline."""
+    """The daemon was overloaded at every attempt to send the request until its timeout."""
 
     code = "busy"
 
 
 class Conflict(JostleError):
-    """The swarm is not at the step or epoch that is expected, or a request's id is taken."""
+    """The swarm is not at the expected step or epoch, or the id is that of another request."""
 
     code = "conflict"
 
 
 class Contested(JostleError):
-    """Several daemons hold this name: all but one must be stopped or discard their swarm.
+    """Several daemons have a swarm of this name: stop all but one, or `discard` their swarms.
 
     `details["nodes"]` names the daemons.
     """
@@ -102,7 +107,7 @@ class Contested(JostleError):
 
 
 class PermissionDenied(JostleError):
-    """Not with these rights; the daemon is there and does not answer."""
+    """The daemon is connected and does not permit the request to this client."""
 
     code = "permission_denied"
 
@@ -114,69 +119,84 @@ class StorageFull(JostleError):
 
 
 class DeadlineExceeded(JostleError):
-    """Not done in time; the work goes on, `step` says how far it was."""
+    """The request takes longer than its timeout; it continues, and `step` is its progress."""
 
     code = "deadline_exceeded"
 
 
 class Faulted(JostleError):
-    """The swarm faulted meanwhile; it keeps its last good state."""
+    """The swarm faulted during the request; it keeps its last good state."""
 
     code = "faulted"
 
 
 class Internal(JostleError):
-    """A defect of the daemon, or an answer that this package cannot read."""
+    """A defect of the daemon, or a message that this package cannot read."""
 
     code = "internal"
 
 
 class Unavailable(JostleError):
-    """Nobody is there: no daemon answers, or it went away."""
+    """No daemon answers, or it disconnected."""
 
     code = "unavailable"
 
 
-_BY_CODE: dict[str, type[JostleError]] = {
-    kind.code: kind
-    for kind in (
-        NotFound,
-        AlreadyExists,
-        InvalidArgument,
-        IncorrectState,
-        ResourceExhausted,
-        Busy,
-        Conflict,
-        Contested,
-        PermissionDenied,
-        StorageFull,
-        DeadlineExceeded,
-        Faulted,
-        Internal,
-    )
-}
+# The daemon sends every one but `Unavailable`, which only this package raises.
+_BY_CODE = {kind.code: kind for kind in JostleError.__subclasses__() if kind is not Unavailable}
 
 
-# How the daemon says which JSON value it got instead of another.
+def late(what: str, seconds: float, remedy: str, error: DeadlineExceeded) -> DeadlineExceeded:
+    """The daemon's error with the caller's timeout: it may be for the last of several attempts."""
+    message = f"{what} within {seconds:g} s: {remedy}"
+    details = {**error.details, "after_secs": seconds}
+    return DeadlineExceeded(message, details=details, step=error.step)
+
+
+def invalid(field: str, message: str) -> InvalidArgument:
+    """The error for an argument; `details["field"]` names it."""
+    return InvalidArgument(message, details={"field": field})
+
+
+# How the daemon describes a JSON value of the wrong type.
 _UNEXPECTED = re.compile(r"(?<=invalid type: )(null|boolean `(?:true|false)`)(?=, expected )")
 _WORDS = {"null": "None", "true": "True", "false": "False"}
 
 
+# Requests and fields of the wire in the daemon's remedies, and their names in this package.
+_REMEDIES = {
+    "the node's get/swarms lists what there is": "`client.swarms()` lists them",
+    "the node's get/experiments lists the experiments": "`client.experiments()` lists them",
+    "the node's get/recordings lists the recordings": "`client.recordings()` lists them",
+    "set exist_ok to use it": "pass `exist_ok=True` to use it",
+    "set make_room to": "pass `make_room=True` to",
+    "or set `again` if": "or pass `again=True` if",
+    "join with `driving`": "join with `driving=True`",
+    "look at get/journal": "look at `Swarm.journal`",
+}
+
+
 def _in_python(message: str, details: dict[str, Any]) -> tuple[str, dict[str, Any]]:
-    """The same with Python's words for JSON's: `None`, `True` and `False`.
+    """Replaces JSON's `null`, `true` and `false`, and requests of the wire, by Python's words.
 
     Only the daemon's description of a value and the permitted range are translated, not names or
-    texts that the caller gave.
+    texts of the caller.
     """
 
     def translate(text: str) -> str:
-        # What stands in quotes is a text.
+        # Quoted parts are texts.
         parts = re.split(r'("[^"]*")', text)
         words = re.compile(r"\b(null|true|false)\b")
         parts[::2] = [words.sub(lambda word: _WORDS[word[0]], part) for part in parts[::2]]
         return "".join(parts)
 
     message = _UNEXPECTED.sub(lambda it: translate(it[0]), message)
+    # The end of a run, which may have been given as a time.
+    message = re.sub(
+        r"^until_step (\d+) is in the past", r"the end, step \1, is in the past", message
+    )
+    for remedy, here in _REMEDIES.items():
+        message = message.replace(remedy, here)
     expected = details.get("range")
     if isinstance(expected, str):
         details = {**details, "range": translate(expected)}
@@ -185,17 +205,16 @@ def _in_python(message: str, details: dict[str, Any]) -> tuple[str, dict[str, An
 
 
 def read_error(payload: bytes) -> JostleError | None:
-    """Reads the error that a daemon sent; None if it is not one of a daemon's.
+    """Reads the error of a daemon; None if the payload is not one.
 
-    A code this version does not know becomes a plain `JostleError` with that `code`, so that an
-    older client can meet a newer daemon.
+    An unknown code becomes a `JostleError` with that `code`: the daemon may be newer.
     """
     try:
-        said = msgspec.json.decode(payload, type=ErrorMessage)
+        sent = msgspec.json.decode(payload, type=ErrorMessage)
     except msgspec.DecodeError:
         return None
-    kind = _BY_CODE.get(said.code, JostleError)
-    message, details = _in_python(said.message, said.details)
-    error = kind(message, details=details, step=said.step)
-    error.code = said.code
+    kind = _BY_CODE.get(sent.code, JostleError)
+    message, details = _in_python(sent.message, sent.details)
+    error = kind(message, details=details, step=sent.step)
+    error.code = sent.code
     return error

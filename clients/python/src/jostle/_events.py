@@ -1,4 +1,4 @@
-"""What happened to a swarm, as msgspec structs."""
+"""Events and journal entries of swarms, as msgspec structs."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from typing import Any
 
 from ._errors import ErrorMessage
 from ._messages import Phase, Reply
-from ._show import Shown
+from ._repr import HtmlStruct
 
 
-class Dated(Shown, frozen=True, kw_only=True):
-    """A message that says when something happened by the daemon's wall clock.
+class Dated(HtmlStruct, frozen=True, kw_only=True):
+    """A message with the time of the daemon's wall clock.
 
     Attributes:
-        unix_secs: Seconds since 1970, UTC, to the millisecond; None if it is not known, as of what
-            older daemons journaled.
+        unix_secs: Seconds since 1970, UTC, to the millisecond; None if it is not known, as in
+            entries of older daemons.
     """
 
     unix_secs: float | None = None
@@ -33,45 +33,44 @@ class Dated(Shown, frozen=True, kw_only=True):
 
 
 class Event(Dated, frozen=True, kw_only=True):
-    """Something that happened to a swarm.
+    """An event of a swarm.
 
-    What it tells beside when it happened depends on its `kind`; the rest is None:
+    The fields of each `kind`, beside those of all; the other fields are None:
 
-    - `created`: the swarm was created, which is the first event of each.
+    - `created`: the swarm was created; its first event.
     - `phase`: its phase changed: `reason`.
     - `command`: a command was applied: `seq, verb, args, client, request_id`.
-    - `scheduled`: one waits for its step: `applies_at_step, verb, args, client, request_id`.
-    - `refused`: one that waited was not carried out: `error, verb, args, client, request_id`.
-    - `lapsed`: individuals informed for a time are uninformed again: `ids`.
-    - `fault`: a step failed, the last good state is kept: `reason`.
-    - `recording_failed`: a recording of it by the daemon has failed, what was recorded before is
-      kept: `recording, reason`.
-    - `deleted`: the swarm was deleted, which is the last event.
+    - `scheduled`: a command waits for its step: `applies_at_step, verb, args, client, request_id`.
+    - `refused`: a scheduled command was rejected: `error, verb, args, client, request_id`.
+    - `lapsed`: the time of informed individuals ended, and they are uninformed: `ids`.
+    - `fault`: a step failed; the swarm keeps its last good state: `reason`.
+    - `recording_failed`: a recording of the daemon failed; its files are kept: `recording, reason`.
+    - `deleted`: the swarm was deleted; its last event.
 
-    A newer daemon may tell of other kinds.
+    A newer daemon may send other kinds.
 
     Attributes:
         swarm: The swarm's name.
-        number: Counts the swarm's events from 1.
-        epoch: Grows whenever `step` does not continue what was published before.
-        step: The step it happened at.
-        time: `step · dt`.
-        phase: What the swarm does from then on.
-        unix_secs: When it happened by the daemon's wall clock, seconds since 1970, UTC; None if it
-            is not known. `when` is the same as a datetime.
-        kind: What happened, see above.
-        reason: Why.
-        seq: Counts the swarm's applied commands.
+        number: The number of the event, from 1.
+        epoch: Increases when `step` does not continue what was published before.
+        step: The step of the event.
+        time: `step · dt`, body sizes over free speed.
+        phase: The phase after the event.
+        unix_secs: The daemon's wall clock, seconds since 1970, UTC; None if it is not known. `when`
+            is the same as a datetime.
+        kind: The kind of event, see above.
+        reason: The cause.
+        seq: Number of commands applied to the swarm.
         applies_at_step: The step that the command waits for.
         verb: The command's verb.
-        args: Its arguments as they came.
-        client: Who says to have sent it.
-        request_id: What the sender called it.
-        error: Why it was not carried out.
-        ids: Whom it is about, ascending.
-        recording: The daemon's recording that it is about.
-        skipped: How many events lie between the one before and this that could not be had any
-            more: a daemon remembers the last thousand or so.
+        args: The command's arguments as they were sent.
+        client: The name of the client that sent the command.
+        request_id: The id of the request.
+        error: Why the command was rejected.
+        ids: The ids of the individuals concerned, ascending.
+        recording: The name of the daemon's recording.
+        skipped: Number of events between the previous one and this that the daemon no longer
+            stores; it stores about a thousand.
     """
 
     swarm: str
@@ -95,12 +94,12 @@ class Event(Dated, frozen=True, kw_only=True):
 
 
 class Events(Reply, frozen=True, kw_only=True):
-    """Some of the events that a daemon still has of a swarm.
+    """A page of the events that a daemon stores of a swarm.
 
     Attributes:
-        events: As many as one answer holds, oldest first.
-        oldest: The number of the oldest there is; None if there is none.
-        newest: The number of the newest; 0 before the first.
+        events: The events of the page, oldest first.
+        oldest: The number of the oldest stored event; None if there is none.
+        newest: The number of the newest event; 0 before the first.
     """
 
     events: list[Event]
@@ -112,19 +111,19 @@ class JournalEntry(Dated, frozen=True, kw_only=True):
     """A command that a swarm applied.
 
     Attributes:
-        seq: Counts the swarm's applied commands; a `batch` counts each of its changes and stands
-            here with the last.
-        epoch: The epoch it was applied in.
-        step: The step it was applied at.
-        time: `step · dt`.
-        unix_secs: When it was applied by the daemon's wall clock, seconds since 1970, UTC; None if
-            it is not known, as of what older daemons journaled. `when` is the same as a datetime.
+        seq: The number of the command; each change of a `batch` has one, and its entry has that of
+            the last.
+        epoch: The epoch in which it was applied.
+        step: The step at which it was applied.
+        time: `step · dt`, body sizes over free speed.
+        unix_secs: The daemon's wall clock, seconds since 1970, UTC; None if it is not known, as in
+            entries of older daemons. `when` is the same as a datetime.
         verb: Its verb.
-        args: Its arguments as they came.
-        client: Who says to have sent it.
-        request_id: What the sender called it.
-        skipped: How many commands lie between the one before and this that the daemon has
-            forgotten.
+        args: Its arguments as they were sent.
+        client: The name of the client that sent it.
+        request_id: The id of the request.
+        skipped: Number of commands between the previous entry and this that the daemon no longer
+            lists.
     """
 
     seq: int
@@ -139,12 +138,12 @@ class JournalEntry(Dated, frozen=True, kw_only=True):
 
 
 class Journal(Reply, frozen=True, kw_only=True):
-    """Some of the commands that a swarm applied and its daemon still has.
+    """A page of the commands that a daemon lists of a swarm.
 
     Attributes:
-        entries: As many as one answer holds, oldest first.
-        oldest: The `seq` of the oldest there is; None if there is none.
-        newest: The `seq` of the newest; 0 before the first.
+        entries: The entries of the page, oldest first.
+        oldest: The `seq` of the oldest listed entry; None if there is none.
+        newest: The `seq` of the newest entry; 0 before the first.
     """
 
     entries: list[JournalEntry]

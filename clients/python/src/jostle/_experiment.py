@@ -1,53 +1,56 @@
-"""Experiments: grids of runs that a daemon carries out, whether anybody looks on or not."""
+"""Experiments: grids of runs that a daemon executes."""
 
 from __future__ import annotations
 
-import json
 import os
 import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Self
 
+import msgspec
 import numpy as np
+import tomli_w
 from numpy.typing import NDArray
 
 from ._arguments import check_name, check_seconds
-from ._cancel import rest
+from ._cancel import sleep
+from ._decode import read_map, read_reply
 from ._errors import (
     DeadlineExceeded,
     Faulted,
     IncorrectState,
     Internal,
-    InvalidArgument,
     JostleError,
     Unavailable,
+    invalid,
 )
-from ._link import Link
 from ._progress import Bar
-from ._reading import read_map, read_reply
+from ._repr import HtmlList, error_html
 from ._results import ExperimentResult, OrderSeries, Progress, ResultRow, ResultsPage, of_rows
-from ._show import Listed, trouble
+from ._session import Session
 
 if TYPE_CHECKING:
     import pandas
 
-_LOOK_AGAIN_SECS = 0.5
-# How long a daemon that is gone is waited for: it goes on when it is back.
-_RETURN_SECS = 60.0
+_POLL_INTERVAL_SECS = 0.5
+# How long a disconnected daemon is waited for: the experiment continues when it is back.
+_RECONNECT_TIMEOUT_SECS = 60.0
 
 Source = str | os.PathLike[str] | Mapping[str, Any]
-"""What an experiment is made from: a file, the text of one, or what such a text says."""
+"""An experiment: a file, its text, or a mapping of its fields."""
 
 
 class Experiment:
     """An experiment on a daemon; `experiment` and `Client.submit` make one.
 
-    It goes on without this object. Of what is finished, nothing is ever done again.
+        table = client.submit("order.toml").wait().frame()
+
+    It continues without this object. The daemon never repeats a finished run.
     """
 
-    def __init__(self, link: Link, node: str, name: str) -> None:
-        self._link = link
+    def __init__(self, session: Session, node: str, name: str) -> None:
+        self._session = session
         self._node = node
         self._name = check_name("experiment", name)
 
@@ -57,33 +60,34 @@ class Experiment:
         return self._name
 
     def __repr__(self) -> str:
-        return f"Experiment({self._name!r} at {self._link.endpoint})"
+        return f"Experiment({self._name!r} at {self._session.endpoint})"
 
     def _repr_html_(self) -> str:
         try:
             return self.progress()._repr_html_()
         except JostleError as error:
-            return trouble(error)
+            return error_html(error)
 
     def progress(self) -> Progress:
-        """How far it is.
+        """Its progress.
 
         Raises:
-            NotFound: There is none of that name.
+            NotFound: There is no such experiment.
         """
         return self._progress(None)
 
     def wait(self, timeout: float | None = None, *, show: bool | None = None) -> Self:
-        """Waits until it is finished, also when the daemon is away for a moment.
+        """Waits until it is finished, also across a restart of the daemon.
 
         Args:
-            timeout: Seconds; None is however long it takes.
-            show: Show a bar; None is if it is seen, on a terminal or in a notebook.
+            timeout: Seconds; None is no timeout.
+            show: Show a progress bar; None shows it on a terminal and in a notebook.
 
         Raises:
-            DeadlineExceeded: Not within `timeout`; it goes on.
+            DeadlineExceeded: Not within `timeout`; it continues.
             IncorrectState: It was cancelled.
             Faulted: It failed.
+            Unavailable: The daemon is disconnected for more than a minute.
         """
         seconds = None if timeout is None else check_seconds("timeout", timeout)
         began = time.monotonic()
@@ -96,18 +100,18 @@ class Experiment:
                     lost = None
                 except Unavailable:
                     lost = lost or time.monotonic()
-                    if time.monotonic() - lost > _RETURN_SECS:
+                    if time.monotonic() - lost > _RECONNECT_TIMEOUT_SECS:
                         raise
                 else:
-                    bar.show(progress.share, progress._told())
+                    bar.show(progress.share, progress._summary())
                     if progress.is_over:
                         return self._finished(progress)
                 if seconds is not None and time.monotonic() - began >= seconds:
                     raise DeadlineExceeded(
-                        f"experiment {self._name!r} is not finished after {seconds} s: it goes on",
+                        f"experiment {self._name!r} continues, unfinished after {seconds} s",
                         details={"after_secs": seconds},
                     )
-                rest(_LOOK_AGAIN_SECS)
+                sleep(_POLL_INTERVAL_SECS)
 
     def _finished(self, progress: Progress) -> Self:
         if progress.phase == "finished":
@@ -117,33 +121,33 @@ class Experiment:
         raise kind(
             f"experiment {self._name!r} {'was ' if kind is IncorrectState else ''}"
             f"{progress.phase}{why}, {progress.finished} of {progress.runs} runs are finished: "
-            "`resume` goes on",
+            "`resume` continues it",
             details={"phase": progress.phase},
         )
 
     def pause(self) -> Progress:
-        """Has its runs stand still; the next experiment begins."""
+        """Pauses its runs; the next experiment begins."""
         return self._command("pause")
 
     def resume(self) -> Progress:
-        """Has it go on when it was paused or cancelled, or failed."""
+        """Resumes it if it is paused, cancelled or failed."""
         return self._command("resume")
 
     def cancel(self) -> Progress:
-        """Ends it; what is finished is kept."""
+        """Cancels it; the results of finished runs are kept."""
         return self._command("cancel")
 
     def delete(self) -> Progress:
-        """Deletes it with its results, when it is over; how it stood.
+        """Deletes it and its results; returns its last progress.
 
         Raises:
-            IncorrectState: It is not over: cancel it first.
+            IncorrectState: It has not ended: cancel it first.
         """
         return self._command("delete")
 
     def rows(self) -> list[ResultRow]:
-        """What came of the runs that are finished by now, in the order of its plan."""
-        rows: Listed[ResultRow] = Listed()
+        """The rows of the finished runs, in the order of its plan."""
+        rows: HtmlList[ResultRow] = HtmlList()
         after = 0
         while True:
             page = read_reply(self._get(f"results?after={after};limit=1000"), ResultsPage)
@@ -153,10 +157,10 @@ class Experiment:
             after = page.next
 
     def frame(self) -> pandas.DataFrame:
-        """The same as a table of pandas, its columns those of `results.csv`.
+        """The rows as a table of pandas, with the columns of `results.csv`.
 
         Raises:
-            ImportError: pandas is missing; `pip install jostle[pandas]` brings it.
+            ImportError: pandas is missing: `pip install jostle[pandas]`.
         """
         return of_rows(self.rows())
 
@@ -164,103 +168,73 @@ class Experiment:
         """The order of one run over time, if the experiment measures it.
 
         Args:
-            run: Its name, as `rows` has it.
+            run: The name of the run, as in `rows`.
 
         Raises:
-            InvalidArgument: The experiment measures no such thing.
+            InvalidArgument: The experiment does not measure the order.
             NotFound: There is no such run.
-            IncorrectState: It is not finished so far.
+            IncorrectState: The run is not finished.
         """
-        parts: list[OrderSeries] = []
+        if ";" in run:
+            raise invalid("run", f"invalid name of a run {run!r}: `rows` has the names")
+        pages: list[list[NDArray[np.float64]]] = []
         after: int | None = 0
         while after is not None:
-            fields = read_map(self._get(f"order?run={_selected(run)};after={after}"))
+            fields = read_map(self._get(f"order?run={run};after={after}"))
             after = fields.get("next")
-            parts.append(
-                OrderSeries(run, *(_column(fields, name) for name in ("time", "order", "drift")))
-            )
-        time_, order, drift = (
-            np.concatenate([getattr(part, name) for part in parts])
-            for name in ("time", "order", "drift")
-        )
-        return OrderSeries(run, time_, order, drift)
+            pages.append([_column(fields, name) for name in ("time", "order", "drift")])
+        return OrderSeries(run, *map(np.concatenate, zip(*pages, strict=True)))
 
     def _command(self, what: Literal["pause", "resume", "cancel", "delete"]) -> Progress:
-        return send(self._link, self._node, {what: {"name": self._name}}).progress
+        args: dict[str, Any] = {what: {"name": self._name}}
+        return self._session.node_command(self._node, "experiment", args, ExperimentResult).progress
 
     def _progress(self, timeout: float | None) -> Progress:
-        """How far it is; the reply takes no longer than `timeout` seconds, or the client's."""
+        """Its progress; the request takes at most `timeout` seconds, or the client's."""
         if timeout is not None:
-            timeout = min(max(timeout, 0.001), self._link.timeout)
+            timeout = min(max(timeout, 0.001), self._session.timeout)
         return read_reply(self._get("progress", timeout), Progress)
 
     def _get(self, rest: str, timeout: float | None = None) -> bytes:
-        key = self._link.node_key(self._node, f"experiment/{self._name}/{rest}")
-        return self._link.get(key, swarm=None, timeout=timeout)
-
-
-def send(
-    link: Link,
-    node: str,
-    args: dict[str, Any],
-    timeout: float | None = None,
-    request_id: str | None = None,
-) -> ExperimentResult:
-    """Has a daemon do something with an experiment."""
-    key = link.node_key(node, "cmd/experiment")
-    payload = link.command(key, args, swarm=None, timeout=timeout, request_id=request_id)
-    return read_reply(payload, ExperimentResult)
+        key = self._session.node_key(self._node, f"experiment/{self._name}/{rest}")
+        return self._session.get(key, swarm=None, timeout=timeout)
 
 
 def to_toml(source: Source) -> str:
     """The text of an experiment's file.
 
     Raises:
-        InvalidArgument: It cannot be one.
+        InvalidArgument: A field of a mapping has a value that TOML does not have.
         OSError: The file cannot be read.
     """
     if isinstance(source, Mapping):
-        return "".join(f"{_key(key)} = {_value(value)}\n" for key, value in source.items())
+        try:
+            fields = msgspec.to_builtins(source, str_keys=True, enc_hook=_builtin)
+            return tomli_w.dumps(fields)
+        except (TypeError, ValueError) as error:
+            raise invalid(
+                "toml",
+                f"invalid experiment: {error}: use numbers, texts, booleans, lists and mappings",
+            ) from error
     if isinstance(source, str) and "\n" in source:
         return source
     return Path(source).read_text(encoding="utf-8")
 
 
-def _key(key: object) -> str:
-    return json.dumps(str(key), ensure_ascii=False)
-
-
-def _value(value: Any) -> str:
+def _builtin(value: Any) -> Any:
+    """A value of another library as one of Python's."""
     if hasattr(value, "tolist"):
-        value = value.tolist()
-    match value:
-        case bool():
-            return str(value).lower()
-        case int() | float():
-            return repr(value)
-        case str():
-            return json.dumps(value, ensure_ascii=False)
-        case Mapping():
-            fields = ", ".join(f"{_key(key)} = {_value(it)}" for key, it in value.items())
-            return f"{{ {fields} }}"
-        case list() | tuple() | range():
-            return f"[{', '.join(map(_value, value))}]"
-    raise InvalidArgument(
-        f"{value!r} is none of what a file of an experiment holds: numbers, words, truths, lists "
-        "and dictionaries",
-        details={"field": "toml"},
-    )
-
-
-def _selected(run: str) -> str:
-    if ";" in run:
-        raise InvalidArgument(f"{run!r} is no name of a run", details={"field": "run"})
-    return run
+        return value.tolist()
+    if isinstance(value, Mapping):
+        return dict(value)
+    if isinstance(value, range):
+        return list(value)
+    raise TypeError(f"{value!r} has no form in TOML")
 
 
 def _column(fields: Mapping[str, Any], name: str) -> NDArray[np.float64]:
     column = fields.get(name)
     data = getattr(column, "value", None)
     if not isinstance(data, bytes):
-        raise Internal(f"the daemon sent an order whose {name} is no column")
+        raise Internal(f"the daemon sent an order whose {name} is not a column")
     return np.frombuffer(data, "<f8")

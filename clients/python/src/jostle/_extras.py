@@ -1,4 +1,4 @@
-"""What is not installed with the package itself."""
+"""Optional dependencies."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ import importlib
 from typing import Any
 
 
-def need(module: str, extra: str) -> Any:
-    """Imports what `pip install jostle[extra]` brings.
+def import_extra(module: str, extra: str) -> Any:
+    """Imports a module of the extra `extra`.
 
     Raises:
-        ImportError: It is not there; the message says how to get it.
+        ImportError: It is not installed; the message has the remedy.
     """
     try:
         return importlib.import_module(module)
@@ -18,5 +18,5 @@ def need(module: str, extra: str) -> Any:
         if error.name is None or not module.startswith(error.name):
             raise
         raise ImportError(
-            f"this needs {error.name}: `pip install 'jostle[{extra}]'` brings it", name=error.name
+            f"{error.name} is missing: `pip install 'jostle[{extra}]'` installs it", name=error.name
         ) from None

@@ -1,4 +1,4 @@
-"""Tables of pandas, made of what a swarm tells."""
+"""Tables of pandas, made of states and orders."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ._errors import InvalidArgument
-from ._extras import need
+from ._errors import invalid
+from ._extras import import_extra
 from ._messages import OrderSample
 from ._state import State
 
@@ -51,11 +51,11 @@ def frame(records: State | OrderSample | Iterable[State | OrderSample]) -> panda
     `Order`.
 
     Args:
-        records: One or any number, such as a list or what is left of a stream, to its end.
+        records: One, or an iterable of them, such as a list or a stream, which is read to its end.
 
     Raises:
-        ImportError: pandas is missing; `pip install jostle[pandas]` brings it.
-        InvalidArgument: They are not all states or all orders.
+        ImportError: pandas is missing: `pip install jostle[pandas]`.
+        InvalidArgument: They are neither only states nor only orders.
     """
     records = [records] if isinstance(records, State | OrderSample) else list(records)
     states = [it for it in records if isinstance(it, State)]
@@ -64,9 +64,8 @@ def frame(records: State | OrderSample | Iterable[State | OrderSample]) -> panda
     orders = [it for it in records if isinstance(it, OrderSample)]
     if len(orders) == len(records):
         return of_orders(orders)
-    raise InvalidArgument(
-        "a table is made of states alone or of orders alone, as `states()` and `orders()` yield",
-        details={"field": "records"},
+    raise invalid(
+        "records", "a table needs only states or only orders: use `states()` or `orders()`"
     )
 
 
@@ -112,45 +111,43 @@ def columns_of(states: Sequence[State]) -> Columns:
 
 def table_of(parts: Sequence[Columns], extra: str) -> pandas.DataFrame:
     """Concatenates the parts into a table; `extra` names the extra that installs pandas."""
-    pd = need("pandas", extra)
-    columns: dict[str, Any] = {}
-    for name, kind in KINDS.items():
-        column = np.concatenate([np.empty(0, kind), *(part[name] for part in parts)])
-        columns[name] = pd.Categorical(column) if kind is object else column
-    table: pandas.DataFrame = pd.DataFrame(columns)
-    return table
+    columns = {
+        name: np.concatenate([np.empty(0, kind), *(part[name] for part in parts)])
+        for name, kind in KINDS.items()
+    }
+    return _table(columns, extra)
 
 
 def of_orders(samples: Sequence[OrderSample]) -> pandas.DataFrame:
     """A row for each order."""
-    pd = need("pandas", "pandas")
     orders = [sample.order for sample in samples]
-    columns = {
-        "swarm": pd.Categorical([sample.swarm for sample in samples]),
-        **_when(samples, np.array),
-        "phase": pd.Categorical([sample.phase for sample in samples]),
-        "n": np.array([sample.n for sample in samples], int),
-        "informed": np.array([sample.informed for sample in samples], int),
+    kinds = {**OF_FRAME, "n": np.int64, "informed": np.int64}
+    numbers = {
         **{
-            name: np.array([_number(getattr(order, name)) for order in orders], float)
+            name: [_number(getattr(order, name)) for order in orders]
             for name in ("order", "drift", "mean_order", "mean_drift")
         },
-        "velocity_x": np.array([order.velocity[0] for order in orders], float),
-        "velocity_y": np.array([order.velocity[1] for order in orders], float),
-        "worst_gap": np.array([_number(it.certificate.worst_gap) for it in samples], float),
-        "residual": np.array([it.certificate.residual for it in samples], float),
+        "velocity_x": [order.velocity[0] for order in orders],
+        "velocity_y": [order.velocity[1] for order in orders],
+        "worst_gap": [_number(sample.certificate.worst_gap) for sample in samples],
+        "residual": [sample.certificate.residual for sample in samples],
     }
-    table: pandas.DataFrame = pd.DataFrame(columns)
+    columns = {
+        **{
+            name: np.array([getattr(sample, name) for sample in samples], kind)
+            for name, kind in kinds.items()
+        },
+        **{name: np.array(values, float) for name, values in numbers.items()},
+    }
+    return _table(columns, "pandas")
+
+
+def _table(columns: Columns, extra: str) -> pandas.DataFrame:
+    pd = import_extra("pandas", extra)
+    table: pandas.DataFrame = pd.DataFrame(
+        {name: pd.Categorical(it) if it.dtype == object else it for name, it in columns.items()}
+    )
     return table
-
-
-def _when(records: Sequence[State | OrderSample], column: Any) -> dict[str, Any]:
-    """The columns that say when each was."""
-    kinds = {"epoch": int, "frame": int, "step": int, "time": float}
-    return {
-        name: column([getattr(record, name) for record in records], kind)
-        for name, kind in kinds.items()
-    }
 
 
 def _number(value: float | None) -> float:

@@ -1,4 +1,4 @@
-"""Numbered records: asked for page by page, and joined with those that are published."""
+"""Numbered records: queried page by page, and merged with those that are published."""
 
 from __future__ import annotations
 
@@ -7,105 +7,104 @@ from typing import TypeVar
 
 import msgspec
 
+from ._decode import read_event
 from ._errors import Conflict, JostleError
 from ._events import Event, JournalEntry
-from ._reading import read_event
 
 T = TypeVar("T")
+R = TypeVar("R", Event, JournalEntry)
 
-# No event has a higher number: asked for what comes after it, a daemon tells the newest alone.
-_BEYOND_ALL = 2**53 - 1
+# No event has a higher number: a query after it returns only the number of the newest event.
+_MAX_NUMBER = 2**53 - 1
 
 
 def pages(
-    ask: Callable[[int], tuple[list[T], int]], number: Callable[[T], int], after: int
+    request: Callable[[int], tuple[list[T], int]], number: Callable[[T], int], after: int
 ) -> tuple[list[T], int]:
-    """Asks for what is numbered higher than `after`, until all there was at the start is there.
+    """Queries the records of higher numbers than `after`, up to the newest at the start.
 
-    `ask` answers with some of them, oldest first, and the highest number there is. What is
-    returned is all of them and that number.
+    `request` returns a page of them, oldest first, and the number of the newest record. Returns all
+    of them and that number.
     """
-    records, newest = ask(after)
+    records, newest = request(after)
     page = records
     while page and number(page[-1]) < newest:
-        page, _ = ask(number(page[-1]))
+        page, _ = request(number(page[-1]))
         records = records + page
     return records, newest
 
 
-def mark_event_gaps(events: list[Event], last: int) -> list[Event]:
-    """The same events, each with how many are missing before it; `last` came before the first."""
+def mark_gaps(records: list[R], last: int) -> list[R]:
+    """Sets `skipped` of each record; `last` is the number before the first."""
     marked = []
-    for event in events:
-        skipped = event.number - last - 1
-        last = event.number
-        marked.append(msgspec.structs.replace(event, skipped=skipped) if skipped else event)
+    for record in records:
+        number, count = (
+            (record.number, 1) if isinstance(record, Event) else _seq_and_changes(record)
+        )
+        skipped = max(0, number - last - count)
+        last = number
+        marked.append(msgspec.structs.replace(record, skipped=skipped) if skipped else record)
     return marked
 
 
-def mark_entry_gaps(entries: list[JournalEntry], last: int) -> list[JournalEntry]:
-    """The same entries, each with how many commands are missing before it, as for events."""
-    marked = []
-    for entry in entries:
-        is_batch = entry.verb == "batch" and isinstance(entry.args, dict)
-        # Its `seq` is that of its last change.
-        changes = len(entry.args.get("commands", [0])) if is_batch else 1
-        skipped = max(0, entry.seq - last - changes)
-        last = entry.seq
-        marked.append(msgspec.structs.replace(entry, skipped=skipped) if skipped else entry)
-    return marked
+def _seq_and_changes(entry: JournalEntry) -> tuple[int, int]:
+    """The `seq` of an entry, which is that of its last change, and the number of its changes."""
+    is_batch = entry.verb == "batch" and isinstance(entry.args, dict)
+    return entry.seq, len(entry.args.get("commands", [0])) if is_batch else 1
 
 
 class EventReader:
-    """Every event once and in order, whether it was published or asked for.
+    """Yields every event once and in order.
 
-    Events are published on best effort and without a history. Their numbers tell which ones are
-    missing, and those are asked for.
+    Events are published with best effort and without a history. Their numbers show which are
+    missing, and those are queried.
     """
 
-    def __init__(self, ask: Callable[[int], tuple[list[Event], int]], after: int | None) -> None:
-        self._ask = ask
+    def __init__(
+        self, request: Callable[[int], tuple[list[Event], int]], after: int | None
+    ) -> None:
+        self._request = request
         self._after = after
         self._last = 0
         self._is_over = False
 
     def first(self) -> list[Event]:
-        """What is there already; called when nothing that is published is missed any more.
+        """The stored events; called after the stream has subscribed.
 
         Raises:
-            Conflict: The swarm never had as many events as the caller knows of.
+            Conflict: The swarm has had fewer events than the caller has read.
         """
-        events, newest = self._ask(_BEYOND_ALL if self._after is None else self._after)
+        events, newest = self._request(_MAX_NUMBER if self._after is None else self._after)
         self._last = newest if self._after is None else self._after
         if newest < self._last:
             raise Conflict(
-                f"the swarm has had {newest} events and not {self._last}: it is another one than "
-                "the one of this name that you followed. Begin with `after=0`",
+                f"the swarm has had {newest} events and not {self._last}: it is another swarm of "
+                "the same name. Begin with `after=0`",
                 details={"field": "after", "expected": self._last, "actual": newest},
             )
         return self._follow(events)
 
     def read(self, payload: bytes) -> list[Event]:
-        """What a published event brings: itself, and before it what was missed."""
+        """The published event, preceded by the missing ones."""
         event = read_event(payload)
         if event.number > self._last + 1:
             return self._follow([*self._missed(), event])
         return self._follow([event])
 
-    def look(self) -> list[Event]:
-        """What has happened without being heard of."""
+    def poll(self) -> list[Event]:
+        """The events that were lost since the last message."""
         return self._follow(self._missed())
 
     def _missed(self) -> list[Event]:
         try:
-            return self._ask(self._last)[0]
+            return self._request(self._last)[0]
         except JostleError:
-            # The gap stays visible, and why nothing can be asked the stream finds out itself.
+            # `skipped` shows the gap, and the stream reports the cause.
             return []
 
     def _follow(self, events: list[Event]) -> list[Event]:
-        """Those of `events` that are new, with the gaps that stay."""
-        # After its end a swarm of the same name may begin, and number its events from 1.
+        """The new ones of `events`, with `skipped` set."""
+        # After `deleted` another swarm of the same name may number its events from 1.
         if self._is_over:
             return []
         fresh = []
@@ -114,7 +113,7 @@ class EventReader:
             if event.number > newest:
                 fresh.append(event)
                 newest = event.number
-        numbered = mark_event_gaps(fresh, self._last)
+        numbered = mark_gaps(fresh, self._last)
         self._last = newest
         self._is_over = any(event.kind == "deleted" for event in numbered)
         return numbered

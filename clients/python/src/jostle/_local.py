@@ -1,4 +1,4 @@
-"""A daemon of one's own, for as long as the program runs."""
+"""A private daemon that ends with this process."""
 
 from __future__ import annotations
 
@@ -19,23 +19,24 @@ from typing import IO
 
 from . import _cancel, _program
 from ._arguments import check_seconds
-from ._client import Client, open_link
-from ._errors import InvalidArgument, Unavailable
-from ._link import Link
+from ._client import Client
+from ._connect import open_session
+from ._errors import Unavailable, invalid
 from ._progress import Bar
+from ._session import Session
 from ._watchdog import with_watchdog
 
-# A daemon that finds a large folder tells its swarms' pasts before it listens.
-_START_SECS = 120.0
-_STOP_SECS = 10.0
-_LOOK_AGAIN_SECS = 0.05
+# A daemon replays the journals of its folder before it listens.
+_START_TIMEOUT_SECS = 120.0
+_STOP_TIMEOUT_SECS = 10.0
+_POLL_INTERVAL_SECS = 0.05
 _LOG_LINES = 20
 
-# Settings that are not for the caller to say, and why.
-_OWN = {
+# Settings that the caller cannot give, and why.
+_RESERVED = {
     "listen": "is a free port of this machine: read it from `endpoint`",
-    "data_dir": "is what `folder` says",
-    "prefix": "is of no use to a daemon that nobody else knows of",
+    "data_dir": "is the argument `folder`",
+    "prefix": "has no use for a private daemon",
 }
 
 
@@ -48,81 +49,82 @@ def local(
     show: bool | None = None,
     **settings: str | float,
 ) -> Local:
-    """Starts a daemon that nobody else knows of, and connects with it.
+    """Starts a private daemon and connects to it.
 
         with jostle.local() as client:
             swarm = client.create("school", jostle.Spec(n=50))
 
-    It is stopped by `close()`, when the `with` block is left, when nobody holds the client or a
-    swarm of it any more, and when this process ends, even by `kill -9`. There may be any number.
+    It ends when `close()` is called, when the `with` block is left, when the last reference to the
+    client and its swarms is dropped, and when this process ends, even by `kill -9`. A process may
+    start any number.
 
     Args:
-        folder: Where everything is kept: swarms that are there already go on. None is a temporary
-            folder, and nothing is kept.
-        jostled: The program; None is what the environment's `JOSTLED` names, or else the one that
-            the wheel installed, or else `jostled` on the `PATH`.
-        client: Who commands say they are from, as `connect` takes it.
-        timeout: Seconds that every command may take unless it says otherwise.
-        show: Show that it is being started; None is if that is seen, on a terminal or in a
-            notebook, and takes a while, as with much in its folder.
-        settings: What `jostled config explain` lists, such as `max_individuals=5000`; HTTP is not
-            served unless `http` says where.
+        folder: The data directory; its swarms are loaded. None is a temporary folder, which is
+            deleted at the end.
+        jostled: The program; None is the environment's `JOSTLED`, or else the program of the
+            installed wheel, or else `jostled` on the `PATH`.
+        client: The client's name, see `connect`.
+        timeout: Seconds of every request without a timeout of its own.
+        show: Show a progress bar; None shows it on a terminal and in a notebook, if the start takes
+            long, such as with a large folder.
+        settings: Settings of `jostled config explain`, such as `max_individuals=5000`; without
+            `http` there is no HTTP server.
 
     Raises:
-        InvalidArgument: A setting is not one that can be given here.
-        OSError: The folder cannot be made.
-        Unavailable: There is no `jostled`, or it does not start; its log says why.
+        InvalidArgument: A setting cannot be given here.
+        OSError: The folder cannot be created.
+        Unavailable: There is no `jostled`, or it does not start; the message has its log.
     """
     seconds = check_seconds("timeout", timeout)
     daemon = Daemon(_program.find(jostled), folder, settings, show)
     try:
-        link, node = open_link(daemon.endpoint, client=client, timeout=seconds)
+        session, node = open_session(daemon.endpoint, client=client, timeout=seconds)
     except BaseException:
         daemon.stop()
         raise
-    # Swarms and streams hold the link, and so the daemon lives as long as any of them.
-    link.held = daemon
-    return Local(link, node, daemon)
+    # Swarms and streams reference the session, and so the daemon lives as long as any of them.
+    session.keepalive = daemon
+    return Local(session, node, daemon)
 
 
 class Local(Client):
-    """A client and a daemon of its own; `local` makes one.
+    """A client with a private daemon; `local` makes one.
 
-    Closing it stops the daemon, and so does the end of this process. Other programs may connect
-    with `endpoint` meanwhile.
+    Closing it stops the daemon, and so does the end of this process. Other programs on this machine
+    may connect to `endpoint`.
     """
 
-    def __init__(self, link: Link, node: str, daemon: Daemon) -> None:
-        super().__init__(link, node)
+    def __init__(self, session: Session, node: str, daemon: Daemon) -> None:
+        super().__init__(session, node)
         self._daemon = daemon
 
     @property
     def folder(self) -> Path:
-        """Where the daemon keeps everything; a temporary one goes with it."""
+        """The data directory of the daemon; a temporary one is deleted with it."""
         return self._daemon.folder
 
     @property
     def log(self) -> Path:
-        """What the daemon has to say, a file in its folder."""
+        """The log file of the daemon, in its folder."""
         return self._daemon.log
 
     @property
     def pid(self) -> int:
-        """The daemon's process."""
+        """The process id of the daemon."""
         return self._daemon.pid
 
     def __repr__(self) -> str:
         return f"Local({self.node!r} at {self.endpoint}, {str(self.folder)!r})"
 
     def close(self) -> None:
-        """Ends every stream, the connection and the daemon; harmless when done already."""
+        """Closes every stream and the connection, and stops the daemon."""
         if self._daemon.is_ours():
             super().close()
             self._daemon.stop()
 
 
 class Daemon:
-    """A `jostled` that ends with this process."""
+    """A process of `jostled` that ends with this process."""
 
     def __init__(
         self,
@@ -136,7 +138,7 @@ class Daemon:
         self._owner = os.getpid()
         self._is_temporary = folder is None
         self._process: subprocess.Popen[bytes] | None = None
-        self._held: int | None = None
+        self._pipe: int | None = None
         self.folder = Path(tempfile.mkdtemp(prefix="jostle-") if folder is None else folder)
         _daemons.add(self)
         try:
@@ -150,49 +152,49 @@ class Daemon:
 
     @property
     def pid(self) -> int:
-        """Its process."""
+        """Its process id."""
         assert self._process is not None
         return self._process.pid
 
     def is_ours(self) -> bool:
-        """Whether this process started it, and not one that this was forked from."""
+        """Whether this process started it, not one that this process was forked from."""
         return os.getpid() == self._owner
 
     def stop(self) -> None:
-        """Stops it and removes what is temporary; harmless when done already."""
+        """Stops it and deletes a temporary folder; a second call does nothing."""
         if not self.is_ours():
             return
         with self._stopping:
             if self._process is not None and self._process.poll() is None:
                 self._process.terminate()
                 try:
-                    self._process.wait(_STOP_SECS)
+                    self._process.wait(_STOP_TIMEOUT_SECS)
                 except subprocess.TimeoutExpired:
                     self._process.kill()
                     self._process.wait()
-            if self._held is not None:
-                # Nothing is left to do for the watchdog.
+            if self._pipe is not None:
+                # The watchdog exits.
                 with contextlib.suppress(OSError):
-                    os.write(self._held, b"\n")
-                self._let_go()
+                    os.write(self._pipe, b"\n")
+                self._close_pipe()
             if self._is_temporary:
                 shutil.rmtree(self.folder, ignore_errors=True)
 
     def forget(self) -> None:
-        """Takes it for another process's from now on."""
-        self._let_go()
+        """Releases it in a forked process, without stopping it."""
+        self._close_pipe()
         if self._process is not None:
-            # Or it is warned of one that was left running.
+            # Otherwise `subprocess` warns that it is running.
             self._process.returncode = 0
 
-    def _let_go(self) -> None:
-        """Closes this process's end of what shows the watchdog that it lives."""
-        if self._held is not None:
-            os.close(self._held)
-            self._held = None
+    def _close_pipe(self) -> None:
+        """Closes this process's end of the watchdog's pipe."""
+        if self._pipe is not None:
+            os.close(self._pipe)
+            self._pipe = None
 
     def __del__(self) -> None:
-        # A failed constructor has stopped it.
+        # If the constructor raised, it is stopped.
         if hasattr(self, "endpoint"):
             self.stop()
 
@@ -201,7 +203,7 @@ class Daemon:
         folder = str(self.folder)
         where = ["--listen", "tcp/127.0.0.1:0", "--data-dir", folder]
         command = [command[0], "serve", *where, *command[1:]]
-        stdin, self._held = os.pipe()
+        stdin, self._pipe = os.pipe()
         try:
             with self.log.open("ab") as log:
                 written = log.tell()
@@ -210,7 +212,7 @@ class Daemon:
                     stdin=stdin,
                     stdout=subprocess.PIPE,
                     stderr=log,
-                    # A Ctrl-C is for this program, which says itself when the daemon is to stop.
+                    # Ctrl-C on a terminal reaches only this process, which stops the daemon.
                     start_new_session=True,
                 )
         finally:
@@ -220,33 +222,37 @@ class Daemon:
             return self._read_endpoint(stdout, written, bar)
 
     def _read_endpoint(self, stdout: IO[bytes], written: int, bar: Bar) -> str:
-        """Waits for the line that says where it listens; its log is as long as `written` before."""
-        deadline = time.monotonic() + _START_SECS
-        said = b""
+        """Waits for the line with its endpoint; the log has `written` bytes of earlier starts."""
+        deadline = time.monotonic() + _START_TIMEOUT_SECS
+        output = b""
         with selectors.DefaultSelector() as selector:
             selector.register(stdout, selectors.EVENT_READ)
             while time.monotonic() < deadline:
                 _cancel.check()
                 bar.show(None, f"is starting in {self.folder}")
-                if not selector.select(_LOOK_AGAIN_SECS):
+                if not selector.select(_POLL_INTERVAL_SECS):
                     continue
                 chunk = os.read(stdout.fileno(), 4096)
-                said += chunk
-                if found := re.search(rb"^listening on (\S+)\n", said, re.M):
+                output += chunk
+                if found := re.search(rb"^listening on (\S+)\n", output, re.M):
                     return found[1].decode()
                 if not chunk:
                     break
         assert self._process is not None
         with contextlib.suppress(subprocess.TimeoutExpired):
-            # What has closed its output is about to end.
+            # A program that closes its output is about to end.
             self._process.wait(1.0 if time.monotonic() < deadline else 0.0)
         code = self._process.poll()
-        how = f"does not listen after {_START_SECS:.0f} s" if code is None else f"ended with {code}"
+        how = (
+            f"does not listen after {_START_TIMEOUT_SECS:.0f} s"
+            if code is None
+            else f"ended with {code}"
+        )
         with self.log.open("rb") as log:
             log.seek(written)
             lines = log.read().decode(errors="replace").strip().splitlines()[-_LOG_LINES:]
         raise Unavailable(
-            f"the daemon {how} and did not start; it says:\n" + "\n".join(lines),
+            f"the daemon {how} and did not start; its log ends with:\n" + "\n".join(lines),
             details={"exit_code": code, "log": lines},
         )
 
@@ -261,7 +267,7 @@ def _stop_daemons() -> None:
 
 
 def _forget_daemons() -> None:
-    """In a process forked from this one: they are not its own, and do not live as long as it."""
+    """In a forked process: releases the daemons, which belong to the parent."""
     for daemon in list(_daemons):
         daemon.forget()
 
@@ -270,14 +276,14 @@ os.register_at_fork(after_in_child=_forget_daemons)
 
 
 def _flags(settings: Mapping[str, str | float]) -> list[str]:
-    """The settings as the program takes them.
+    """The settings as arguments of the program.
 
     Raises:
-        InvalidArgument: One is no setting, or said otherwise.
+        InvalidArgument: One of them is reserved.
     """
     flags = []
     for name, value in {"node": "local", "http": "", **settings}.items():
-        if name in _OWN:
-            raise InvalidArgument(f"{name!r} {_OWN[name]}", details={"field": name})
+        if name in _RESERVED:
+            raise invalid(name, f"{name!r} {_RESERVED[name]}")
         flags.append(f"--{name.replace('_', '-')}={value}")
     return flags

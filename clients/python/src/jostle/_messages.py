@@ -1,35 +1,38 @@
-"""What swarms answer, as msgspec structs.
+"""Replies of swarms, as msgspec structs.
 
-Unknown fields in what a daemon sends are ignored, so that this version can read a newer daemon.
-Unless said otherwise lengths are in body sizes, speeds in free speeds, times in their quotient,
-and angles are in radians, counter-clockwise from +x.
+Unknown fields are ignored, so that this version can read a newer daemon. Lengths are in body
+sizes, speeds in free speeds, times in body sizes over free speed, and angles in radians,
+counter-clockwise from +x.
 
-The wire puts what was asked for into `result`, within what every answer tells; here both are the
-fields of one struct, which `_reading` makes of them.
+On the wire the fields of a reply are in `result`, within the envelope of every reply; here both
+are the fields of one struct, which `_decode` makes.
 """
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any, Generic, Literal, TypeVar
 
-from ._show import Shown
+from ._repr import HtmlStruct
 from ._spec import Spec
 
+T = TypeVar("T")
+
 Phase = Literal["paused", "running", "faulted"]
-"""What a swarm is doing: standing still, stepping, or stopped by a step that failed."""
+"""The phase of a swarm: paused, stepping, or stopped by a step that failed."""
 
 
-class Order(Shown, frozen=True, kw_only=True):
-    """How ordered a swarm is and where it drifts, now and on average since the start or reset.
+class Order(HtmlStruct, frozen=True, kw_only=True):
+    """The order and drift of a swarm, now and as means since the start or the last reset.
 
     Attributes:
-        order: The polar order parameter, 0 to 1.
-        mean_order: Its mean over steps; None before the first.
-        velocity: The centroid's velocity (x, y), free speeds; it is the mean heading.
-        mean_velocity: Its mean over steps; None before the first.
-        direction: The informed individuals' common direction in radians; None if there is none.
-        drift: The velocity along that direction, free speeds.
-        mean_drift: Its mean over the steps that had such a direction.
+        order: The order, the length of the mean heading: 0 to 1.
+        mean_order: Its time mean, `v` of eq. (8); None before the first step.
+        velocity: The mean heading (x, y), the centroid's velocity in free speeds.
+        mean_velocity: Its time mean; None before the first step.
+        direction: The common direction of the informed individuals, radians; None if they have
+            several, or there are none.
+        drift: The centroid's velocity along that direction, free speeds; None without one.
+        mean_drift: Its mean over the steps with such a direction.
     """
 
     order: float
@@ -41,17 +44,18 @@ class Order(Shown, frozen=True, kw_only=True):
     mean_drift: float | None = None
 
 
-class Certificate(Shown, frozen=True, kw_only=True):
-    """What shows that a state is an exact one.
+class Certificate(HtmlStruct, frozen=True, kw_only=True):
+    """The accuracy of a state.
 
     Attributes:
-        worst_gap: The smallest gap between two bodies, body sizes; negative is overlap; None if
-            no two are near. Measured apart from the solver.
-        residual: Of the step that led here, body sizes: at most 1e-9 unless degraded.
-        degraded: How many steps since the start or reset were taken with a larger residual.
-        crossed: How many pairs have crossing axes.
-        contacts: How many contacts constrained the step.
-        iterations: How many iterations the solver took.
+        worst_gap: The smallest gap between two bodies, body sizes; negative is overlap; None if no
+            two are near. It is measured independently of the solver.
+        residual: `max |min(λ, s)|` of the step that led here, body sizes: at most 1e-9 unless the
+            step was degraded.
+        degraded: Number of steps since the start or reset with a larger residual.
+        crossed: Number of pairs with crossing axes.
+        contacts: Number of contacts that constrained the step.
+        iterations: Number of iterations of the solver.
     """
 
     worst_gap: float | None = None
@@ -62,8 +66,8 @@ class Certificate(Shown, frozen=True, kw_only=True):
     iterations: int
 
 
-class ParameterValues(Shown, frozen=True, kw_only=True):
-    """The parameters that may change while a swarm lives; `Spec` says what each means."""
+class ParameterValues(HtmlStruct, frozen=True, kw_only=True):
+    """The parameters that `set` can change; see `Spec`."""
 
     pi1: float
     pi2: float
@@ -77,16 +81,16 @@ class ParameterValues(Shown, frozen=True, kw_only=True):
     publish_every: int
 
 
-class Reply(Shown, frozen=True, kw_only=True):
-    """What every answer of a swarm tells.
+class Reply(HtmlStruct, frozen=True, kw_only=True):
+    """A reply of a swarm.
 
     Attributes:
         swarm: The swarm's name.
-        epoch: Grows whenever `step` does not continue what was published before.
+        epoch: Increases when `step` does not continue what was published before.
         step: The step at which the command took effect; for `step`, the step reached.
-        time: `step · dt`.
-        phase: What the swarm does from then on.
-        seq: Counts the swarm's applied commands.
+        time: `step · dt`, body sizes over free speed.
+        phase: The phase after the command.
+        seq: Number of commands applied to the swarm.
     """
 
     swarm: str
@@ -97,25 +101,29 @@ class Reply(Shown, frozen=True, kw_only=True):
     seq: int
 
 
-class Scheduled(Reply, frozen=True, kw_only=True):
-    """A command that waits for its step, as one does whose `at_step` lies ahead.
+class Scheduled(Reply, Generic[T], frozen=True, kw_only=True):
+    """The reply to a command of `Swarm.at`.
 
-    When its step comes an event `command` of the same `request_id` tells that it was carried out,
-    or one `refused` why it was not.
+    If the step lies ahead, the command waits: at that step an event `command` of the same
+    `request_id` reports that it was executed, or an event `refused` why it was not. If the swarm
+    was at the step, the command was executed at once.
 
     Attributes:
-        applies_at_step: The step it will be carried out at.
+        applies_at_step: The step at which the command is or was executed.
+        outcome: What the method of `Swarm` returns, if the command was executed at once; None if it
+            waits.
     """
 
     applies_at_step: int
+    outcome: T | None = None
 
 
 class CreateResult(Reply, frozen=True, kw_only=True):
-    """What `create` did.
+    """The reply to `create`, `fork` and `restore`.
 
     Attributes:
-        created: False if an equal swarm was there already.
-        spec: What it is made from, every default filled in.
+        created: False if an equal swarm existed.
+        spec: Its spec, with all defaults.
         state_hash: BLAKE3 of the state, in hexadecimal.
     """
 
@@ -125,10 +133,10 @@ class CreateResult(Reply, frozen=True, kw_only=True):
 
 
 class RunResult(Reply, frozen=True, kw_only=True):
-    """How a swarm now runs.
+    """The reply to `Swarm.run`.
 
     Attributes:
-        until_step: The step it will pause at; None if at none.
+        until_step: The step it will pause at; None if it has no end.
         rate: Time units per second of wall clock; None is as fast as possible.
     """
 
@@ -137,10 +145,11 @@ class RunResult(Reply, frozen=True, kw_only=True):
 
 
 class StepResult(Reply, frozen=True, kw_only=True):
-    """Where `step` arrived.
+    """The reply to `Swarm.step`.
 
     Attributes:
-        steps: How many were taken; fewer than asked for if another command came between.
+        steps: Number of steps that were taken; fewer than requested if another command interrupted
+            them.
         durable_step: The last step that a crash of the daemon would not take back. It follows
             `step` within a few milliseconds, unless the disk is full.
         state_hash: BLAKE3 of the state, in hexadecimal.
@@ -152,10 +161,10 @@ class StepResult(Reply, frozen=True, kw_only=True):
 
 
 class ResetResult(Reply, frozen=True, kw_only=True):
-    """What a reset swarm begins from.
+    """The reply to `Swarm.reset`.
 
     Attributes:
-        seed: Its seed.
+        seed: The seed of the swarm.
         state_hash: BLAKE3 of the state, in hexadecimal.
     """
 
@@ -164,12 +173,12 @@ class ResetResult(Reply, frozen=True, kw_only=True):
 
 
 class SetResult(Reply, frozen=True, kw_only=True):
-    """What `set` did.
+    """The reply to `Swarm.set`.
 
     Attributes:
         before: The values before.
         now: The values now.
-        scaled_by: By how much positions were scaled to make room; 1 if not at all.
+        scaled_by: The factor by which `make_room` scaled the positions; 1 is not at all.
     """
 
     before: ParameterValues
@@ -178,27 +187,27 @@ class SetResult(Reply, frozen=True, kw_only=True):
 
 
 class IdsResult(Reply, frozen=True, kw_only=True):
-    """The individuals a command was about.
+    """The reply to `inform`, `uninform`, `inject` and `remove`.
 
     Attributes:
-        ids: Their ids, ascending.
-        n: The size of the group now.
+        ids: The ids of the individuals concerned, ascending.
+        n: The size of the group after the command.
     """
 
     ids: list[int]
     n: int
 
 
-class Changed(Shown, frozen=True, kw_only=True):
-    """What one change of a `batch` came to; what is not of its verb is None.
+class Changed(HtmlStruct, frozen=True, kw_only=True):
+    """The result of one change of a `batch`; fields of other verbs are None.
 
     Attributes:
         verb: `set`, `inform`, `uninform`, `inject` or `remove`.
         before: For `set`: the values before.
         now: For `set`: the values now.
-        scaled_by: For `set`: by how much positions were scaled to make room; 1 if not at all.
-        ids: For the others: the ids of those it was about, ascending.
-        n: For the others: the size of the group after it.
+        scaled_by: For `set`: the factor by which `make_room` scaled the positions; 1 is not at all.
+        ids: For the others: the ids of the individuals concerned, ascending.
+        n: For the others: the size of the group after the change.
     """
 
     verb: str
@@ -210,17 +219,17 @@ class Changed(Shown, frozen=True, kw_only=True):
 
 
 class BatchResult(Reply, frozen=True, kw_only=True):
-    """What a `batch` came to; `seq` has grown by the number of its changes.
+    """The reply to `Swarm.batch`; `seq` has increased by the number of its changes.
 
     Attributes:
-        results: One for each change, in their order.
+        results: The result of each change, in their order.
     """
 
     results: list[Changed]
 
 
-class HistoryFrom(Shown, frozen=True, kw_only=True):
-    """The oldest checkpoint kept of a swarm: all that came after it can be told again.
+class HistoryFrom(HtmlStruct, frozen=True, kw_only=True):
+    """The oldest stored checkpoint of a swarm: the history after it can be replayed.
 
     Attributes:
         epoch: Its epoch.
@@ -231,13 +240,13 @@ class HistoryFrom(Shown, frozen=True, kw_only=True):
     step: int
 
 
-class Replay(Shown, frozen=True, kw_only=True):
-    """A recording that is shown as if it were a swarm, and where it is.
+class Replay(HtmlStruct, frozen=True, kw_only=True):
+    """A playback of a recording.
 
     Attributes:
         of: The swarm that was recorded.
-        frame: The number of the frame it is at, from 1.
-        frames: How many frames it has.
+        frame: The number of the present frame, from 1.
+        frames: Number of frames.
         position: Time units since its first frame.
         duration: Time units from its first frame to its last, resets and gaps left out.
     """
@@ -249,13 +258,13 @@ class Replay(Shown, frozen=True, kw_only=True):
     duration: float
 
 
-class Awaited(Shown, frozen=True, kw_only=True):
-    """A controller that the others wait for.
+class Awaited(HtmlStruct, frozen=True, kw_only=True):
+    """A controller that the others wait for in lock-step.
 
     Attributes:
         controller: Its name.
-        secs: For how long.
-        deadline_secs: After how long they wait no more.
+        secs: Seconds that they have waited.
+        deadline_secs: Its deadline, seconds.
     """
 
     controller: str
@@ -264,29 +273,28 @@ class Awaited(Shown, frozen=True, kw_only=True):
 
 
 class Status(Reply, frozen=True, kw_only=True):
-    """What a swarm is and does.
+    """The status of a swarm.
 
     Attributes:
         reason: Why it is paused or faulted.
-        until_step: The step it will pause at.
+        until_step: The step it will pause at; None if it has no end.
         rate: Time units per second of wall clock; None is as fast as possible.
-        real_time_factor: What it lately ran at, in the same unit; None while it does not run.
+        real_time_factor: The rate that it reached lately; None while it does not run.
         n: The size of the group.
-        informed: How many of it are informed.
-        seed: The seed of every draw.
-        dt: The time step.
-        parameters: Those that may change while it lives.
-        scheduled: How many commands wait for their step.
-        controllers: How many controllers have joined.
+        informed: Number of informed individuals.
+        seed: The seed of all random draws.
+        dt: The time step, body sizes over free speed.
+        parameters: The parameters that `set` can change.
+        scheduled: Number of commands that wait for their step.
+        controllers: Number of controllers that have joined.
         waiting_for: The controllers that the swarm waits for in lock-step.
         state_hash: BLAKE3 of the state, in hexadecimal.
         order: Order and drift.
-        certificate: How exact the state is.
-        history_from: Where the history begins that is kept of it; None while that cannot be
-            read.
-        replay: Where it is, if it is the replay of a recording.
-        verifying: The share of its history that a `verify` under way has replayed, 0 to 1; None if
-            none is under way.
+        certificate: The accuracy of the state.
+        history_from: The oldest stored checkpoint; None while it cannot be read.
+        replay: The position, if it is a playback.
+        verifying: The fraction of the history that a running `verify` has replayed, 0 to 1; None if
+            none is running.
     """
 
     reason: str | None = None
@@ -310,15 +318,15 @@ class Status(Reply, frozen=True, kw_only=True):
 
 
 class Verified(Reply, frozen=True, kw_only=True):
-    """Whether a swarm's past comes out the same when it is told again.
+    """The result of a replay of a swarm's history.
 
     Attributes:
-        from_step: The step of the checkpoint it was told from.
-        to_step: The step it was told to.
-        hashes: How many hashes were compared: those that were written down on the way, and its
-            present one of a swarm that stands still.
-        differs_at: The first step that has another hash than it had; None if there is none.
-        differs_in_epoch: The epoch that step is of: after a reset steps are counted anew.
+        from_step: The step of the checkpoint that it began at.
+        to_step: The step that it ended at.
+        hashes: Number of hashes that were compared: those in the history, and the present one of a
+            paused swarm.
+        differs_at: The first step whose hash differs; None if there is none.
+        differs_in_epoch: The epoch of that step.
     """
 
     from_step: int
@@ -328,22 +336,22 @@ class Verified(Reply, frozen=True, kw_only=True):
     differs_in_epoch: int | None = None
 
 
-class Parameter(Shown, frozen=True, kw_only=True):
-    """A parameter of a swarm, with all that a form or a slider needs.
+class Parameter(HtmlStruct, frozen=True, kw_only=True):
+    """A parameter of a swarm, with the data of a form or a slider.
 
     Attributes:
         name: Its name in the spec.
-        doc: What it means, in a line.
+        doc: A description in one line.
         unit: Its unit; `1` if it has none.
-        kind: What values it takes: `number`, `integer` or `choice`.
-        minimum: The least value; None if there is none.
-        exclusive_minimum: What it must be above; None if nothing.
-        maximum: The largest value as things are; None if there is none.
-        choices: The values of a choice, of those that take numbers the kind alone; empty otherwise.
+        kind: The type of its values: `number`, `integer` or `choice`.
+        minimum: The smallest value; None if there is none.
+        exclusive_minimum: The value must be above this; None if there is no such bound.
+        maximum: The largest value at present; None if there is none.
+        choices: The values of a choice, without their numbers; empty otherwise.
         nullable: Whether None is a value.
-        default: What it is if left out; None if it must be given.
-        value: What it is now.
-        live: Whether it may change while the swarm lives.
+        default: The default; None if it must be given.
+        value: The present value.
+        live: Whether a command can change it.
         changed_by: The verbs that change it.
     """
 
@@ -363,19 +371,19 @@ class Parameter(Shown, frozen=True, kw_only=True):
 
 
 class Parameters(Reply, frozen=True, kw_only=True):
-    """All parameters of a swarm but its start, in the order of its spec."""
+    """All parameters of a swarm except its start, in the order of its spec."""
 
     parameters: list[Parameter]
 
 
 class SpecReply(Reply, frozen=True, kw_only=True):
-    """What a swarm was made from, every default filled in."""
+    """The spec of a swarm, with all defaults."""
 
     result: Spec
 
 
-class OrderSample(Shown, frozen=True, kw_only=True):
-    """One published order; the fields mean what they mean in `State` and `Status`."""
+class OrderSample(HtmlStruct, frozen=True, kw_only=True):
+    """A published order; the fields are those of `State` and `Status`."""
 
     swarm: str
     epoch: int

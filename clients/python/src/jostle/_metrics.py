@@ -1,23 +1,23 @@
-"""A daemon and its swarms in numbers, as msgspec structs."""
+"""Metrics of a daemon and its swarms, as msgspec structs."""
 
 from __future__ import annotations
 
 from ._messages import Phase
-from ._show import Shown
+from ._repr import HtmlStruct
 
 
-class StoreMetrics(Shown, frozen=True, kw_only=True):
-    """How a daemon's memory on disk does.
+class StoreMetrics(HtmlStruct, frozen=True, kw_only=True):
+    """The database of a daemon.
 
     Attributes:
-        commits: Since the daemon started.
-        commit_secs: Seconds that they took, their syncs included.
+        commits: Number of commits since the daemon started.
+        commit_secs: Seconds that they took, with their syncs.
         last_commit_secs: Seconds that the last one took.
-        waiting: Writes that wait.
-        disk_bytes: What it takes on disk.
+        waiting: Number of queued writes.
+        disk_bytes: Bytes on disk.
         full: Whether the disk is full.
-        failing: Whether writing fails otherwise.
-        overrun: Whether more waits than should be kept in memory.
+        failing: Whether writing fails for another reason.
+        overrun: Whether the queue exceeds its memory limit.
     """
 
     commits: int
@@ -30,13 +30,13 @@ class StoreMetrics(Shown, frozen=True, kw_only=True):
     overrun: bool
 
 
-class RecordingMetrics(Shown, frozen=True, kw_only=True):
-    """A daemon's recordings, counted by what they do.
+class RecordingMetrics(HtmlStruct, frozen=True, kw_only=True):
+    """Numbers of a daemon's recordings, by phase.
 
     Attributes:
-        recording: Those that go on.
-        ended: Those that have ended.
-        failed: Those that have failed.
+        recording: Number of running recordings.
+        ended: Number of ended recordings.
+        failed: Number of failed recordings.
     """
 
     recording: int
@@ -44,24 +44,24 @@ class RecordingMetrics(Shown, frozen=True, kw_only=True):
     failed: int
 
 
-class SwarmMetrics(Shown, frozen=True, kw_only=True):
-    """A swarm in numbers.
+class SwarmMetrics(HtmlStruct, frozen=True, kw_only=True):
+    """Metrics of a swarm.
 
     Attributes:
-        swarm: Its name.
-        phase: What it is doing.
-        step: The number of steps since the start.
+        swarm: The swarm's name.
+        phase: The phase of the swarm.
+        step: Number of steps since the start.
         n: The size of the group.
-        rate: Time units per second of wall clock; `None` is as fast as possible.
-        real_time_factor: What of that it lately reached; `None` while it does not run.
-        steps: Taken since it is hosted here.
+        rate: Time units per second of wall clock; None is as fast as possible.
+        real_time_factor: The rate that it reached lately; None while it does not run.
+        steps: Number of steps since the daemon loaded it.
         step_secs: Seconds that these steps took.
-        due_steps: How many of them were due at a time.
-        late_secs: Seconds that they began after they were due.
-        contacts: Of its last step.
-        residual: Of its last step, in body sizes.
-        degraded: Steps that missed the target residual.
-        faults: Steps that failed.
+        due_steps: Number of these steps that had a due time.
+        late_secs: Seconds that they began after their due times.
+        contacts: Number of contacts of the last step.
+        residual: Residual of the last step, body sizes.
+        degraded: Number of steps that missed the target residual.
+        faults: Number of failed steps.
     """
 
     swarm: str
@@ -80,31 +80,32 @@ class SwarmMetrics(Shown, frozen=True, kw_only=True):
     faults: int
 
 
-class Metrics(Shown, frozen=True, kw_only=True):
-    """A daemon in numbers; what grows for ever is counted since it started.
+class Metrics(HtmlStruct, frozen=True, kw_only=True):
+    """Metrics of a daemon; counters begin when it starts.
 
     Attributes:
-        node: Its name.
+        node: The daemon's name.
         uptime_secs: Seconds since it started.
-        unwell: Why not all is well; empty if it is.
-        warnings: What is wrong without keeping it from its work, such as a recording that has
-            failed; empty if nothing is.
-        cpu_secs: Seconds its threads have computed.
-        cores: It may use.
-        memory_bytes: In use.
-        sessions: Clients connected.
-        steps: Of all swarms there ever were.
+        unwell: The reasons why it is unhealthy; empty if it is healthy.
+        warnings: Problems that do not stop its work, such as a failed recording; empty if there are
+            none.
+        cpu_secs: CPU seconds of its threads.
+        cores: Number of cores that it may use.
+        memory_bytes: Memory in use.
+        sessions: Number of connected clients.
+        steps: Number of steps of all swarms, also of deleted ones.
         step_secs: Seconds that these steps took.
-        faults: Steps that failed.
-        degraded: Steps that missed the target residual.
-        residual_max: The largest residual of a step, in body sizes.
-        frames: States made to be published.
-        frames_dropped: Those that gave way to a newer one before they were.
-        contested: Names of the daemon and its swarms that another daemon holds, too.
-        store: How its memory on disk does.
-        recordings: Those that it has made or makes.
-        recordings_bytes: What all recordings take on disk.
-        recordings_quota_bytes: What they may take: those that go on end there, and none begins.
+        faults: Number of failed steps.
+        degraded: Number of steps that missed the target residual.
+        residual_max: The largest residual of a step, body sizes.
+        frames: Number of states for publication.
+        frames_dropped: Number of states that a newer one replaced before publication.
+        contested: Number of names, the daemon's and its swarms', that another daemon has too.
+        store: The database.
+        recordings: The recordings.
+        recordings_bytes: Bytes of all recordings on disk.
+        recordings_quota_bytes: The limit of these bytes: running recordings end at it, and none
+            begins.
         swarms: Every swarm, ordered by name.
     """
 

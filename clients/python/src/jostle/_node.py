@@ -1,4 +1,4 @@
-"""What a daemon says of itself, as msgspec structs."""
+"""Replies of a daemon about itself, as msgspec structs."""
 
 from __future__ import annotations
 
@@ -7,22 +7,22 @@ from typing import Any
 import msgspec
 
 from ._messages import Phase
-from ._show import Shown
+from ._repr import HtmlStruct
 
 WIRE_VERSION = 1
-"""The version of the contract this package speaks."""
+"""The version of the contract that this package speaks."""
 
 
-class Limits(Shown, frozen=True, kw_only=True):
-    """What a daemon refuses to go beyond.
+class Limits(HtmlStruct, frozen=True, kw_only=True):
+    """The limits of a daemon.
 
     Attributes:
-        max_individuals: In one swarm.
-        max_swarms: At once.
-        max_memory_bytes: Of all swarms together.
-        max_message_bytes: Of a request; a longer one is refused before it is sent.
-        max_clients: At once; while there are more `connect` raises `ResourceExhausted`.
-        max_hz: States published per second and swarm.
+        max_individuals: Individuals of a swarm.
+        max_swarms: Swarms.
+        max_memory_bytes: Memory of all swarms.
+        max_message_bytes: Bytes of a request; this package rejects a longer one.
+        max_clients: Connected clients; beyond it `connect` raises `ResourceExhausted`.
+        max_hz: Published states per second and swarm.
     """
 
     max_individuals: int
@@ -33,16 +33,16 @@ class Limits(Shown, frozen=True, kw_only=True):
     max_hz: int
 
 
-class Hello(Shown, frozen=True, kw_only=True):
-    """Who a daemon is.
+class Hello(HtmlStruct, frozen=True, kw_only=True):
+    """The name, version and limits of a daemon.
 
     Attributes:
-        node: Its name.
-        version: Its version.
-        wire_version: The version of the contract it speaks.
+        node: The daemon's name.
+        version: The daemon's version.
+        wire_version: The version of the contract that it speaks.
         unix_secs: Its clock: seconds since 1970, UTC.
-        limits: What it refuses to go beyond.
-        http: Where it serves HTTP, such as `https://0.0.0.0:8443`; None if it serves none.
+        limits: Its limits.
+        http: The address of its HTTP server, such as `https://0.0.0.0:8443`; None if it has none.
     """
 
     node: str
@@ -53,18 +53,18 @@ class Hello(Shown, frozen=True, kw_only=True):
     http: str | None = None
 
 
-class NodeStatus(Shown, frozen=True, kw_only=True):
-    """How a daemon fares.
+class NodeStatus(HtmlStruct, frozen=True, kw_only=True):
+    """The status of a daemon.
 
     Attributes:
-        node: Its name.
+        node: The daemon's name.
         uptime_secs: Seconds since it started.
-        swarms: How many it hosts.
-        running: How many of them run.
-        faulted: How many of them faulted.
-        individuals: In all swarms together.
-        memory_bytes: Set aside for the swarms.
-        clients: Connected.
+        swarms: Number of swarms.
+        running: Number of running swarms.
+        faulted: Number of faulted swarms.
+        individuals: Number of individuals in all swarms.
+        memory_bytes: Memory reserved for the swarms.
+        clients: Number of connected clients.
     """
 
     node: str
@@ -77,8 +77,8 @@ class NodeStatus(Shown, frozen=True, kw_only=True):
     clients: int
 
 
-class SwarmSummary(Shown, frozen=True, kw_only=True):
-    """A swarm in a list.
+class SwarmSummary(HtmlStruct, frozen=True, kw_only=True):
+    """A swarm in the list of a daemon.
 
     The fields are as in `Status`. `order` is the current value; `replay` is true for a playback.
     `contested_by` is another daemon that has a swarm of this name (see `Contested`), or None.
@@ -99,7 +99,7 @@ class SwarmSummary(Shown, frozen=True, kw_only=True):
 
 
 class Swarms(msgspec.Struct, frozen=True, kw_only=True):
-    """All that the daemon `node` hosts, ordered by name."""
+    """The swarms of the daemon `node`, ordered by name."""
 
     node: str
     swarms: list[SwarmSummary]
@@ -109,9 +109,9 @@ class Schemas(msgspec.Struct, frozen=True, kw_only=True):
     """The JSON Schemas (2020-12) of every message.
 
     Attributes:
-        node: The daemon that told.
-        wire_version: The version of the contract they describe.
-        schemas: By the name of the message, such as `step.args` and `step.reply`.
+        node: The daemon's name.
+        wire_version: The version of the contract that they describe.
+        schemas: The schemas by the name of the message, such as `step.args` and `step.reply`.
     """
 
     node: str

@@ -1,23 +1,15 @@
-"""Whether this is a notebook, and what it shows in one place, again and again."""
+"""Detects a notebook, and displays HTML in it that can be replaced."""
 
 from __future__ import annotations
 
 import sys
-from typing import Any, Protocol
 
-from ._extras import need
-
-
-class Place(Protocol):
-    """A place in a notebook."""
-
-    def update(self, shown: object) -> None:
-        """Shows something else there."""
+from ._extras import import_extra
 
 
 def is_notebook() -> bool:
-    """Whether what is displayed is seen in a notebook."""
-    # Where there is a kernel, it has been imported.
+    """Whether this process is the kernel of a notebook."""
+    # A kernel has imported it.
     kernel = sys.modules.get("ipykernel.zmqshell")
     ipython = sys.modules.get("IPython")
     if kernel is None or ipython is None:
@@ -25,17 +17,17 @@ def is_notebook() -> bool:
     return isinstance(ipython.get_ipython(), kernel.ZMQInteractiveShell)
 
 
-def place(html: str) -> Place:
-    """Shows `html` here and returns the place.
+class Display:
+    """HTML in the output of a notebook's cell, which can be replaced.
 
     Raises:
-        ImportError: There is no IPython.
+        ImportError: IPython is missing.
     """
-    display = need("IPython.display", "notebook")
-    shown: Place = display.display(display.HTML(html), display_id=True)
-    return shown
 
+    def __init__(self, html: str) -> None:
+        self._ipython = import_extra("IPython.display", "notebook")
+        self._handle = self._ipython.display(self._ipython.HTML(html), display_id=True)
 
-def as_html(html: str) -> Any:
-    """What a place takes."""
-    return need("IPython.display", "notebook").HTML(html)
+    def update(self, html: str) -> None:
+        """Replaces it."""
+        self._handle.update(self._ipython.HTML(html))

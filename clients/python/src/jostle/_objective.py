@@ -12,11 +12,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from ._cancel import rest
-from ._errors import Conflict, Faulted, InvalidArgument
+from ._cancel import sleep
+from ._errors import Conflict, Faulted, InvalidArgument, invalid
 from ._experiment import Source, to_toml
 from ._results import ResultRow
-from ._sweep import UNNAMED, Sweep, name_of, sweep
+from ._sweep import UNNAMED, Sweep, source_label, sweep
 
 _RETRY_INTERVAL_SECS = 0.2
 # Fields of a grid that a spec does not have.
@@ -67,20 +67,17 @@ class Objective:
         try:
             self._fields = tomllib.loads(to_toml(source))
         except tomllib.TOMLDecodeError as error:
-            raise InvalidArgument(
-                f"invalid experiment: {error}", details={"field": "source"}
-            ) from None
+            raise invalid("source", f"invalid experiment: {error}") from None
         measures = [
             name
             for name, kind in ResultRow.__annotations__.items()
             if kind in ("int", "float", "float | None")
         ]
         if measure not in measures:
-            raise InvalidArgument(
-                f"unknown measure {measure!r}: use one of {', '.join(measures)}",
-                details={"field": "measure"},
+            raise invalid(
+                "measure", f"unknown measure {measure!r}: use one of {', '.join(measures)}"
             )
-        self._name = name_of(source)
+        self._name = source_label(source)
         self._measure = measure
         self._folder = Path(folder)
         self._executor = executor
@@ -121,7 +118,7 @@ class Objective:
             InvalidArgument: A value is invalid; the message names the field.
             Faulted: A run ended early.
         """
-        fields = self._with(values)
+        fields = self._substitute(values)
         name = hashlib.blake2b(to_toml(fields).encode(), digest_size=12).hexdigest()
         try:
             task = self._sweep(fields, self._folder / name)
@@ -157,14 +154,14 @@ class Objective:
                     jostled=self._jostled,
                 )
             except Conflict:
-                rest(_RETRY_INTERVAL_SECS)
+                sleep(_RETRY_INTERVAL_SECS)
 
-    def _with(self, values: Mapping[str, float | str]) -> dict[str, Any]:
+    def _substitute(self, values: Mapping[str, float | str]) -> dict[str, Any]:
         """The fields of the experiment with these values. Equal values give equal fields."""
         if all(name in values for name in _OF_GRID):
-            raise InvalidArgument(
+            raise invalid(
+                "informed",
                 "informed and informed_fraction exclude each other: leave out one of them",
-                details={"field": "informed"},
             )
         spec = dict(self._fields.get("spec", {}))
         grids = [dict(grid) for grid in self._fields.get("grid", [])]
@@ -193,8 +190,6 @@ def _canonical(name: str, value: float | str) -> float | str:
     except (TypeError, ValueError, OverflowError):
         number = math.nan
     if not math.isfinite(number):
-        raise InvalidArgument(
-            f"{name} is {value!r}, but must be a finite number or text", details={"field": name}
-        )
+        raise invalid(name, f"{name} is {value!r}, but must be a finite number or text")
     is_int = number.is_integer() and abs(number) < _INT_LIMIT
     return int(number) if is_int else number

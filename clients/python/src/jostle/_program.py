@@ -1,4 +1,4 @@
-"""Finds the program `jostled` that `local()` starts."""
+"""Finds the program `jostled`, which `local` and `sweep` start."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def _installed() -> Path | None:
         return None
     for file in distribution.files or []:
         if file.name == "jostled" and file.parent.name == "bin":
-            # `pip install --target` moves the program there, and keeps what the list says.
+            # `pip install --target` moves the program there, and keeps the list of files.
             beside = package.parent / "bin" / "jostled"
             return beside if beside.exists() else Path(str(file.locate())).resolve()
     return None
@@ -108,7 +108,7 @@ def _warn_of_another_version(program: str) -> None:
         # Imported from a folder of sources.
         return
     except (OSError, subprocess.TimeoutExpired):
-        # It fails again when it is started, and says why.
+        # Starting it fails again, with a message.
         return
     theirs = done.stdout.removeprefix("jostled").strip()
     if theirs != ours:

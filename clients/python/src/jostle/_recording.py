@@ -1,4 +1,4 @@
-"""Recordings of a swarm, as `jostle record` wrote them, for other people's tools."""
+"""Reads recordings of `jostle record` and converts them for other tools."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ._atomic_file import atomic_file
-from ._errors import Internal, InvalidArgument
-from ._extras import need
+from ._errors import Internal, InvalidArgument, invalid
+from ._extras import import_extra
 from ._frame import KINDS, OF_EACH, OF_FRAME, OF_GROUP, Columns, columns_of, table_of
 from ._state import State, read_state
 
@@ -28,38 +28,38 @@ if TYPE_CHECKING:
 # Older builds recorded Parquet without these.
 _LATER = ("swarm", "phase", "informed", "drift")
 
-# What MCAP begins and ends with.
+# The first and last bytes of MCAP.
 _MCAP = b"\x89MCAP0\r\n"
 
-# Rows of MCAP that are put together to one table, about.
-_ROWS = 64 * 1024
+# The approximate number of rows of MCAP in one table.
+_TABLE_ROWS = 64 * 1024
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class RecordedFrame:
-    """A swarm at one step, as it was recorded: n individuals as columns, ordered by id.
+    """A recorded state of a swarm at one step: n individuals as columns, ordered by id.
 
     Attributes:
         swarm: The swarm's name.
-        epoch: Grows whenever `step` does not continue what was before.
-        frame: The number of the state in the recording; where `about["source"]` is `published`,
-            that of the published state.
-        step: The number of steps since the start.
-        time: `step · dt`.
+        epoch: Increases when `step` does not continue the previous frame.
+        frame: The number of the state in the recording; if `about["source"]` is `published`, that
+            of the published state.
+        step: Number of steps since the start.
+        time: `step · dt`, body sizes over free speed.
         phase: `paused`, `running` or `faulted`; None in Parquet of older builds.
         id: Shape (n,), uint32.
         x: Shape (n,), body sizes, absolute.
         y: Shape (n,), body sizes, absolute.
         alpha: Shape (n,), headings in radians, counter-clockwise from +x, never wrapped.
-        weight: Shape (n,), of the preferred directions; 0 for the uninformed.
+        weight: Shape (n,), weights of the preferred directions; 0 for the uninformed.
         direction: Shape (n,), preferred directions in radians; NaN for the uninformed.
-        informed: Shape (n,), bool: who has a direction of its own.
-        order: The polar order parameter of the group.
+        informed: Shape (n,), bool, whether the individual is informed.
+        order: The order of the group, 0 to 1.
         drift: The group's velocity along the informed individuals' common direction, free speeds;
             None if there is none, and in Parquet of older builds.
-        worst_gap: The smallest gap between two bodies; None if no two are near.
-        residual: Of the step that led here.
-        contacts: How many constrained it.
+        worst_gap: The smallest gap between two bodies, body sizes; None if no two are near.
+        residual: Residual of the step that led here, body sizes.
+        contacts: Number of contacts that constrained the step.
     """
 
     swarm: str
@@ -93,16 +93,20 @@ class RecordedFrame:
 
 
 class Recording:
-    """A recording; `jostle.read_recording` opens one. Iterating it yields each frame in turn.
+    """A recording; `jostle.read_recording` opens one. Iterating over it yields its frames.
 
-    It is read as it is asked for, so a recording may be longer than memory; each loop begins anew.
+        for frame in jostle.read_recording("school.mcap"):
+            print(frame.time, frame.order)
+
+    It is read lazily, so a recording may be larger than memory; each loop begins at the first
+    frame.
 
     Attributes:
         path: The file, or the folder of parts.
-        about: What it says of itself: `swarm`, `spec` and `parameters` as JSON, `version`,
-            `frames`, and `missed`, the number of states that are not in it though they should be.
-            Where `source` is `steps`, it has every state whose step is a multiple of `every`; where
-            it is `published`, what was published and arrived.
+        about: Its metadata: `swarm`, `spec` and `parameters` as JSON, `version`, `frames`, and
+            `missed`, the number of dropped states. If `source` is `steps`, it has every state whose
+            step is a multiple of `every`; if it is `published`, the published states that were
+            received.
     """
 
     path: Path
@@ -121,46 +125,46 @@ class Recording:
             yield from _frames(columns)
 
     def frame(self) -> pandas.DataFrame:
-        """A table of all of it, with a row for each individual in each frame.
+        """A table of all frames, with a row for each individual in each frame.
 
-        Its columns are those of `RecordedFrame`, in their order, and those of `jostle.frame` of
-        states; a number is NaN where it is not known.
+        Its columns are those of `RecordedFrame`, in their order, as in `jostle.frame` of states;
+        unknown numbers are NaN.
 
         Raises:
-            ImportError: pandas is missing; `pip install jostle[recording]` brings it.
+            ImportError: pandas is missing: `pip install jostle[recording]`.
         """
         return table_of(list(self._tables()), "recording")
 
     def to_csv(self, path: str | os.PathLike[str]) -> Path:
-        """Writes the same table as comma-separated text, replacing what is there.
+        """Writes the table of `frame` as comma-separated text; replaces an existing file.
 
-        Numbers are in the shortest form that reads back to the bit; what is not known is empty.
-        pandas before 3.1 reads them exactly only with `float_precision="round_trip"`.
+        Numbers have the shortest form that reads back exactly; unknown values are empty. pandas
+        before 3.1 reads them exactly only with `float_precision="round_trip"`.
 
         Returns:
             The file.
         """
-        with _draft(path) as file:
+        with _text_file(path) as file:
             rows = csv.writer(file, lineterminator="\n")
             rows.writerow(KINDS)
             for columns in self._tables():
                 lists = [columns[name].tolist() for name in KINDS]
                 for row in zip(*lists, strict=True):
-                    # Not a number is what is not known.
+                    # NaN is unknown.
                     rows.writerow(None if it != it else it for it in row)
         return Path(path)
 
     def to_extxyz(self, path: str | os.PathLike[str]) -> Path:
-        """Writes extended XYZ, as ASE and OVITO read it, replacing what is there.
+        """Writes extended XYZ, which ASE and OVITO read; replaces an existing file.
 
-        A frame after another, each body an `X` in the plane z = 0 with its `id`, `alpha`, `weight`
-        and `direction`, `nan` for the uninformed; `Time`, `step`, `epoch`, `frame` and `order`
-        stand in the comment. Nothing is periodic.
+        Each body is an `X` in the plane z = 0 with its `id`, `alpha`, `weight` and `direction`,
+        `nan` for the uninformed; the comment of a frame has `Time`, `step`, `epoch`, `frame` and
+        `order`. There are no periodic boundaries.
 
         Returns:
             The file.
         """
-        with _draft(path) as file:
+        with _text_file(path) as file:
             for frame in self:
                 file.write(
                     f"{frame.n}\nProperties=species:S:1:pos:R:3:id:I:1:alpha:R:1:weight:R:1:"
@@ -173,7 +177,7 @@ class Recording:
         return Path(path)
 
     def _tables(self) -> Iterator[Columns]:
-        """All rows, some whole frames at a time."""
+        """All rows, in tables of complete frames."""
         for part in self._parts:
             if part.suffix == ".mcap":
                 yield from _tables_of_mcap(part)
@@ -185,7 +189,7 @@ class Recording:
 
 
 def read_recording(path: str | os.PathLike[str]) -> Recording:
-    """Opens a recording that `jostle record` wrote.
+    """Opens a recording of `jostle record` or of a daemon.
 
         recording = jostle.read_recording("school.parquet")
         for frame in recording:
@@ -196,75 +200,68 @@ def read_recording(path: str | os.PathLike[str]) -> Recording:
         path: A file, `.parquet` or `.mcap`, or a folder of parts.
 
     Raises:
-        ImportError: Of Parquet pyarrow and of MCAP mcap is missing; `pip install
-            jostle[recording]` brings both.
-        InvalidArgument: It is no recording, or one that was killed: the message names
-            `jostle record --recover FILE`, which makes a whole file of it.
+        ImportError: pyarrow (for Parquet) or mcap is missing: `pip install jostle[recording]`.
+        InvalidArgument: It is not a recording, or unfinished: the message names
+            `jostle record --recover FILE`, which completes it.
         OSError: It cannot be read.
     """
     return Recording(Path(path))
 
 
 def _parts(path: Path) -> list[Path]:
-    """The files a recording consists of."""
+    """The files of a recording."""
+    parts = [path]
     if path.is_dir():
         parts = sorted(it for it in path.glob("part-*") if it.suffix in (".parquet", ".mcap"))
         if not parts:
-            raise _wrong(path, "the folder has no part of a recording that is whole")
-        return parts
-    if path.suffix == ".partial":
-        raise _unfinished(path)
-    if path.suffix not in (".parquet", ".mcap") and path.exists():
-        raise _wrong(path, "its name ends in neither .parquet nor .mcap")
-    if not path.exists():
-        if (partial := path.with_name(f"{path.name}.partial")).exists():
-            raise _unfinished(partial)
-        raise FileNotFoundError(errno.ENOENT, "there is no such recording", str(path))
-    return [path]
+            raise _damaged(path, "the folder has no part of a recording that is complete")
+    for part in parts:
+        check_finished(part)
+        if part.suffix not in (".parquet", ".mcap"):
+            raise _damaged(part, "its name ends in neither .parquet nor .mcap")
+    return parts
 
 
 def _about(part: Path) -> dict[str, str]:
-    """What a file says of itself."""
+    """The metadata of a file."""
     if part.suffix == ".mcap":
-        reader = need("mcap.reader", "recording")
-        if is_unfinished(part):
-            raise _unfinished(part)
-        with part.open("rb") as file, _whole(part):
+        reader = import_extra("mcap.reader", "recording")
+        with part.open("rb") as file, _reading(part):
             records = [
                 it
                 for it in reader.make_reader(file, validate_crcs=True).iter_metadata()
                 if it.name == "jostle"
             ]
             if not records:
-                raise ValueError("it holds no swarm")
+                raise ValueError("it has no swarm")
             return {key: value for record in records for key, value in record.metadata.items()}
-    parquet = need("pyarrow.parquet", "recording")
-    with part.open("rb") as file, _whole(part):
+    parquet = import_extra("pyarrow.parquet", "recording")
+    with part.open("rb") as file, _reading(part):
         table = parquet.ParquetFile(file)
-        there = (*table.schema_arrow.names, *_LATER)
-        if missing := [name for name in KINDS if name not in there]:
+        known = (*table.schema_arrow.names, *_LATER)
+        if missing := [name for name in KINDS if name not in known]:
             raise ValueError(f"it has no column {missing[0]!r}")
         pairs = table.metadata.metadata or {}
         return {key.decode(): value.decode() for key, value in pairs.items()}
 
 
 def _tables_of_parquet(part: Path, swarm: str) -> Iterator[Columns]:
-    """The groups of rows of a file; each holds whole frames."""
-    parquet = need("pyarrow.parquet", "recording")
+    """The row groups of a file; each has complete frames."""
+    parquet = import_extra("pyarrow.parquet", "recording")
     with part.open("rb") as file:
         reader = parquet.ParquetFile(file)
-        there = [name for name in KINDS if name in reader.schema_arrow.names]
+        present = [name for name in KINDS if name in reader.schema_arrow.names]
         for index in range(reader.num_row_groups):
-            with _whole(part):
-                group = reader.read_row_group(index, columns=there)
+            with _reading(part):
+                group = reader.read_row_group(index, columns=present)
                 columns = {
-                    name: np.asarray(group.column(name).to_numpy(), KINDS[name]) for name in there
+                    name: np.asarray(group.column(name).to_numpy(), KINDS[name]) for name in present
                 }
                 yield _completed(columns, swarm)
 
 
 def _completed(columns: Columns, swarm: str) -> Columns:
-    """The columns with those that older builds did not record, as far as they are known."""
+    """Adds the columns that older builds did not record, as far as they are known."""
     informed = columns["weight"] > 0
     rows = len(informed)
     return {
@@ -279,19 +276,19 @@ def _completed(columns: Columns, swarm: str) -> Columns:
 
 
 def _tables_of_mcap(part: Path) -> Iterator[Columns]:
-    """The states of a file, some at a time."""
-    reader = need("mcap.reader", "recording")
+    """The states of a file, in tables of about `_TABLE_ROWS` rows."""
+    reader = import_extra("mcap.reader", "recording")
     states: list[State] = []
     with part.open("rb") as file:
         messages = reader.make_reader(file, validate_crcs=True).iter_messages(
             topics=["state"], log_time_order=False
         )
         while True:
-            with _whole(part):
+            with _reading(part):
                 _, _, message = next(messages, (None, None, None))
                 if message is not None:
                     states.append(read_state(message.data))
-            is_enough = sum(state.n for state in states[-1:]) * len(states) >= _ROWS
+            is_enough = sum(state.n for state in states[-1:]) * len(states) >= _TABLE_ROWS
             if states and (message is None or is_enough):
                 yield columns_of(states)
                 states = []
@@ -300,7 +297,7 @@ def _tables_of_mcap(part: Path) -> Iterator[Columns]:
 
 
 def _frames(columns: Columns) -> Iterator[RecordedFrame]:
-    """Takes rows apart where the frame changes."""
+    """Splits rows into frames."""
     epoch, number = columns["epoch"], columns["frame"]
     changes = np.flatnonzero((np.diff(epoch) != 0) | (np.diff(number) != 0)) + 1
     bounds = [0, *changes.tolist(), len(epoch)] if len(epoch) else [0]
@@ -313,8 +310,8 @@ def _frames(columns: Columns) -> Iterator[RecordedFrame]:
 
 
 @contextlib.contextmanager
-def _draft(path: str | os.PathLike[str]) -> Iterator[IO[str]]:
-    """A file that gets its name when all of it is written."""
+def _text_file(path: str | os.PathLike[str]) -> Iterator[IO[str]]:
+    """An atomic file of text."""
     with atomic_file(path) as file:
         text = io.TextIOWrapper(file, encoding="utf-8", newline="\n")
         yield text
@@ -323,21 +320,41 @@ def _draft(path: str | os.PathLike[str]) -> Iterator[IO[str]]:
 
 
 @contextlib.contextmanager
-def _whole(part: Path) -> Iterator[None]:
-    """Says of which file it is that a reader could not read it."""
+def _reading(part: Path) -> Iterator[None]:
+    """Raises InvalidArgument with the file's name if a reader cannot read it."""
     try:
         yield
     except (OSError, ImportError, InvalidArgument):
         raise
     except Exception as error:
-        # Each reader has a tree of errors of its own.
+        # Each library has its own errors.
         if isinstance(error, ValueError | Internal) or type(error).__module__.startswith("mcap"):
-            raise _wrong(part, str(error)) from error
+            raise _damaged(part, str(error)) from error
         raise
 
 
-def is_unfinished(path: Path) -> bool:
-    """Whether a file is MCAP without an end: its recording was killed, or goes on."""
+def check_finished(path: Path) -> None:
+    """Raises an error, with the remedy, if the recorder of a file was killed or is running.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        InvalidArgument: It is incomplete.
+    """
+    if not path.exists() and path.suffix != ".partial":
+        partial = path.with_name(f"{path.name}.partial")
+        if not partial.exists():
+            raise FileNotFoundError(errno.ENOENT, "there is no such recording", str(path))
+        path = partial
+    if path.suffix == ".partial" or (path.suffix != ".parquet" and _has_no_end(path)):
+        raise _damaged(
+            path,
+            "it is incomplete: its recorder was killed or is still running; if it was killed, "
+            f"`jostle record --recover {path}` recovers it",
+        )
+
+
+def _has_no_end(path: Path) -> bool:
+    """Whether a file is MCAP without an end."""
     with path.open("rb") as file:
         first = file.read(len(_MCAP))
         length = file.seek(0, os.SEEK_END)
@@ -345,19 +362,5 @@ def is_unfinished(path: Path) -> bool:
         return first == _MCAP != file.read()
 
 
-def unfinished(path: Path) -> str:
-    """What is wrong with such a file, and the remedy."""
-    return (
-        "it is incomplete: its recorder was killed or is still running; if it was killed, "
-        f"`jostle record --recover {path}` recovers it"
-    )
-
-
-def _unfinished(path: Path) -> InvalidArgument:
-    return _wrong(path, unfinished(path))
-
-
-def _wrong(path: Path, problem: str) -> InvalidArgument:
-    return InvalidArgument(
-        f"{path}: this is no whole recording: {problem}", details={"field": "path"}
-    )
+def _damaged(path: Path, problem: str) -> InvalidArgument:
+    return invalid("path", f"{path}: not a complete recording: {problem}")

@@ -1,46 +1,46 @@
-"""Recordings that a daemon makes: every k-th state of a swarm, in its data directory."""
+"""Recordings of a daemon: every k-th state of a swarm, in its data directory."""
 
 from __future__ import annotations
 
 import base64
 import os
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import msgspec
 
-from ._errors import IncorrectState, InvalidArgument
-from ._link import Link
+from ._decode import read_reply
+from ._errors import IncorrectState, InvalidArgument, invalid
 from ._progress import Bar
-from ._reading import read_reply
-from ._show import Shown
+from ._repr import HtmlStruct
+from ._session import Session
 
 RecordingFormat = Literal["mcap", "parquet"]
-"""How a daemon writes a recording: messages as they are published, or a table."""
+"""The format of a recording: published messages, or a table."""
 
 RecordingPhase = Literal["recording", "ended", "failed"]
 """The phase of a recording: it is running, and resumes after a restart of the daemon; it has ended,
 for `reason`; or it has failed."""
 
 
-class RecordingStatus(Shown, frozen=True, kw_only=True):
-    """How a recording of a daemon's stands; of a deleted one, how it stood.
+class RecordingStatus(HtmlStruct, frozen=True, kw_only=True):
+    """The status of a recording of a daemon; of a deleted one, its last status.
 
     Attributes:
-        recording: Its name, and its folder's below `recordings` in the daemon's data directory.
-        swarm: Whom it is of.
+        recording: Its name, and that of its folder in `recordings` of the daemon's data directory.
+        swarm: The name of the recorded swarm.
         format: `mcap`, or `parquet` if an earlier version recorded it.
-        every: The states whose step is a multiple of this are in it; None is what was published, by
+        every: It has the states whose step is a multiple of this; None is the published states, of
             an earlier version.
-        phase: What it is doing.
+        phase: Its phase.
         reason: Why it ended or failed.
-        frames: States that were recorded.
-        missed: States that it left out because the disk did not keep up.
-        parts: Files that are whole.
-        bytes: Theirs.
-        began_unix_secs: When it began, in seconds since 1970.
-        drop_when_behind: Whether it leaves states out while the disk does not keep up; otherwise
-            the swarm waits.
+        frames: Number of recorded states.
+        missed: Number of states that were dropped because the disk was too slow.
+        parts: Number of complete files.
+        bytes: Bytes of these files.
+        began_unix_secs: Its beginning, seconds since 1970.
+        drop_when_behind: Whether it drops states while the disk is too slow; otherwise the swarm
+            waits.
         max_bytes: The size in bytes at which it ends; None for a recording of an earlier version,
             which has no limit.
         temporary: Whether the client that fetches it is to delete it afterwards.
@@ -63,29 +63,29 @@ class RecordingStatus(Shown, frozen=True, kw_only=True):
 
 
 class RecordingResult(RecordingStatus, frozen=True, kw_only=True):
-    """How a recording of the daemon `node` stands."""
+    """The status of a recording of the daemon `node`."""
 
     node: str
 
 
 class Recordings(msgspec.Struct, frozen=True, kw_only=True):
-    """All that the daemon `node` has, ordered by name."""
+    """The recordings of the daemon `node`, ordered by name."""
 
     node: str
     recordings: list[RecordingStatus]
 
 
 class RecordingPiece(msgspec.Struct, frozen=True, kw_only=True):
-    """A piece of a whole part of a recording.
+    """A piece of a complete part of a recording.
 
     Attributes:
-        node: The daemon that has it.
-        recording: Its name.
+        node: The daemon's name.
+        recording: The name of the recording.
         part: The number of the part, from 0.
-        parts: Parts that are whole now.
-        offset: Where in the part the piece begins, in bytes.
-        length: How long the part is, in bytes.
-        bytes: The piece, as base64; empty where the part ends.
+        parts: Number of complete parts.
+        offset: The offset of the piece in the part, bytes.
+        length: The length of the part, bytes.
+        bytes: The piece, as base64; empty at the end of the part.
     """
 
     node: str
@@ -98,12 +98,16 @@ class RecordingPiece(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def fetch(
-    link: Link, node: str, status: RecordingStatus, path: str | os.PathLike[str], show: bool | None
+    session: Session,
+    node: str,
+    status: RecordingStatus,
+    path: str | os.PathLike[str],
+    show: bool | None,
 ) -> Path:
-    """Fetches what a folder does not have of a recording that is over."""
+    """Fetches the missing parts of an ended recording into a folder."""
     if status.phase == "recording":
         raise IncorrectState(
-            f"{status.recording} still records: `stop_recording({status.recording!r})` ends it"
+            f"{status.recording} is running: `stop_recording({status.recording!r})` ends it"
         )
     folder = Path(path)
     folder.mkdir(parents=True, exist_ok=True)
@@ -112,10 +116,12 @@ def fetch(
         for part in range(status.parts):
             name = f"part-{part:05}.{status.format}"
             partial = folder / f".{name}.partial"
-            selector = f"{link.node_key(node, 'get/recording')}?name={status.recording};part={part}"
+            selector = (
+                f"{session.node_key(node, 'get/recording')}?name={status.recording};part={part}"
+            )
             if (folder / name).exists():
                 size = (folder / name).stat().st_size
-                piece = _piece(link, f"{selector};offset={size}", folder / name)
+                piece = _piece(session, f"{selector};offset={size}", folder / name)
                 if piece.length != size:
                     raise _other(folder / name)
                 fetched += size
@@ -123,7 +129,7 @@ def fetch(
             with partial.open("ab") as file:
                 while True:
                     offset = file.tell()
-                    piece = _piece(link, f"{selector};offset={offset}", partial)
+                    piece = _piece(session, f"{selector};offset={offset}", partial)
                     content = base64.b64decode(piece.bytes)
                     file.write(content)
                     bar.show((fetched + offset) / status.bytes if status.bytes else 1.0)
@@ -136,29 +142,14 @@ def fetch(
     return folder
 
 
-def _piece(link: Link, selector: str, path: Path) -> RecordingPiece:
-    """What follows what a file has already."""
+def _piece(session: Session, selector: str, path: Path) -> RecordingPiece:
+    """The next piece of a file."""
     try:
-        return read_reply(link.get(selector, swarm=None), RecordingPiece)
+        return read_reply(session.get(selector, swarm=None), RecordingPiece)
     except InvalidArgument as error:
         # The file is longer than the part.
         raise _other(path) from error
 
 
 def _other(path: Path) -> InvalidArgument:
-    return InvalidArgument(
-        f"{path} is of another recording: choose another folder", details={"field": "path"}
-    )
-
-
-def send_record(
-    link: Link,
-    node: str,
-    args: dict[str, Any],
-    timeout: float | None = None,
-    request_id: str | None = None,
-) -> RecordingStatus:
-    """Has a daemon do something with a recording."""
-    key = link.node_key(node, "cmd/record")
-    payload = link.command(key, args, swarm=None, timeout=timeout, request_id=request_id)
-    return read_reply(payload, RecordingResult)
+    return invalid("path", f"{path} is part of another recording: choose another folder")

@@ -1,4 +1,4 @@
-"""Recordings that a daemon shows as if they were swarms."""
+"""Playbacks: recordings that a daemon plays back as swarms."""
 
 from __future__ import annotations
 
@@ -11,26 +11,24 @@ import msgspec
 
 from ._arguments import check_name
 from ._errors import InvalidArgument
-from ._link import Link
 from ._messages import Replay
 from ._progress import Bar
-from ._reading import read_reply
-from ._recording import is_unfinished, unfinished
+from ._session import Session
 
 _PIECE_BYTES = 180 * 1024
-"""In base64 it passes every daemon's limit."""
+"""Bytes of a message of an upload; in base64 they are below every daemon's limit."""
 
-_PATIENCE_SECS = 60.0
-"""A long recording takes its time to be looked through."""
+_OPEN_TIMEOUT_SECS = 60.0
+"""Seconds that a daemon may take to index a long recording."""
 
 
 class ReplayResult(msgspec.Struct, frozen=True, kw_only=True):
-    """What a node did about a replay.
+    """The reply to a command of a playback.
 
     Attributes:
-        node: The daemon that told.
-        uploaded: Bytes that have come; None once it is shown.
-        replay: What is shown, once it is.
+        node: The daemon's name.
+        uploaded: Number of uploaded bytes; None after `open`.
+        replay: The playback after `open`.
     """
 
     node: str
@@ -38,24 +36,14 @@ class ReplayResult(msgspec.Struct, frozen=True, kw_only=True):
     replay: Replay | None = None
 
 
-def check_finished(path: str | os.PathLike[str]) -> None:
-    """Raises InvalidArgument, with the remedy, for a recording that has no end."""
-    path = Path(path)
-    partial = path.with_name(f"{path.name}.partial")
-    if not path.exists() and partial.exists():
-        path = partial
-    if path.suffix == ".partial" or (path.suffix != ".parquet" and is_unfinished(path)):
-        raise InvalidArgument(f"{path}: {unfinished(path)}", details={"field": "path"})
-
-
 def upload(
-    link: Link, node: str, path: str | os.PathLike[str], name: str, show: bool | None
+    session: Session, node: str, path: str | os.PathLike[str], name: str, show: bool | None
 ) -> None:
-    """Sends a file to the daemon, piece by piece."""
+    """Uploads a file to the daemon in pieces."""
     path = Path(path)
     if path.suffix == ".parquet":
         raise InvalidArgument(
-            f"{path} is Parquet, which is for data frames: record to .mcap what is to be replayed"
+            f"{path} is Parquet, which is for data frames: record to .mcap to replay it"
         )
     length, offset = path.stat().st_size, 0
     with path.open("rb") as file, Bar(name, show) as bar:
@@ -67,7 +55,7 @@ def upload(
                 "length": length,
                 "bytes": base64.b64encode(piece).decode(),
             }
-            send(link, node, {"upload": args})
+            session.node_command(node, "replay", {"upload": args}, ReplayResult)
             offset += len(piece)
             bar.show(offset / length if length else 1.0)
             if offset >= length or not piece:
@@ -75,23 +63,11 @@ def upload(
 
 
 def open_replay(
-    link: Link, node: str, name: str, recording: str | None, timeout: float | None
+    session: Session, node: str, name: str, recording: str | None, timeout: float | None
 ) -> None:
-    """Has the daemon show what was uploaded, or what it has recorded itself."""
+    """Opens what was uploaded, or a recording of the daemon."""
     args: dict[str, Any] = {"name": check_name("name", name)}
     if recording is not None:
         args["recording"] = check_name("recording", recording)
-    timeout = _PATIENCE_SECS if timeout is None else timeout
-    send(link, node, {"open": args}, timeout)
-
-
-def send(
-    link: Link,
-    node: str,
-    args: dict[str, Any],
-    timeout: float | None = None,
-) -> ReplayResult:
-    """Sends `replay` to the daemon."""
-    key = link.node_key(node, "cmd/replay")
-    payload = link.command(key, args, swarm=None, timeout=timeout, request_id=None)
-    return read_reply(payload, ReplayResult)
+    timeout = _OPEN_TIMEOUT_SECS if timeout is None else timeout
+    session.node_command(node, "replay", {"open": args}, ReplayResult, timeout)

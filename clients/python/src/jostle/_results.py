@@ -1,4 +1,4 @@
-"""What a daemon tells of experiments, as msgspec structs."""
+"""Replies of a daemon about experiments, as msgspec structs."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from ._extras import need
-from ._show import Shown, bar
+from ._extras import import_extra
+from ._repr import HtmlStruct, bar_html
 
 if TYPE_CHECKING:
     import pandas
 
 ExperimentPhase = Literal["queued", "running", "paused", "finished", "cancelled", "failed"]
-"""What an experiment is doing."""
+"""The phase of an experiment."""
 
 
 class RunUnderWay(msgspec.Struct, frozen=True, kw_only=True):
-    """A run that is being carried out.
+    """A run that is being executed.
 
     Attributes:
         run: Its name.
-        share: Of its steps that is done.
+        share: The finished share of its steps, 0 to 1.
     """
 
     run: str
@@ -33,19 +33,19 @@ class RunUnderWay(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Progress(msgspec.Struct, frozen=True, kw_only=True):
-    """How far an experiment is.
+    """The progress of an experiment.
 
     Attributes:
         name: The experiment's name.
-        phase: What it is doing.
-        runs: How many it has.
-        finished: How many are over.
-        faulted: How many of them ended early.
-        share: Of the work that is done, the work of runs under way included.
-        elapsed_secs: How long it has been running, pauses aside.
-        left_secs: How long it will still take; None while that cannot be told.
-        running: The runs under way.
-        message: Why it failed, or what is to be said of its runs.
+        phase: Its phase.
+        runs: Number of runs.
+        finished: Number of finished runs.
+        faulted: Number of finished runs that ended early.
+        share: The finished share of the work, 0 to 1, with that of the present runs.
+        elapsed_secs: Seconds that it has run, without pauses.
+        left_secs: Seconds that it will still take; None while there is no estimate.
+        running: The runs that are being executed.
+        message: Why it failed, or a remark on its runs.
     """
 
     name: str
@@ -59,29 +59,29 @@ class Progress(msgspec.Struct, frozen=True, kw_only=True):
     running: list[RunUnderWay]
     message: str | None = None
 
-    def _told(self) -> str:
-        """The same in words, but for the share."""
+    def _summary(self) -> str:
+        """The same as a text, without the share."""
         left = "" if self.left_secs is None or self.is_over else f", {self.left_secs:.0f} s left"
         faulted = f", {self.faulted} faulted" if self.faulted else ""
         why = f": {self.message}" if self.message else ""
         return f"{self.phase}, {self.finished} of {self.runs} runs{faulted}{left}{why}"
 
     def _repr_html_(self) -> str:
-        return bar(self.share, f"{self.name} {100 * self.share:.0f} %, {self._told()}")
+        return bar_html(self.share, f"{self.name} {100 * self.share:.0f} %, {self._summary()}")
 
     @property
     def is_over(self) -> bool:
-        """Whether nothing more happens to it by itself."""
+        """Whether it has ended."""
         return self.phase in ("finished", "cancelled", "failed")
 
 
 class ExperimentResult(msgspec.Struct, frozen=True, kw_only=True):
-    """What the daemon `node` did with an experiment.
+    """The reply to a command about an experiment.
 
     Attributes:
         node: The daemon's name.
-        created: Whether it was not there before.
-        progress: How it stands now.
+        created: Whether the command created it.
+        progress: Its progress.
     """
 
     node: str
@@ -90,13 +90,13 @@ class ExperimentResult(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Experiments(msgspec.Struct, frozen=True, kw_only=True):
-    """All that the daemon `node` has, in the order in which they were submitted."""
+    """The experiments of the daemon `node`, in the order of submission."""
 
     node: str
     experiments: list[Progress]
 
 
-class ResultRow(Shown, frozen=True, kw_only=True):
+class ResultRow(HtmlStruct, frozen=True, kw_only=True):
     """The result of one run of an experiment: a row of the table of results.
 
     Lengths are in body sizes, speeds in free speeds, times in body sizes over free speed.
@@ -163,16 +163,16 @@ def of_rows(rows: Sequence[ResultRow]) -> pandas.DataFrame:
     Raises:
         ImportError: pandas is missing; `pip install jostle[pandas]` installs it.
     """
-    pd = need("pandas", "pandas")
+    pd = import_extra("pandas", "pandas")
     table: pandas.DataFrame = pd.DataFrame(
         [msgspec.structs.astuple(row) for row in rows], columns=ResultRow.__struct_fields__
     )
-    # Without any number the column would be one of objects.
+    # If every value is None, pandas would make a column of objects.
     return table.astype({"v_pd": "float64"})
 
 
 class ResultsPage(msgspec.Struct, frozen=True, kw_only=True):
-    """Some rows of a table of results, and after which number to ask on."""
+    """A page of rows; `next` is the number to request the next page after."""
 
     name: str
     rows: list[ResultRow]
@@ -185,10 +185,11 @@ class OrderSeries:
     """The order of one run over time.
 
     Attributes:
-        run: Its name.
-        time: Of each entry.
-        order: The polar order parameter at each.
-        drift: Along the informed individuals' direction at each; empty if nobody is informed.
+        run: The name of the run.
+        time: The times, shape (m,), body sizes over free speed.
+        order: The order at each time, shape (m,), 0 to 1.
+        drift: The drift along the informed individuals' direction at each time, shape (m,), free
+            speeds; shape (0,) without informed individuals.
     """
 
     run: str

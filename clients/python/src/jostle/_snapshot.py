@@ -1,48 +1,39 @@
-"""Snapshots: a swarm with all that its future depends on, as it can be kept in a file."""
+"""Snapshots: everything that determines the future of a swarm."""
 
 from __future__ import annotations
 
 import os
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
 import cbor2
 import msgspec
 
 from ._atomic_file import atomic_file
+from ._decode import read_map
 from ._errors import Internal, InvalidArgument
-from ._reading import read_map
-
-
-class _Head(msgspec.Struct, frozen=True, kw_only=True):
-    """What is read of a snapshot here; the rest is the daemon's."""
-
-    swarm: str
-    epoch: int
-    step: int
-    seq: int
-    state_hash: str
-    model_version: int
-    id: Any
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Snapshot:
-    """A swarm with all that its future depends on; `Swarm.snapshot` and `load` make one.
+    """Everything that determines the future of a swarm; `Swarm.snapshot` and `load` make one.
 
-    `Client.restore` makes a swarm of it, on any daemon of the same `model_version`. Two snapshots
-    are equal if every byte of them is.
+        snapshot = jostle.Snapshot.load("school.snapshot")
+        swarm = client.restore(snapshot, "school")
+
+    `Client.restore` creates a swarm from it, on any daemon of the same `model_version`. Two
+    snapshots are equal if their bytes are.
 
     Attributes:
-        data: The bytes: CBOR, the same as in a file that `jostle snapshot` wrote.
+        data: The bytes, CBOR, the same as in a file of `jostle snapshot`.
         swarm: The swarm's name.
-        epoch: Its epoch.
-        step: The step it is at.
-        seq: How many commands it had applied.
+        epoch: The epoch of the state.
+        step: The step of the state.
+        seq: Number of commands applied before.
         n: The size of the group.
         state_hash: BLAKE3 of the state, in hexadecimal.
-        model_version: The version of the model that steps it: another one has another future.
+        model_version: The version of the model: another one gives other results.
     """
 
     data: bytes = field(repr=False)
@@ -59,7 +50,7 @@ class Snapshot:
         """Reads a snapshot.
 
         Raises:
-            InvalidArgument: These bytes are none, or not all of it.
+            InvalidArgument: The bytes are not a snapshot, or not all of one.
         """
         wrong = {"field": "snapshot"}
         if not isinstance(data, bytes | bytearray | memoryview):
@@ -69,13 +60,15 @@ class Snapshot:
         data = bytes(data)
         try:
             fields = cbor2.loads(data)
-            head = msgspec.convert(fields, _Head)
-            n = len(head.id.value) // 4
+            # The daemon reads the other fields.
+            own = {"data": data, "n": len(fields["id"].value) // 4}
+            return msgspec.convert({**fields, **own}, cls)
         except (
             cbor2.CBORDecodeError,
             msgspec.ValidationError,
             ValueError,
             AttributeError,
+            LookupError,
             TypeError,
             OverflowError,
             MemoryError,
@@ -86,16 +79,6 @@ class Snapshot:
                 "`jostle snapshot` make one",
                 details=wrong,
             ) from error
-        return cls(
-            data=data,
-            swarm=head.swarm,
-            epoch=head.epoch,
-            step=head.step,
-            seq=head.seq,
-            n=n,
-            state_hash=head.state_hash,
-            model_version=head.model_version,
-        )
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Self:
@@ -103,22 +86,22 @@ class Snapshot:
 
         Raises:
             OSError: It cannot be read.
-            InvalidArgument: It is no snapshot, or not all of one.
+            InvalidArgument: The file is not a snapshot, or not all of one.
         """
         return cls.from_bytes(Path(path).read_bytes())
 
     def save(self, path: str | os.PathLike[str], *, force: bool = False) -> Path:
-        """Writes it to a file, all of it or nothing.
+        """Writes it to a file, atomically.
 
         Args:
             path: The file.
-            force: Replace a file that is there.
+            force: Replace an existing file.
 
         Returns:
             The file.
 
         Raises:
-            FileExistsError: It is there already, and not `force`.
+            FileExistsError: The file exists, and not `force`.
             OSError: It cannot be written.
         """
         path = Path(path)
@@ -128,13 +111,13 @@ class Snapshot:
 
 
 def read_snapshot(payload: bytes) -> Snapshot:
-    """Reads the answer to `get/snapshot`.
+    """Reads the reply to `get/snapshot`.
 
     Raises:
-        Internal: It is not what the contract says.
+        Internal: It is not as the contract defines.
     """
     try:
-        # As it came: a newer daemon may tell more than is known here.
+        # All of its fields: a newer daemon may send more than this package knows.
         return Snapshot.from_bytes(cbor2.dumps(read_map(payload).get("result")))
     except InvalidArgument as error:
         raise Internal(f"the daemon sent a snapshot that cannot be read: {error}") from error

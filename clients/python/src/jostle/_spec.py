@@ -1,4 +1,4 @@
-"""What a swarm is made from."""
+"""The spec of a swarm."""
 
 from __future__ import annotations
 
@@ -6,21 +6,21 @@ from typing import Any
 
 import msgspec
 
-from ._show import Shown
+from ._repr import HtmlStruct
 
 
 class Disc(msgspec.Struct, frozen=True, tag_field="kind", tag="disc", omit_defaults=True):
-    """A start: uniformly in a disc, one after the other, none overlapping an earlier one.
+    """A start: individuals drawn uniformly in a disc, without overlap.
 
     Attributes:
-        radius: Of the disc, body sizes; None is √n, at least 1.
+        radius: Radius of the disc, body sizes; None is √n, at least 1.
     """
 
     radius: float | None = None
 
 
 class Given(msgspec.Struct, frozen=True, tag_field="kind", tag="given"):
-    """A start: exactly there, to the bit. `jostle.given` makes one from arrays.
+    """A start: every individual at an exact pose. `jostle.given` makes one from arrays.
 
     Attributes:
         x: Absolute positions, body sizes, n of them.
@@ -33,31 +33,38 @@ class Given(msgspec.Struct, frozen=True, tag_field="kind", tag="given"):
     alpha: list[float]
 
 
-class Spec(Shown, frozen=True, kw_only=True):
-    """What a swarm is made from: same spec, same seed, same bytes.
+class Spec(HtmlStruct, frozen=True, kw_only=True):
+    """The spec of a swarm: equal specs give equal states, bit for bit.
+
+        spec = jostle.Spec(n=50, seed=1, pi3=2.0, attraction={"kind": "metric", "radius": 3.0})
+
+    Table 1 of the paper defines π1 to π4; a step solves eq. (7), Principle 1.
 
     Attributes:
-        n: The number of individuals at the start: 1 to the daemon's limit.
-        pi1: Length over width of a body: 1 (a disc) to 32.
-        pi2: Weight of individuals informed without a weight: 0 or more.
-        pi3: Body size over turning radius: above 0.
-        pi4: Translational over rotational drag: above 0.
-        dt: The time step: above 0, and short enough that no body is carried across another.
-        contacts: Which of a pair's contacts constrain it: `"endpoints"`; `"closest"`, the one
-            with the smallest gap alone; or, to compare, `"clamped"`, with implied ones too.
-        stepping: What a contact limits: `"position"`, the gap after the step, or `"velocity"`,
-            the speed at which touching bodies close.
-        relinearise: 1 to solve another program about what the first predicts, which leaves less
-            overlap and goes with `"position"` alone; 0 not to.
-        seed: The seed of every draw: 0 to 2⁵³ - 1.
-        start: Where the individuals begin.
-        attraction: What an individual turns towards: `{"kind": "all"}`, and if wanted an
-            `"accuracy"` from 1e-9 to 1e-3, quicker from some thousand individuals on (measured,
-            no bound: in several flocks far apart the error is up to ten times as much);
+        n: Number of individuals at the start: 1 to the daemon's limit.
+        pi1: π1, length over width of a body: 1 (a disc) to 32.
+        pi2: π2, weight of individuals that are informed without a weight: 0 to 10⁶.
+        pi3: π3, body size over turning radius: above 0, to 10⁶.
+        pi4: π4, translational over rotational drag: above 0, to 10⁶.
+        dt: The time step, body sizes over free speed: above 0, and so short that no point of a
+            body's axis travels further than a body's width.
+        contacts: Which contacts of a pair constrain a step: `"endpoints"`; `"closest"`, only the
+            one with the smallest gap, as in the paper's appendix; or, for comparison, `"clamped"`,
+            which adds redundant ones.
+        stepping: What a contact limits: `"position"`, the gap after the step, or `"velocity"`, the
+            speed at which touching bodies approach each other.
+        relinearise: 1 solves a second program about the result of the first, which leaves less
+            overlap and requires `"position"`; 0 does not.
+        seed: The seed of all random draws: 0 to 2⁵³ - 1.
+        start: Where the individuals begin: `jostle.disc` or `jostle.given`.
+        attraction: The law of attraction. `{"kind": "all"}` is eq. (4); with an `"accuracy"` from
+            1e-9 to 1e-3 it is faster from some thousand individuals on (a measured error, not a
+            bound: for several flocks far apart it is up to ten times larger). Others are
             `{"kind": "voronoi"}`, `{"kind": "metric", "radius": 3.0}`,
-            `{"kind": "topological", "neighbours": 7}` or `{"kind": "power", "exponent": -1.0}`.
-        noise: Intensity of white noise on the turning rate, squared angle over time: 0 or more.
-        publish_every: Steps between two published states: 1 or more.
+            `{"kind": "topological", "neighbours": 7}` and `{"kind": "power", "exponent": -1.0}`.
+        noise: Intensity of white noise on the turning rate, squared radians per time unit: 0 to
+            10⁶. Not in the paper.
+        publish_every: Number of steps between two published states: 1 or more.
         rate: Time units per second of wall clock; None is as fast as possible.
     """
 

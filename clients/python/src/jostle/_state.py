@@ -1,4 +1,4 @@
-"""States: columns of numbers as NumPy arrays."""
+"""States of a swarm, with columns as NumPy arrays."""
 
 from __future__ import annotations
 
@@ -7,52 +7,58 @@ from dataclasses import dataclass, replace
 from typing import Any, Generic, TypeVar
 
 import cbor2
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from ._decode import convert, read_map, read_reply
+from ._draw import Camera, draw
 from ._errors import Conflict, Internal
 from ._messages import Certificate, Order, OrderSample, Phase, Status, StepResult
-from ._reading import convert, read_map, read_reply
 
-# How often a state is fetched anew because commands came between.
-_MOST_TRIES = 10
+# How often a state is queried again because another command was applied meanwhile.
+_MAX_ATTEMPTS = 10
 
 ORIGIN_UNIT = 1024.0
-"""An origin counts in units of so many body sizes."""
+"""The unit of an origin, body sizes."""
 
-# RFC 8746: what a byte string with this tag holds, as NumPy writes it.
-_U32 = (70, np.dtype("<u4"))
-_F64 = (86, np.dtype("<f8"))
+# RFC 8746: the tag of a byte string with the elements of a column, and their type.
+_TYPED_ARRAYS: dict[Any, tuple[int, np.dtype[Any]]] = {
+    NDArray[np.uint32]: (70, np.dtype("<u4")),
+    NDArray[np.float64]: (86, np.dtype("<f8")),
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class State:
-    """A swarm at one step: n individuals as columns, ordered by id.
+    """The state of a swarm at one step: n individuals as columns, ordered by id.
 
-    The columns are views of the message they came in, so they cannot be written to; copy one to
-    change it. States compare by identity.
+        state = swarm.state()
+        speed = np.column_stack((np.cos(state.alpha), np.sin(state.alpha))).mean(axis=0)
+
+    The columns are read-only views of the message; copy one to change it. States compare by
+    identity.
 
     Attributes:
         swarm: The swarm's name.
-        epoch: Grows whenever `step` does not continue what was published before.
-        frame: Counts the published states.
-        step: The number of steps since the start.
-        time: `step · dt`.
-        phase: What the swarm is doing.
-        origin: Two integers: where `x` and `y` are counted from, in units of 1024 body sizes.
-        id: Shape (n,), uint32; never used twice.
+        epoch: Increases when `step` does not continue what was published before.
+        frame: Number of published states.
+        step: Number of steps since the start.
+        time: `step · dt`, body sizes over free speed.
+        phase: The phase of the swarm.
+        origin: Two integers: the point that `x` and `y` are relative to, in units of 1024 body
+            sizes.
+        id: Shape (n,), uint32; an id is never reused.
         x: Shape (n,), body sizes, relative to the origin.
         y: Shape (n,), body sizes, relative to the origin.
         alpha: Shape (n,), headings in radians, counter-clockwise from +x, never wrapped.
-        weight: Shape (n,), of the preferred directions; 0 for the uninformed.
+        weight: Shape (n,), weights of the preferred directions; 0 for the uninformed.
         direction: Shape (n,), preferred directions in radians; 0 for the uninformed.
         order: Order and drift.
-        certificate: How exact this state is.
-        state_hash: BLAKE3 in hexadecimal, on a state that `step` returned; else None.
-        skipped: In `for state in swarm.states()`: how many published states lie between the one
-            before and this, because the loop was slower than they came or they were lost.
-        pi1: Length over width of a body, as far as is known; pictures are drawn with it.
+        certificate: The accuracy of the state.
+        state_hash: BLAKE3 in hexadecimal, of a state that `step` returned; else None.
+        skipped: In `for state in swarm.states()`: number of published states between the previous
+            one and this, which the loop was too slow for or which were lost.
+        pi1: Length over width of a body; None if it is not known. Pictures show it.
     """
 
     swarm: str
@@ -83,20 +89,17 @@ class State:
     def position(self) -> NDArray[np.float64]:
         """Absolute positions, shape (n, 2), body sizes; a new array.
 
-        Far from home they are coarser than `x` and `y`, which is what the origin is for.
+        Far from (0, 0) they are less precise than `x` and `y`.
         """
         return np.column_stack((self.x, self.y)) + ORIGIN_UNIT * np.array(self.origin, float)
 
     @property
     def informed(self) -> NDArray[np.bool_]:
-        """Who has a direction of its own, shape (n,)."""
+        """Which individuals are informed, shape (n,), bool."""
         return self.weight > 0.0
 
     def _repr_html_(self) -> str:
-        # It is made from a state.
-        from ._draw import draw
-
-        return draw(self)
+        return draw_state(self)
 
     def __repr__(self) -> str:
         return (
@@ -105,62 +108,61 @@ class State:
         )
 
 
-class _Head(msgspec.Struct, frozen=True, kw_only=True):
-    """All of a state but its columns."""
-
-    swarm: str
-    epoch: int
-    frame: int
-    step: int
-    time: float
-    phase: Phase
-    origin: tuple[int, int]
-    order: Order
-    certificate: Certificate
-    # A daemon may come to say it.
-    pi1: float | None = None
+def draw_state(state: State, camera: Camera | None = None) -> str:
+    """A picture of a state as HTML; `camera` follows the group."""
+    informed = int(state.informed.sum())
+    drift = state.order.drift
+    caption = [
+        f"{state.swarm}, {state.phase}",
+        f"step {state.step}, t = {state.time:g}",
+        f"{state.n} individual{'s' if state.n > 1 else ''}"
+        + (f", {informed} informed" if informed else ""),
+        f"order {state.order.order:.2f}" + ("" if drift is None else f", drift {drift:+.2f}"),
+    ]
+    columns = (state.position, state.alpha, state.informed, state.direction)
+    return draw(*columns, state.pi1, " · ".join(caption), camera)
 
 
 def read_state(payload: bytes) -> State:
     """Reads a state from CBOR.
 
     Raises:
-        Internal: It is not what the contract says.
+        Internal: It is not as the contract defines.
     """
     return read_columns(read_map(payload))
 
 
 def read_step_reply(payload: bytes) -> tuple[StepResult, State | None]:
-    """Reads the answer to `step`, and the state within it.
+    """Reads the reply to `step`, and the state in it.
 
-    The state is None where the daemon remembered the answer without it: the answer is then JSON.
+    The state is None if the daemon stored the reply without it: the reply is then JSON.
 
     Raises:
-        Internal: It is not what the contract says.
+        Internal: It is not as the contract defines.
     """
     if payload.startswith(b"{"):
         return read_reply(payload, StepResult), None
     fields = read_map(payload)
     within = fields.pop("result", None)
     if not isinstance(within, dict) or not isinstance(within.get("state"), dict):
-        raise Internal("the daemon's answer holds no state")
+        raise Internal("the daemon's reply has no state")
     result = convert({**within, **fields}, StepResult)
     return result, read_columns(within["state"], result.state_hash)
 
 
 def fetch_state(get: Callable[[str], bytes], result: StepResult) -> State:
-    """Queries the state that a remembered reply omits, if the swarm is still at it.
+    """Queries the state that a stored reply omits, if the swarm is still in it.
 
     Args:
-        get: Queries the swarm, as `Questions._get`.
+        get: Queries the swarm, see `Queries._get`.
         result: The reply.
 
     Raises:
         Conflict: The swarm has changed since.
-        Internal: It is not what the contract says.
+        Internal: It is not as the contract defines.
     """
-    # Where no command came between two statuses, the state between them is theirs.
-    for _ in range(_MOST_TRIES):
+    # If no command was applied between two statuses, the state between them is theirs.
+    for _ in range(_MAX_ATTEMPTS):
         before = read_reply(get("get/status"), Status)
         state = read_state(get("state"))
         status = read_reply(get("get/status"), Status)
@@ -169,86 +171,59 @@ def fetch_state(get: Callable[[str], bytes], result: StepResult) -> State:
     is_same = before.seq == status.seq and state.step == status.step == result.step
     if not is_same or status.state_hash != result.state_hash:
         raise Conflict(
-            f"the command was carried out and led to step {result.step}, but its reply with the "
-            f"state was lost, and the swarm is at step {status.step} now or was changed",
+            f"the command was executed and led to step {result.step}, but its reply with the "
+            f"state was lost, and the swarm has changed since: it is at step {status.step}",
             step=status.step,
         )
     return replace(state, state_hash=result.state_hash)
 
 
 def read_columns(fields: Mapping[str, Any], state_hash: str | None = None) -> State:
-    """Makes a state of what was decoded already; `state_hash` is from the answer around it.
+    """Makes a state of decoded fields; `state_hash` is from the reply around it.
 
     Raises:
-        Internal: It is not what the contract says.
+        Internal: It is not as the contract defines.
     """
-    head = convert(fields, _Head)
-    state = State(
-        swarm=head.swarm,
-        epoch=head.epoch,
-        frame=head.frame,
-        step=head.step,
-        time=head.time,
-        phase=head.phase,
-        origin=head.origin,
-        id=_column(fields, "id", *_U32),
-        x=_column(fields, "x", *_F64),
-        y=_column(fields, "y", *_F64),
-        alpha=_column(fields, "alpha", *_F64),
-        weight=_column(fields, "weight", *_F64),
-        direction=_column(fields, "direction", *_F64),
-        order=head.order,
-        certificate=head.certificate,
-        state_hash=state_hash,
-        pi1=head.pi1,
-    )
-    lengths = {len(c) for c in (state.x, state.y, state.alpha, state.weight, state.direction)}
-    if lengths != {state.n}:
+    state = convert({**fields, "state_hash": state_hash, "skipped": 0}, State, _column)
+    columns = (state.id, state.x, state.y, state.alpha, state.weight, state.direction)
+    lengths = {len(column) for column in columns}
+    if len(lengths) > 1:
         raise Internal(f"the daemon sent a state whose columns have lengths {sorted(lengths)}")
     return state
 
 
-def _column(fields: Mapping[str, Any], name: str, tag: int, dtype: np.dtype[Any]) -> NDArray[Any]:
-    column = fields.get(name)
+def _column(kind: Any, column: object) -> NDArray[Any]:
+    tag, dtype = _TYPED_ARRAYS[kind]
     if not isinstance(column, cbor2.CBORTag) or column.tag != tag:
-        raise Internal(f"the daemon sent a state whose {name!r} is no typed array of tag {tag}")
-    try:
-        return np.frombuffer(column.value, dtype)
-    except (TypeError, ValueError) as error:
-        raise Internal(f"the daemon sent a state whose {name!r} is cut short: {error}") from error
+        raise ValueError(f"not a typed array of tag {tag}")
+    return np.frombuffer(column.value, dtype)
 
 
 S = TypeVar("S", bound=State | OrderSample)
 
 
 class FrameReader(Generic[S]):
-    """Lets nothing through that is older than what went before, and counts what was skipped.
+    """Drops messages that are older than the previous one, and counts skipped frames.
 
-    `first` is asked what there is now, and `mark` notes how many frames were skipped before one.
+    `first` queries the present frame.
     """
 
-    def __init__(
-        self,
-        read: Callable[[bytes], S],
-        first: Callable[[], S | None],
-        mark: Callable[[S, int], S],
-    ) -> None:
+    def __init__(self, read: Callable[[bytes], S], first: Callable[[], S | None]) -> None:
         self._read = read
-        self._ask_first = first
-        self._mark = mark
+        self._query_first = first
         self._position: tuple[int, int, int] | None = None
 
     def first(self) -> list[S]:
-        """The frame there is now, if one is to come before those published."""
-        frame = self._ask_first()
+        """The present frame, if there is one before those that are published."""
+        frame = self._query_first()
         return [] if frame is None else self._admit(frame)
 
     def read(self, payload: bytes) -> list[S]:
-        """The frame in `payload`, unless a newer one has been seen."""
+        """The frame in `payload`, unless a newer one was read."""
         return self._admit(self._read(payload))
 
-    def look(self) -> list[S]:
-        """Nothing: a frame that was lost is as good as one that was skipped."""
+    def poll(self) -> list[S]:
+        """Nothing: a lost frame counts as skipped."""
         return []
 
     def _admit(self, frame: S) -> list[S]:
@@ -257,4 +232,6 @@ class FrameReader(Generic[S]):
             return []
         skipped = 0 if self._position is None else frame.frame - self._position[2] - 1
         self._position = position
-        return [self._mark(frame, max(0, skipped))]
+        if isinstance(frame, State):
+            return [replace(frame, skipped=max(0, skipped))]
+        return [frame]

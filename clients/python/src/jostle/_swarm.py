@@ -1,26 +1,25 @@
-"""A swarm on a daemon, by name."""
+"""A swarm on a daemon."""
 
 from __future__ import annotations
 
 import weakref
-from dataclasses import replace
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self, SupportsIndex, TypeVar, Unpack
 
-from ._arguments import Select, whole_from_0
-from ._commands import PATIENT_SECS, Commands, Options
-from ._controller import Controller, terms
-from ._errors import InvalidArgument, JostleError
+from ._arguments import Select, check_seconds, whole, whole_from_0
+from ._at_step import AtStep
+from ._commands import MAX_TIMEOUT_SECS, Commands, Options
+from ._controller import Controller
+from ._controller_messages import Mode, OnTimeout
+from ._decode import read_json
+from ._errors import JostleError, invalid
 from ._events import Event
-from ._exchange import Mode, OnTimeout
-from ._extras import need
+from ._extras import import_extra
 from ._frame import of_states
 from ._history import EventReader
-from ._link import Link
 from ._messages import CreateResult, OrderSample, Reply
 from ._progress import Bar
-from ._reading import read_json, read_reply
-from ._show import trouble
+from ._repr import error_html
+from ._session import Session
 from ._state import FrameReader, State, read_state
 from ._stream import Reader, Stream
 from ._view import View
@@ -30,35 +29,60 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-# Events are rare and each counts; this many unread ones are kept, and the others asked for.
-_EVENTS_KEPT = 10_000
+# Events are rare and each one matters: so many unread ones are queued, and others are requested.
+_EVENT_CAPACITY = 10_000
 
 
 class Swarm(Commands):
-    """A swarm on a daemon, by name; `Client.create` and `Client.swarm` make one.
+    """A swarm on a daemon; `Client.create` and `Client.swarm` make one.
 
-    It holds nothing but the name and its open streams. Leaving its `with` block closes those
-    streams; the swarm itself lives on in the daemon until `delete`.
+        with jostle.connect() as client:
+            swarm = client.create("school", jostle.Spec(n=50, seed=1))
+            swarm.inform(jostle.fraction(0.1), direction=0.0)
+            print(swarm.step(500, state=True).order.order)
+
+    It holds the name and the open streams. Leaving its `with` block closes the streams; the swarm
+    remains on the daemon until `delete`.
 
     Every command takes `expect_step`, `expect_epoch`, `timeout` and `request_id` (see `Options`)
-    and raises a `JostleError`. It is carried out once, even if its answer is lost or the daemon is
-    busy: it is sent again under the same id, within its deadline, and answered as it first was.
+    and raises a `JostleError`. It is executed once, even if its reply is lost or the daemon is
+    busy: within its timeout the client sends it again under the same id, and the daemon repeats
+    the first reply. `at` sends commands for a later step.
 
-    Every command takes `at_step` too. At that step it is carried out, so that an experiment on a
-    running swarm can be repeated exactly. If the step lies ahead the result is a `Scheduled`, and
-    an event `command` or `refused` of the same `request_id` tells what came of it; if the swarm
-    is there already, the result is the ordinary one; if it lies behind, `Conflict` is raised.
-
-    Wherever a number or a column of numbers is taken, NumPy's are too. Lengths are in body sizes,
-    speeds in free speeds, times in their quotient, angles in radians, counter-clockwise from +x.
+    Numbers and columns may be NumPy's. Lengths are in body sizes, speeds in free speeds, times in
+    body sizes over free speed, angles in radians, counter-clockwise from +x.
     """
 
-    def __init__(self, link: Link, name: str) -> None:
-        super().__init__(link, name)
+    def __init__(self, session: Session, name: str) -> None:
+        super().__init__(session, name)
         self._streams: weakref.WeakSet[Stream[Any]] = weakref.WeakSet()
 
     def __repr__(self) -> str:
-        return f"Swarm({self._name!r} at {self._link.endpoint})"
+        return f"Swarm({self._name!r} at {self._session.endpoint})"
+
+    def at(self, step: SupportsIndex) -> AtStep:
+        """The commands of this swarm at a step.
+
+            swarm.at(1000).inform(jostle.ids([0, 1]), direction=0.0)
+            swarm.at(2000).pause()
+            swarm.run()
+
+        A command that is sent while a swarm runs takes effect at whichever step that is. At a step
+        of its own it has the same effect whenever it was sent, so the run can be repeated exactly.
+
+        Args:
+            step: The step, not before the swarm's.
+
+        Returns:
+            An object with the methods `run`, `pause`, `step`, `reset`, `set`, `inform`,
+            `uninform`, `inject`, `remove`, `batch`, `annotate` and `delete`, each of which returns
+            a `Scheduled`.
+
+        Raises:
+            InvalidArgument: It is not a whole number.
+        """
+        number = whole("at_step", step)
+        return AtStep(Commands(self._session, self._name, self._shape, number), number)
 
     def fork(
         self,
@@ -68,31 +92,31 @@ class Swarm(Commands):
         timeout: float | None = None,
         request_id: str | None = None,
     ) -> Swarm:
-        """Makes another swarm as this one is or was, on the same daemon, paused.
+        """Creates a copy of this swarm on the same daemon, paused.
 
-        Both have one future until they are treated differently.
+            twin = swarm.fork("twin", step=500)
+            twin.set(pi3=2.0)
+
+        Both have the same future until a command changes one of them.
 
         Args:
-            name: The new swarm's name.
-            step: As it was on arriving at this step of its present run, before the commands given
-                there; None is as it is now.
+            name: The name of the copy: 1 to 64 of a-z, 0-9, - and _, the first a letter or digit.
+            step: The state when the swarm reached this step of its present epoch, before the
+                commands at that step; None is the present state.
             timeout: Seconds it may take; None is the client's, with a `step` an hour.
-            request_id: What to call it, see `Options`; None is a new one.
+            request_id: The id of the request, see `Options`; None is a new one.
 
         Raises:
             AlreadyExists: The name is taken.
-            Conflict: It has not reached that step, or its history is kept from a later one on.
+            Conflict: The swarm has not reached that step, or its stored history begins later.
         """
-        fork = Swarm(self._link, name)
+        fork = Swarm(self._session, name)
         args: dict[str, Any] = {"name": name}
         if step is not None:
             args["step"] = step
-            timeout = PATIENT_SECS if timeout is None else timeout
-        key = self._link.swarm_key(self._name, "cmd/fork")
-        payload = self._link.command(
-            key, args, swarm=self._name, timeout=timeout, request_id=request_id
-        )
-        read_reply(payload, CreateResult)
+            timeout = MAX_TIMEOUT_SECS if timeout is None else timeout
+        options = {"timeout": timeout, "request_id": request_id}
+        self._session.swarm_command(self._name, "fork", args, CreateResult, **options)
         return fork
 
     def seek(
@@ -104,26 +128,26 @@ class Swarm(Commands):
         timeout: float | None = None,
         request_id: str | None = None,
     ) -> Reply:
-        """Has a replay go to the last frame that is not later; see `Client.replay`.
+        """Moves a playback to the last frame at or before a position; see `Client.replay`.
+
+        Give exactly one of `step`, `time` and `fraction`. If the recorded swarm was reset, steps
+        and times are those of the run that is shown.
 
         Args:
-            step: A step; where the swarm was reset, of the run that is shown.
-            time: A time; where the swarm was reset, of the run that is shown.
-            fraction: A share of the whole recording: 0 to 1.
+            step: The step.
+            time: The time, body sizes over free speed.
+            fraction: The fraction of the recording: 0 to 1.
             timeout: Seconds it may take; None is the client's.
-            request_id: What to call it, see `Options`; None is a new one.
+            request_id: The id of the request, see `Options`; None is a new one.
 
         Raises:
-            IncorrectState: This is no replay.
-            InvalidArgument: Not exactly one place is named.
+            IncorrectState: The swarm is no playback.
+            InvalidArgument: Not exactly one position is given.
         """
-        places = {"step": step, "time": time, "fraction": fraction}
-        args = {name: place for name, place in places.items() if place is not None}
-        key = self._link.swarm_key(self._name, "cmd/seek")
-        payload = self._link.command(
-            key, args, swarm=self._name, timeout=timeout, request_id=request_id
-        )
-        return read_reply(payload, Reply)
+        positions = {"step": step, "time": time, "fraction": fraction}
+        args = {name: position for name, position in positions.items() if position is not None}
+        options = {"timeout": timeout, "request_id": request_id}
+        return self._session.swarm_command(self._name, "seek", args, Reply, **options)
 
     def join(
         self,
@@ -137,7 +161,7 @@ class Swarm(Commands):
         again: bool = False,
         **options: Unpack[Options],
     ) -> Controller:
-        """Has a controller join, which alone steers some of the individuals.
+        """Joins a controller, which alone steers the individuals that it selects.
 
             with swarm.join("ada", jostle.ids([0, 1])) as ada:
                 state = ada.advance(direction=0.5, state=True).state
@@ -146,89 +170,104 @@ class Swarm(Commands):
 
         Args:
             controller: Its name: 1 to 64 of a-z, 0-9, - and _, the first a letter or digit.
-            select: Whom it is to steer; draws are from those that no other controller does.
-                None is nobody, or whom it had if it comes back.
+            select: The individuals that it steers; the daemon draws from those that no other
+                controller steers. None selects none, or those it had if it rejoins.
             mode: `lockstep`, or `free_running` for set-points `put` while the swarm runs.
-            deadline: In lock-step, how long others wait for it; running freely, how long its
-                set-points hold after the last `put`. Seconds: above 0, at most 60.
-            on_timeout: When it is late its individuals `hold` their set-points, also when it has
-                left, or are `free` of them, or the swarm is to `pause`. In lock-step it has left
-                after three misses in a row.
-            driving: It may drive its individuals directly, by turning rate and speed; beyond the
-                paper.
-            again: It comes back, as after a crash of its process: it takes the place of the
-                controller of its name, if there is one.
+            deadline: Seconds, above 0, at most 60. In lock-step, how long others wait for it; in
+                `free_running`, how long its set-points apply after the last `put`.
+            on_timeout: What happens when it is late: its individuals `hold` their set-points, also
+                after it has left; or are `free` of them; or the swarm is to `pause`. In lock-step
+                it leaves after three misses in a row.
+            driving: It may set the turning rate and speed of its individuals; beyond the paper.
+            again: It rejoins, such as after a crash of its process: it replaces the controller of
+                its name, if there is one. If the old process still runs, it can advance until this
+                one has advanced, and its `leave` removes this one: end it first.
             options: See `Options`.
 
         Raises:
             AlreadyExists: A controller of this name has joined.
-            Conflict: Another controller steers one of them.
-            InvalidArgument: There are not as many, or an argument is wrong.
+            Conflict: Another controller steers one of the individuals.
+            IncorrectState: The swarm is faulted.
+            InvalidArgument: There are fewer individuals, or an argument is out of range.
         """
-        return Controller(
-            self._link,
-            self._name,
-            controller,
-            terms(select, mode, deadline, on_timeout, driving, again),
-            options,
-        )
+        terms = {
+            **({} if select is None else {"select": select}),
+            "mode": mode,
+            "deadline_secs": check_seconds("deadline", deadline),
+            "on_timeout": on_timeout,
+            "driving": driving,
+            "again": again,
+        }
+        return Controller(self._session, self._name, controller, terms, options)
 
     def states(self, *, timeout: float | None = None) -> Stream[State]:
-        """Its states: first the one now, then each as it is published, always the newest.
+        """Its states: first the present one, then each when it is published, always the newest.
 
-        A loop slower than the states misses those in between, and `state.skipped` counts them; it
-        never falls behind. A paused swarm publishes only what commands change.
+            for state in swarm.states(timeout=10.0):
+                print(state.step, state.order.order)
+                if state.phase == "paused":
+                    break
+
+        A loop that is slower than the states skips some, and `state.skipped` counts them. A paused
+        swarm publishes only what commands change.
 
         Args:
-            timeout: Raise `DeadlineExceeded` when none comes for so many seconds; the stream may
-                be iterated on after that. None waits for ever. The stream is opened within the
-                client's `timeout`.
+            timeout: Raise `DeadlineExceeded` if no state is published for so many seconds; the
+                stream can be iterated over again after that. None is no timeout. Subscribing takes
+                at most the client's `timeout`.
 
         Raises:
-            NotFound: No such swarm. On the way `Unavailable` is raised if the daemon goes away.
+            NotFound: There is no such swarm. Iteration raises `Unavailable` when the daemon
+                disconnects.
         """
-        reader = FrameReader(
-            lambda payload: self._shaped(read_state(payload)),
-            self.state,
-            lambda state, skipped: replace(state, skipped=skipped),
-        )
+        reader = FrameReader(lambda payload: self._with_pi1(read_state(payload)), self.state)
         return self._stream("state", reader, capacity=1, timeout=timeout)
 
     def orders(self, *, timeout: float | None = None) -> Stream[OrderSample]:
-        """Its order and drift as they are published, always the newest; see `states`."""
+        """Its order and drift when they are published, always the newest.
 
-        def look() -> None:
-            # Raises `NotFound` unless the swarm is there.
+            for sample in swarm.orders():
+                print(sample.time, sample.order.order, sample.order.drift)
+
+        Args:
+            timeout: As in `states`.
+
+        Raises:
+            NotFound: There is no such swarm. Iteration raises `Unavailable` when the daemon
+                disconnects.
+        """
+
+        def check_exists() -> None:
             self.status()
 
-        reader = FrameReader(
-            lambda payload: read_json(payload, OrderSample), look, lambda sample, skipped: sample
-        )
+        reader = FrameReader(lambda payload: read_json(payload, OrderSample), check_exists)
         return self._stream("order", reader, capacity=1, timeout=timeout)
 
     def events(
         self, *, after: SupportsIndex | None = None, timeout: float | None = None
     ) -> Stream[Event]:
-        """What happens to it, every event once and in order.
+        """Its events, each once and in order; the last one of a deleted swarm is `deleted`.
 
-        Events that were lost on the way are asked for; `event.skipped` counts those that could
-        not be had any more. The last one of a deleted swarm is `deleted`.
+            for event in swarm.events(after=0):
+                print(event.step, event.kind, event.verb)
+
+        Events that were lost in transit are requested again; `event.skipped` counts those that the
+        daemon no longer stores.
 
         Args:
-            after: Begin with the events of higher numbers that were before, as far back as the
-                daemon remembers: 0 is the whole history, `event.number` goes on where a reader
-                ended. None begins with what happens from now on.
-            timeout: Raise `DeadlineExceeded` when none comes for so many seconds; the stream may
-                be iterated on after that. None waits for ever. The stream is opened within the
-                client's `timeout`.
+            after: Begin with the stored events of higher numbers: 0 is all of them, the last
+                `event.number` resumes. None begins with the next event.
+            timeout: As in `states`.
 
         Raises:
-            NotFound: No such swarm. On the way `Unavailable` is raised if the daemon goes away.
-            Conflict: The swarm never had an event `after`: it is another one of the same name.
+            NotFound: There is no such swarm. Iteration raises `Unavailable` when the daemon
+                disconnects.
+            Conflict: The swarm has had fewer events than `after`: it is another one of that name.
+            InvalidArgument: `after` is not a whole number, or below 0.
         """
         known = None if after is None else whole_from_0("after", after)
         reader = EventReader(self._events_after, known)
-        return self._stream("event", reader, capacity=_EVENTS_KEPT, timeout=timeout)
+        return self._stream("event", reader, capacity=_EVENT_CAPACITY, timeout=timeout)
 
     def frame(
         self,
@@ -237,28 +276,29 @@ class Swarm(Commands):
         every: SupportsIndex = 1,
         show: bool | None = None,
     ) -> pandas.DataFrame:
-        """A table of its state now, or of what a paused swarm does in the next steps.
+        """A table of its present state, or of the states while it is stepped.
 
             swarm.frame(steps=1000, every=50).groupby("step").order.first().plot()
 
-        It has a row for each individual in each state, see `jostle.frame`. Each state is reached
-        by a `step` of its own, as its journal tells. Of a swarm that runs by itself the same is
-        made of what `states` yields.
+        It has a row for each individual in each state; `jostle.frame` lists the columns. Each state
+        is reached by a `step` command. For a running swarm, pass the states that `states` yields
+        to `jostle.frame`.
 
         Args:
-            steps: Step it so far; the table has the state before the first and after the last.
-            every: Have a state after so many steps each.
-            show: Show a bar; None is if it is seen, on a terminal or in a notebook.
+            steps: Number of steps; the table has the state before the first and after the last.
+            every: Number of steps between two states.
+            show: Show a progress bar; None shows it on a terminal and in a notebook.
 
         Raises:
-            Conflict: Somebody else stepped it meanwhile.
-            ImportError: pandas is missing; `pip install jostle[pandas]` brings it.
-            IncorrectState: It runs or is faulted.
+            Conflict: Another client stepped it meanwhile.
+            ImportError: pandas is missing: `pip install jostle[pandas]`.
+            IncorrectState: The swarm is running or faulted.
+            InvalidArgument: `every` is 0, or a number is not whole.
         """
-        need("pandas", "pandas")
+        import_extra("pandas", "pandas")
         total, stride = whole_from_0("steps", steps or 0), whole_from_0("every", every)
         if stride == 0:
-            raise InvalidArgument("`every` is 0: 1 or more", details={"field": "every"})
+            raise invalid("every", "`every` is 0: use 1 or more")
         states = [self.state()]
         first = states[0].step
         with Bar(self._name, show) as bar:
@@ -272,14 +312,17 @@ class Swarm(Commands):
         return of_states(states)
 
     def view(self, seconds: float = 60.0, *, hz: float = 10.0) -> View:
-        """A live view of it for a notebook, as the last thing in a cell.
+        """A live picture of it for a notebook, as the last expression of a cell.
 
-            swarm.view()           # goes on while other cells steer it
-            swarm.view(5).show()   # this cell ends when the view does
+            swarm.view()           # continues while other cells run
+            swarm.view(5).show()   # the cell ends when the view does
 
         Args:
-            seconds: How long it lasts; it ends before when the swarm is deleted.
-            hz: How often a second the picture changes, at most.
+            seconds: Its duration; it ends earlier when the swarm is deleted.
+            hz: Largest number of updates per second.
+
+        Raises:
+            InvalidArgument: A number is not finite, or not above 0.
         """
         return View(self, seconds, hz)
 
@@ -288,27 +331,22 @@ class Swarm(Commands):
             self.status()
             return self.state()._repr_html_()
         except JostleError as error:
-            return trouble(error)
+            return error_html(error)
 
     def close(self) -> None:
-        """Closes its streams; the swarm itself lives on."""
+        """Closes its streams; the swarm itself remains on the daemon."""
         for stream in list(self._streams):
             stream.close()
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: object, error: object, traceback: object) -> None:
         self.close()
 
     def _stream(
         self, noun: str, reader: Reader[T], *, capacity: int, timeout: float | None
     ) -> Stream[T]:
-        stream = Stream(self._link, self._name, noun, reader, capacity=capacity, timeout=timeout)
+        stream = Stream(self._session, self._name, noun, reader, capacity=capacity, timeout=timeout)
         self._streams.add(stream)
         return stream

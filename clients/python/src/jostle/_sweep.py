@@ -9,32 +9,30 @@ import fcntl
 import hashlib
 import os
 import shutil
-import subprocess
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 import msgspec
 
-from . import _part, _program
+from . import _part
 from ._arguments import check_seconds
 from ._errors import (
     Conflict,
     Faulted,
     IncorrectState,
-    Internal,
     InvalidArgument,
-    NotFound,
     StorageFull,
     Unavailable,
+    invalid,
 )
 from ._experiment import Source, to_toml
-from ._extras import need
+from ._extras import import_extra
+from ._plan import Programs, Task
 from ._progress import Bar
+from ._repr import HtmlList
 from ._results import ResultRow, of_rows
-from ._show import Listed
 
 if TYPE_CHECKING:
     import pandas
@@ -49,14 +47,6 @@ UNNAMED = "the experiment"
 _MAX_TASK_SECS = 1e9
 
 
-class _Task(msgspec.Struct, frozen=True):
-    """A line of `jostle experiment plan --emit jsonl`."""
-
-    runs: str
-    expected_secs: float
-    model_version: int
-
-
 class _Line(msgspec.Struct, frozen=True):
     """A finished run: any other line of the `runs.jsonl` of a part."""
 
@@ -65,7 +55,7 @@ class _Line(msgspec.Struct, frozen=True):
     row: ResultRow | None = None
 
 
-def name_of(source: Source) -> str:
+def source_label(source: Source) -> str:
     """What errors call an experiment: its file, if it has one."""
     is_text = isinstance(source, Mapping) or (isinstance(source, str) and "\n" in source)
     return UNNAMED if is_text else str(source)
@@ -108,31 +98,26 @@ def sweep(
     """
     secs = check_seconds("task_secs", task_secs)
     if secs > _MAX_TASK_SECS:
-        raise InvalidArgument(
+        raise invalid(
+            "task_secs",
             f"task_secs is {task_secs!r}, but must be at most {_MAX_TASK_SECS:g} seconds",
-            details={"field": "task_secs"},
         )
+    problem = ""
     if isinstance(executor, str):
         if not executor.startswith(DASK):
-            raise InvalidArgument(
-                f"invalid executor {executor!r}: use dask:tcp://HOST:PORT, an Executor or a Dask "
-                "client",
-                details={"field": "executor"},
-            )
+            problem = "use dask:tcp://HOST:PORT, an Executor or a Dask client"
     elif isinstance(executor, type):
-        raise InvalidArgument(
-            f"invalid executor {executor!r}: it is a class; use an instance of it",
-            details={"field": "executor"},
-        )
+        problem = "it is a class; use an instance of it"
     elif executor is not None and not callable(getattr(executor, "submit", None)):
-        raise InvalidArgument(
-            f"invalid executor {executor!r}: it has no method `submit`; use a "
-            "concurrent.futures.Executor, a Dask client or dask:tcp://HOST:PORT",
-            details={"field": "executor"},
+        problem = (
+            "it has no method `submit`; use a concurrent.futures.Executor, a Dask client or "
+            "dask:tcp://HOST:PORT"
         )
+    if problem:
+        raise invalid("executor", f"invalid executor {executor!r}: {problem}")
     path = Path(folder)
     if path.exists():
-        # A link, or the current folder, which cannot be renamed to.
+        # A session, or the current folder, which cannot be renamed to.
         path = path.resolve()
     return Sweep(source, executor, path, secs, jostled)
 
@@ -156,12 +141,12 @@ class Sweep:
         self._toml = to_toml(source)
         self._executor = executor
         self._jostled = None if jostled is None else os.fspath(jostled)
-        self._programs = _Programs(self._jostled)
+        self._programs = Programs(self._jostled)
         self._folder = folder
         self._parts = folder.with_name(f"{folder.name}.parts")
-        self._rows: Listed[ResultRow] = Listed()
+        self._rows: HtmlList[ResultRow] = HtmlList()
         self._faults: dict[str, str] = {}
-        self._planned: list[_Task] = []
+        self._planned: list[Task] = []
         self._done_secs = 0.0
         self._is_merged = False
         self._is_cancelled = False
@@ -195,12 +180,7 @@ class Sweep:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: object, error: object, traceback: object) -> None:
         self.cancel()
 
     def __iter__(self) -> Iterator[ResultRow]:
@@ -215,7 +195,7 @@ class Sweep:
             Unavailable: The executor lost its tasks. A sweep with the same folder resumes.
         """
         yield from list(self._rows)
-        for rows in self._arriving():
+        for rows in self._results():
             yield from rows
 
     def wait(self, *, show: bool | None = None) -> Self:
@@ -234,13 +214,13 @@ class Sweep:
         """
         with Bar(self._folder.name, show) as bar:
             bar.show(self.share, f"{len(self._rows)} runs")
-            for _ in self._arriving():
+            for _ in self._results():
                 bar.show(self.share, f"{len(self._rows)} runs")
         return self
 
     def rows(self) -> list[ResultRow]:
         """The rows of the finished runs; in the order of the plan once all are finished."""
-        return Listed(self._rows)
+        return HtmlList(self._rows)
 
     def faults(self) -> dict[str, str]:
         """The runs that ended early, each with its reason. They are finished, and have a row."""
@@ -295,7 +275,7 @@ class Sweep:
     def _renamed(self, error: InvalidArgument, file: Path) -> InvalidArgument:
         """The error with the caller's name of the experiment in place of the copy's."""
         rest = error.message.removeprefix(str(file))
-        name = name_of(self._source) if rest != error.message else ""
+        name = source_label(self._source) if rest != error.message else ""
         return InvalidArgument(name + rest, details=error.details)
 
     def _check_merged(self) -> None:
@@ -320,11 +300,11 @@ class Sweep:
         shutil.rmtree(self._parts, ignore_errors=True)
         self._open.close()
 
-    def _submit(self) -> dict[Future[bytes], _Task]:
+    def _submit(self) -> dict[Future[bytes], Task]:
         """Submits a task for the missing runs. `cancel` cancels them."""
         executor: Any = self._executor
         if isinstance(executor, str):
-            distributed = need("distributed", "dask")
+            distributed = import_extra("distributed", "dask")
             address = executor.removeprefix(DASK)
             try:
                 client = distributed.Client(address, set_as_default=False)
@@ -335,13 +315,13 @@ class Sweep:
                     details={"field": "executor"},
                 ) from None
             # The connection may be lost already.
-            self._open.callback(lambda: _quietly(client.close))
+            self._open.callback(lambda: _ignore_errors(client.close))
             executor = client
         if hasattr(executor, "get_executor"):
             # `pure=False`: otherwise Dask gives equal tasks of two sweeps the same key, and
             # cancelling one sweep cancels both.
             executor = executor.get_executor(pure=False)
-            self._open.callback(lambda: _quietly(executor.shutdown, wait=False))
+            self._open.callback(lambda: _ignore_errors(executor.shutdown, wait=False))
         arguments: tuple[Any, ...] = (self._jostled,)
         if executor is None:
             processes = _part.Processes()
@@ -349,18 +329,18 @@ class Sweep:
             self._open.callback(executor.shutdown, wait=True, cancel_futures=True)
             self._open.callback(processes.terminate)
             arguments = (self._jostled, processes)
-        tasks: dict[Future[bytes], _Task] = {}
+        tasks: dict[Future[bytes], Task] = {}
 
         def cancel() -> None:
             for future in tasks:
                 future.cancel()
 
-        self._open.callback(_quietly, cancel)
+        self._open.callback(_ignore_errors, cancel)
         for task in self._planned:
             tasks[executor.submit(_part.run_part, self._toml, task.runs, *arguments)] = task
         return tasks
 
-    def _arriving(self) -> Iterator[list[ResultRow]]:
+    def _results(self) -> Iterator[list[ResultRow]]:
         """The rows of each task when it is finished. Then all are merged."""
         if self._is_merged:
             return
@@ -389,7 +369,7 @@ class Sweep:
                     # An error of the executor, or of the worker before it calls `run_part`.
                     failed.append(f"runs {task.runs}: {error!r}")
                     continue
-                part = self._keep(task, archive)
+                part = self._store(task, archive)
                 self._done_secs += task.expected_secs
                 yield self._read(part)
             self._end(failed)
@@ -407,11 +387,11 @@ class Sweep:
                 details={"failed": failed},
             )
         self._programs.merge(self._parts, self._folder)
-        self._rows, self._faults = Listed(), {}
+        self._rows, self._faults = HtmlList(), {}
         self._read(self._folder)
         self._end_merged()
 
-    def _keep(self, task: _Task, archive: bytes) -> Path:
+    def _store(self, task: Task, archive: bytes) -> Path:
         """Writes a part atomically: to a temporary folder, which is then renamed."""
         name = hashlib.blake2b(task.runs.encode(), digest_size=8).hexdigest()
         draft, part = (self._parts / f"{prefix}runs-{name}" for prefix in (".", ""))
@@ -454,34 +434,7 @@ class Sweep:
         return sorted(self._parts.glob("runs-*"))
 
 
-class _Programs:
-    """Runs the `jostle` command beside `jostled` on this machine."""
-
-    def __init__(self, jostled: str | None) -> None:
-        self._jostle = _program.beside(_program.find(jostled), "jostle")
-
-    def plan(self, file: Path, secs: float, done: Path) -> list[_Task]:
-        """Splits the runs of an experiment that are not finished in `done` into tasks of `secs`."""
-        arguments = ["experiment", "plan", str(file), "--secs", repr(secs), "--emit", "jsonl"]
-        arguments += ["--missing", str(done)]
-        lines = self._call(arguments).splitlines()
-        return [msgspec.json.decode(line, type=_Task) for line in lines]
-
-    def merge(self, parts: Path, folder: Path) -> None:
-        """Merges the parts in a folder."""
-        self._call(["results", "merge", str(parts), "-o", str(folder)])
-
-    def _call(self, arguments: list[str]) -> bytes:
-        command = [self._jostle, *arguments]
-        done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, check=False)
-        if done.returncode == 0:
-            return done.stdout
-        message = done.stderr.decode(errors="replace").strip().removeprefix("jostle: ")
-        codes = {2: InvalidArgument, 3: NotFound, 4: Conflict, 8: StorageFull}
-        raise codes.get(done.returncode, Internal)(message)
-
-
-def _quietly(work: Callable[..., Any], **arguments: Any) -> None:
+def _ignore_errors(work: Callable[..., Any], **arguments: Any) -> None:
     """Calls `work`, and ignores its errors: a connection that is closed may be lost already."""
     with contextlib.suppress(Exception):
         work(**arguments)

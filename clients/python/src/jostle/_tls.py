@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ipaddress
+import re
 import socket
 import ssl
 from pathlib import Path
@@ -17,14 +19,19 @@ _MISMATCHES = (62, 64)
 _OWN_NAMES = ("localhost", "127.0.0.1", "::1")
 
 
-def wrong_name(endpoint: str, folder: Path) -> Unavailable | None:
+def split_endpoint(endpoint: str) -> tuple[str, str, str]:
+    """The protocol, host and port of an endpoint such as `tls/[::1]:7447`."""
+    protocol, _, address = endpoint.partition("/")
+    host, _, port = re.split("[#?]", address, maxsplit=1)[0].rpartition(":")
+    return protocol, host.strip("[]"), port
+
+
+def certificate_mismatch(endpoint: str, folder: Path) -> Unavailable | None:
     """The error if the certificate at `endpoint` is for other names; None if that is not why.
 
     `folder` is the one of the credentials, whose `ca.pem` is trusted.
     """
-    protocol, _, address = endpoint.partition("/")
-    host, _, port = address.split("#")[0].split("?")[0].rpartition(":")
-    host = host.strip("[]")
+    protocol, host, port = split_endpoint(endpoint)
     if protocol != "tls" or not port.isdecimal():
         return None
     try:
@@ -44,8 +51,8 @@ def wrong_name(endpoint: str, folder: Path) -> Unavailable | None:
     hosts = "".join(f" --host {name}" for name in [*others, host])
     return Unavailable(
         f"the certificate of the daemon at {endpoint} does not name {host}; it names "
-        f"{', '.join(names)}: connect by one of these, or run `jostled auth address{hosts}` on the "
-        "daemon's machine and restart the daemon",
+        f"{', '.join(names)}: connect by one of these, or run `jostled auth address{hosts} "
+        "--auth-dir FOLDER` on the daemon's machine and restart the daemon",
         details={"endpoint": endpoint, "host": host, "names": names},
     )
 
@@ -66,10 +73,6 @@ def _names(certificate: object) -> list[str]:
     names = []
     for kind, name in certificate.get("subjectAltName", ()):
         # OpenSSL writes ::1 as 0:0:0:0:0:0:0:1, in capitals.
-        is_v6 = kind == "IP Address" and ":" in name
-        names.append(_short(name) if is_v6 else name)
+        is_address = kind == "IP Address"
+        names.append(str(ipaddress.ip_address(name.strip())) if is_address else name)
     return names
-
-
-def _short(address: str) -> str:
-    return socket.inet_ntop(socket.AF_INET6, socket.inet_pton(socket.AF_INET6, address.strip()))

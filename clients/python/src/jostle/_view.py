@@ -4,33 +4,46 @@ from __future__ import annotations
 
 import threading
 import time
-from typing import TYPE_CHECKING
+from typing import Protocol
 
-from . import _show
 from ._arguments import check_seconds
-from ._draw import Camera, draw
-from ._ends import join_at_exit
+from ._draw import Camera
 from ._errors import DeadlineExceeded, JostleError
-from ._notebook import Place, as_html, place
+from ._notebook import Display
+from ._repr import error_html
+from ._state import State, draw_state
+from ._stream import Stream
+from ._threads import start_thread
 
-if TYPE_CHECKING:
-    from ._swarm import Swarm
+_POLL_INTERVAL_SECS = 0.2
 
-_LOOK_AGAIN_SECS = 0.2
+
+class _Swarm(Protocol):
+    """What a view needs of a `Swarm`."""
+
+    @property
+    def name(self) -> str: ...
+
+    def states(self, *, timeout: float | None = None) -> Stream[State]:
+        """Its states."""
+
+    def _repr_html_(self) -> str: ...
 
 
 class View:
     """A picture of a swarm that follows it; `Swarm.view` makes one.
 
-    As the last thing in a cell it begins, and goes on while other cells are run. It ends by
-    itself, with `stop()`, or when the swarm or its daemon goes.
+        swarm.view()           # as the last expression of a cell
+
+    It starts when a notebook displays it, and continues while other cells run. It ends after its
+    duration, with `stop()`, or when the swarm is deleted or its daemon disconnects.
     """
 
-    def __init__(self, swarm: Swarm, seconds: float, hz: float) -> None:
+    def __init__(self, swarm: _Swarm, seconds: float, hz: float) -> None:
         self._swarm = swarm
         self._seconds = check_seconds("seconds", seconds)
         self._pause = 1.0 / check_seconds("hz", hz)
-        self._told = threading.Event()
+        self._stopping = threading.Event()
         self._thread: threading.Thread | None = None
 
     def __repr__(self) -> str:
@@ -38,7 +51,11 @@ class View:
         return f"View({self._swarm.name!r}{', live' if live else ''})"
 
     def show(self) -> None:
-        """Shows it here and returns when it has ended; Ctrl-C, or the stop button, ends it."""
+        """Displays it and returns when it has ended; Ctrl-C, or the stop button, ends it.
+
+        Raises:
+            ImportError: IPython is missing: `pip install jostle[notebook]`.
+        """
         self._ipython_display_()
         try:
             self.wait()
@@ -46,40 +63,36 @@ class View:
             self.stop()
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Waits until it has ended, and says whether it has within `timeout` seconds."""
+        """Waits until it has ended; returns whether it has within `timeout` seconds."""
         if self._thread is not None:
             self._thread.join(timeout)
         return self._thread is None or not self._thread.is_alive()
 
     def stop(self) -> None:
-        """Leaves the last picture; harmless when done already."""
-        self._told.set()
+        """Ends it and leaves the last picture; a second call does nothing."""
+        self._stopping.set()
         self.wait()
 
     def _ipython_display_(self) -> None:
         self.stop()
-        self._told.clear()
-        shown = place(self._swarm._repr_html_())
-        self._thread = threading.Thread(
-            target=self._follow, args=(shown,), name="jostle-view", daemon=True
-        )
-        join_at_exit(self._thread)
-        self._thread.start()
+        self._stopping.clear()
+        shown = Display(self._swarm._repr_html_())
+        self._thread = start_thread(lambda: self._follow(shown), "jostle-view")
 
-    def _follow(self, shown: Place) -> None:
+    def _follow(self, shown: Display) -> None:
         ends = time.monotonic() + self._seconds
         camera = Camera()
         try:
-            with self._swarm.states(timeout=_LOOK_AGAIN_SECS) as states:
-                while time.monotonic() < ends and not self._told.is_set():
+            with self._swarm.states(timeout=_POLL_INTERVAL_SECS) as states:
+                while time.monotonic() < ends and not self._stopping.is_set():
                     try:
                         state = next(states)
                     except DeadlineExceeded:
-                        # It stands still.
+                        # The swarm is paused.
                         continue
                     except StopIteration:
                         return
-                    shown.update(as_html(draw(state, camera=camera)))
-                    self._told.wait(self._pause)
+                    shown.update(draw_state(state, camera))
+                    self._stopping.wait(self._pause)
         except JostleError as error:
-            shown.update(as_html(_show.trouble(error)))
+            shown.update(error_html(error))

@@ -1,4 +1,4 @@
-"""The same for asyncio: what blocks in `jostle` is awaited here, and streams are `async for`.
+"""The package for asyncio: calls that block are awaited, and streams are `async for`.
 
     from jostle import aio
 
@@ -10,9 +10,9 @@
             if state.phase == "paused":
                 break
 
-Every method is the one of the same name in `jostle`, with its arguments, results and errors; it
-is called in a thread, and the loop never waits. A cancelled `await` ends at once; whether its
-command was carried out is then as unknown as after `Unavailable`.
+Every method has the arguments, results and errors of the method of the same name in `jostle`. It
+runs in a thread, so the event loop never blocks. A cancelled `await` ends at once; its command may
+or may not be executed, as after `Unavailable`.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Coroutine, Generator
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Concatenate, Generic, ParamSpec, Protocol, Self, TypeVar
+from typing import Any, Concatenate, Generic, ParamSpec, Protocol, Self, SupportsIndex, TypeVar
 
 import jostle
 
 from ._async_stream import Stream
 from ._experiment import Source
-from ._offload import call, finish
+from ._to_thread import call, finish
 
 __all__ = [
+    "AtStep",
     "Client",
     "Controller",
     "Experiment",
@@ -46,37 +46,44 @@ P = ParamSpec("P")
 T = TypeVar("T")
 R = TypeVar("R")
 S = TypeVar("S")
-C = TypeVar("C", bound="_Entered")
-D = TypeVar("D", bound=jostle.Client)
 S_co = TypeVar("S_co", covariant=True)
+X_co = TypeVar("X_co", bound="_Exitable", covariant=True)
+C = TypeVar("C", bound="_Context[Any]")
 
 
-class _Of(Protocol[S_co]):
-    """Stands for something of `jostle` and has its methods."""
+class _Exitable(Protocol):
+    """A context manager."""
 
-    @property
-    def _sync(self) -> S_co: ...
+    def __exit__(self, kind: object, error: object, traceback: object, /) -> None: ...
 
 
-class _Entered(Protocol):
-    """Has an end to its `async with` block."""
+class _Wrapper(Generic[S_co]):
+    """Wraps an object of `jostle`."""
 
-    async def __aexit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-        /,
-    ) -> None: ...
+    def __init__(self, sync: S_co) -> None:
+        self._sync = sync
+
+    def __repr__(self) -> str:
+        return f"aio.{self._sync!r}"
+
+
+class _Context(_Wrapper[X_co]):
+    """Wraps a context manager of `jostle`."""
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(self, kind: object, error: object, traceback: object) -> None:
+        await finish(functools.partial(self._sync.__exit__, kind, error, traceback))
 
 
 def _awaited(
     method: Callable[Concatenate[S, P], T],
-) -> Callable[Concatenate[_Of[S], P], Coroutine[Any, Any, T]]:
-    """The method, to be awaited."""
+) -> Callable[Concatenate[_Wrapper[S], P], Coroutine[Any, Any, T]]:
+    """The method, awaited."""
 
     @functools.wraps(method)
-    async def awaited(self: _Of[S], /, *args: P.args, **kwargs: P.kwargs) -> T:
+    async def awaited(self: _Wrapper[S], /, *args: P.args, **kwargs: P.kwargs) -> T:
         return await call(functools.partial(method, self._sync, *args, **kwargs))
 
     return awaited
@@ -84,11 +91,11 @@ def _awaited(
 
 def _made(
     method: Callable[Concatenate[S, P], T], make: Callable[[T], R]
-) -> Callable[Concatenate[_Of[S], P], Coroutine[Any, Any, R]]:
-    """The method, to be awaited, with what it returns made into what there is here for it."""
+) -> Callable[Concatenate[_Wrapper[S], P], Coroutine[Any, Any, R]]:
+    """The method, awaited; `make` wraps its result."""
 
     @functools.wraps(method)
-    async def awaited(self: _Of[S], /, *args: P.args, **kwargs: P.kwargs) -> R:
+    async def awaited(self: _Wrapper[S], /, *args: P.args, **kwargs: P.kwargs) -> R:
         return make(await call(functools.partial(method, self._sync, *args, **kwargs)))
 
     return awaited
@@ -96,24 +103,25 @@ def _made(
 
 def _streamed(
     method: Callable[Concatenate[S, P], jostle.Stream[T]],
-) -> Callable[Concatenate[_Of[S], P], Stream[T]]:
-    """The method, whose stream is opened when it is first asked for something."""
+) -> Callable[Concatenate[_Wrapper[S], P], Stream[T]]:
+    """The method; its stream subscribes when it is first used."""
 
     @functools.wraps(method)
-    def streamed(self: _Of[S], /, *args: P.args, **kwargs: P.kwargs) -> Stream[T]:
+    def streamed(self: _Wrapper[S], /, *args: P.args, **kwargs: P.kwargs) -> Stream[T]:
         return Stream(functools.partial(method, self._sync, *args, **kwargs))
 
     return streamed
 
 
-def _opened(function: Callable[P, D], make: Callable[[D], C]) -> Callable[P, Opening[C]]:
-    """The function, to be awaited or entered."""
+def _opened(
+    function: Callable[P, T], make: Callable[[T], C], discard: Callable[[T], object]
+) -> Callable[P, Opening[C]]:
+    """The function, awaited or entered; `discard` receives the result of a cancelled call."""
 
     @functools.wraps(function)
     def opened(*args: P.args, **kwargs: P.kwargs) -> Opening[C]:
         async def open_() -> C:
-            work = functools.partial(function, *args, **kwargs)
-            return make(await call(work, lambda sync: sync.close()))
+            return make(await call(functools.partial(function, *args, **kwargs), discard))
 
         return Opening(open_)
 
@@ -122,22 +130,19 @@ def _opened(function: Callable[P, D], make: Callable[[D], C]) -> Callable[P, Ope
 
 def _joined(
     method: Callable[Concatenate[S, P], T], make: Callable[[T], C], discard: Callable[[T], object]
-) -> Callable[Concatenate[_Of[S], P], Opening[C]]:
-    """The method, to be awaited or entered; what nobody waits for any more is discarded."""
+) -> Callable[Concatenate[_Wrapper[S], P], Opening[C]]:
+    """The method, awaited or entered; `discard` receives the result of a cancelled call."""
 
     @functools.wraps(method)
-    def joined(self: _Of[S], /, *args: P.args, **kwargs: P.kwargs) -> Opening[C]:
-        async def open_() -> C:
-            work = functools.partial(method, self._sync, *args, **kwargs)
-            return make(await call(work, discard))
-
-        return Opening(open_)
+    def joined(self: _Wrapper[S], /, *args: P.args, **kwargs: P.kwargs) -> Opening[C]:
+        work = functools.partial(method, self._sync, *args, **kwargs)
+        return _opened(work, make, discard)()
 
     return joined
 
 
 class Opening(Generic[C]):
-    """A client or a controller that is yet to be there: `await` it, or `async with` it."""
+    """A client or a controller to be opened: `await` it, or enter it with `async with`."""
 
     def __init__(self, open_: Callable[[], Coroutine[Any, Any, C]]) -> None:
         self._open = open_
@@ -150,32 +155,21 @@ class Opening(Generic[C]):
         self._opened = await self._open()
         return self._opened
 
-    async def __aexit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    async def __aexit__(self, kind: object, error: object, traceback: object) -> None:
         if self._opened is not None:
             await self._opened.__aexit__(kind, error, traceback)
 
 
-class Experiment:
-    """An experiment on a daemon, as `jostle.Experiment`."""
-
-    def __init__(self, sync: jostle.Experiment) -> None:
-        self._sync = sync
+class Experiment(_Wrapper[jostle.Experiment]):
+    """An experiment on a daemon, see `jostle.Experiment`."""
 
     @property
     def name(self) -> str:
         """Its name."""
         return self._sync.name
 
-    def __repr__(self) -> str:
-        return f"aio.{self._sync!r}"
-
     async def wait(self, timeout: float | None = None, *, show: bool | None = None) -> Self:
-        """Waits until it is finished, as `jostle.Experiment.wait`."""
+        """Waits until it is finished, see `jostle.Experiment.wait`."""
         await call(functools.partial(self._sync.wait, timeout, show=show))
         return self
 
@@ -189,11 +183,8 @@ class Experiment:
     order = _awaited(jostle.Experiment.order)
 
 
-class Controller:
-    """A controller of a swarm, as `jostle.Controller`; `Swarm.join` makes one."""
-
-    def __init__(self, sync: jostle.Controller) -> None:
-        self._sync = sync
+class Controller(_Context[jostle.Controller]):
+    """A controller of a swarm, see `jostle.Controller`; `Swarm.join` makes one."""
 
     @property
     def name(self) -> str:
@@ -207,57 +198,54 @@ class Controller:
 
     @property
     def ids(self) -> list[int]:
-        """Whom it steers, ascending; a new list."""
+        """The ids of the individuals that it steers, ascending; a new list."""
         return self._sync.ids
 
     @property
     def step(self) -> int:
-        """The step that it takes the swarm to be at, and makes its next advance for."""
+        """The step that the next `advance` is for."""
         return self._sync.step
 
     @property
     def epoch(self) -> int:
-        """The epoch it last heard of."""
+        """The epoch in the last reply."""
         return self._sync.epoch
 
     @property
     def news(self) -> jostle.News:
-        """What it was last told beside the step: who was late, who has left, who was removed."""
+        """Missed deadlines, departures and removed individuals in the last reply."""
         return self._sync.news
-
-    def __repr__(self) -> str:
-        return f"aio.{self._sync!r}"
 
     advance = _awaited(jostle.Controller.advance)
     put = _awaited(jostle.Controller.put)
     sync = _awaited(jostle.Controller.sync)
     leave = _awaited(jostle.Controller.leave)
 
-    async def __aenter__(self) -> Self:
-        return self
 
-    async def __aexit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        await finish(functools.partial(self._sync.__exit__, kind, error, traceback))
+class AtStep(_Wrapper[jostle.AtStep]):
+    """The commands of a swarm at one step, see `jostle.AtStep`; `Swarm.at` makes one."""
+
+    run = _awaited(jostle.AtStep.run)
+    pause = _awaited(jostle.AtStep.pause)
+    step = _awaited(jostle.AtStep.step)
+    reset = _awaited(jostle.AtStep.reset)
+    set = _awaited(jostle.AtStep.set)
+    inform = _awaited(jostle.AtStep.inform)
+    uninform = _awaited(jostle.AtStep.uninform)
+    inject = _awaited(jostle.AtStep.inject)
+    remove = _awaited(jostle.AtStep.remove)
+    batch = _awaited(jostle.AtStep.batch)
+    annotate = _awaited(jostle.AtStep.annotate)
+    delete = _awaited(jostle.AtStep.delete)
 
 
-class Swarm:
-    """A swarm on a daemon, as `jostle.Swarm`."""
-
-    def __init__(self, sync: jostle.Swarm) -> None:
-        self._sync = sync
+class Swarm(_Context[jostle.Swarm]):
+    """A swarm on a daemon, see `jostle.Swarm`."""
 
     @property
     def name(self) -> str:
         """The swarm's name."""
         return self._sync.name
-
-    def __repr__(self) -> str:
-        return f"aio.{self._sync!r}"
 
     status = _awaited(jostle.Swarm.status)
     spec = _awaited(jostle.Swarm.spec)
@@ -269,6 +257,10 @@ class Swarm:
     snapshot = _awaited(jostle.Swarm.snapshot)
     verify = _awaited(jostle.Swarm.verify)
     wait = _awaited(jostle.Swarm.wait)
+
+    def at(self, step: SupportsIndex) -> AtStep:
+        """The commands of this swarm at a step, see `jostle.Swarm.at`."""
+        return AtStep(self._sync.at(step))
 
     run = _awaited(jostle.Swarm.run)
     pause = _awaited(jostle.Swarm.pause)
@@ -285,7 +277,7 @@ class Swarm:
     seek = _awaited(jostle.Swarm.seek)
     fork = _made(jostle.Swarm.fork, lambda sync: Swarm(sync))
 
-    join = _joined(jostle.Swarm.join, Controller, lambda sync: sync.leave())
+    join = _joined(jostle.Swarm.join, Controller, jostle.Controller.leave)
 
     states = _streamed(jostle.Swarm.states)
     orders = _streamed(jostle.Swarm.orders)
@@ -294,30 +286,16 @@ class Swarm:
     frame = _awaited(jostle.Swarm.frame)
 
     def view(self, seconds: float = 60.0, *, hz: float = 10.0) -> jostle.View:
-        """A live view of it for a notebook, as `jostle.Swarm.view`."""
+        """A live picture of it for a notebook, see `jostle.Swarm.view`."""
         return self._sync.view(seconds, hz=hz)
 
     async def close(self) -> None:
-        """Closes its streams; the swarm itself lives on."""
+        """Closes its streams; the swarm itself remains on the daemon."""
         await finish(self._sync.close)
 
-    async def __aenter__(self) -> Self:
-        return self
 
-    async def __aexit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        await self.close()
-
-
-class Client:
-    """A connection with a daemon, as `jostle.Client`; `connect` makes one."""
-
-    def __init__(self, sync: jostle.Client) -> None:
-        self._sync = sync
+class Client(_Context[jostle.Client]):
+    """A connection to a daemon, see `jostle.Client`; `connect` makes one."""
 
     @property
     def node(self) -> str:
@@ -326,11 +304,8 @@ class Client:
 
     @property
     def endpoint(self) -> str:
-        """Where the daemon is."""
+        """The endpoint of the daemon."""
         return self._sync.endpoint
-
-    def __repr__(self) -> str:
-        return f"aio.{self._sync!r}"
 
     create = _made(jostle.Client.create, Swarm)
     restore = _made(jostle.Client.restore, Swarm)
@@ -351,54 +326,41 @@ class Client:
     metrics = _awaited(jostle.Client.metrics)
 
     def swarm(self, name: str) -> Swarm:
-        """The swarm of that name; whether it is there shows when it is asked something."""
+        """The swarm of that name; sends nothing, so it may not exist."""
         return Swarm(self._sync.swarm(name))
 
     def experiment(self, name: str) -> Experiment:
-        """The experiment of that name; whether it is there shows when it is asked something."""
+        """The experiment of that name; sends nothing, so it may not exist."""
         return Experiment(self._sync.experiment(name))
 
     async def close(self) -> None:
-        """Ends every stream and the connection; harmless when done already."""
+        """Closes every stream and the connection; a second call does nothing."""
         await finish(self._sync.close)
-
-    async def __aenter__(self) -> Self:
-        return self
-
-    async def __aexit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        await self.close()
 
 
 class Local(Client):
-    """A client and a daemon of its own, as `jostle.Local`; `local` makes one."""
+    """A client with a private daemon, see `jostle.Local`; `local` makes one."""
 
-    def __init__(self, sync: jostle.Local) -> None:
-        super().__init__(sync)
-        self._local = sync
+    _sync: jostle.Local
 
     @property
     def folder(self) -> Path:
-        """Where the daemon keeps everything; a temporary one goes with it."""
-        return self._local.folder
+        """The data directory of the daemon; a temporary one is deleted with it."""
+        return self._sync.folder
 
     @property
     def log(self) -> Path:
-        """What the daemon has to say, a file in its folder."""
-        return self._local.log
+        """The log file of the daemon, in its folder."""
+        return self._sync.log
 
     @property
     def pid(self) -> int:
-        """The daemon's process."""
-        return self._local.pid
+        """The process id of the daemon."""
+        return self._sync.pid
 
 
-connect = _opened(jostle.connect, Client)
-local = _opened(jostle.local, Local)
+connect = _opened(jostle.connect, Client, jostle.Client.close)
+local = _opened(jostle.local, Local, jostle.Local.close)
 
 
 async def experiment(
@@ -408,7 +370,7 @@ async def experiment(
     client: Client | None = None,
     endpoint: str | None = None,
 ) -> Experiment:
-    """Has a daemon carry out an experiment, as `jostle.experiment`."""
+    """Submits an experiment to a daemon, see `jostle.experiment`."""
     sync = None if client is None else client._sync
     work = functools.partial(jostle.experiment, source, name=name, client=sync, endpoint=endpoint)
     return Experiment(await call(work))

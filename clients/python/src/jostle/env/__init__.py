@@ -1,22 +1,23 @@
-"""Environments for learning: swarms whose informed individuals somebody else decides for.
+"""Environments for reinforcement learning: agents steer the informed individuals of a swarm.
 
     import jostle.env
 
     env = jostle.env.ParallelEnv(n=50, informed=5)  # PettingZoo: an agent is an informed individual
-    env = jostle.env.ShepherdEnv(n=50)  # Gymnasium: the agent chooses whom to inform, and whither
+    env = jostle.env.ShepherdEnv(n=50)  # Gymnasium: the agent selects whom to inform
     env = gymnasium.make("jostle/Shepherd-v0", n=50)  # the same
 
-Both reward the group's drift along the goal: the speed of its centre that way, in free speeds. Each
-starts a daemon of its own when it is first reset, unless it is given the `endpoint` of one. The
-same seed and the same actions lead to the same `state_hash`, which is in every `info`.
+Both reward the group's drift along the goal: the speed of its centroid in that direction, in free
+speeds. Each starts a private daemon at the first `reset`, unless an `endpoint` is given. The same
+seed and the same actions lead to the same `state_hash`, which is in every `info`.
 
-`pip install 'jostle[env]'` brings what this needs.
+`pip install './clients/python[env]'` in a checkout installs its dependencies. `jostled` must be on
+the `PATH`, unless the wheel contains it or `JOSTLED` names it.
 """
 
-from .._extras import need
+from .._extras import import_extra
 
 for _module in ("gymnasium", "pettingzoo"):
-    need(_module, "env")
+    import_extra(_module, "env")
 
 import gymnasium  # noqa: E402
 

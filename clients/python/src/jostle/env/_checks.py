@@ -1,4 +1,4 @@
-"""What the environments are handed in."""
+"""Checks of the arguments of environments."""
 
 from __future__ import annotations
 
@@ -9,20 +9,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._arguments import whole_from_0
-from .._errors import InvalidArgument
+from .._errors import invalid
 
 
 def read_action(name: str, action: ArrayLike, size: int) -> NDArray[np.float64]:
-    """An action as numbers from -1 to 1; what is beyond is taken as that.
+    """An action as numbers clipped to -1 to 1.
 
     Raises:
         InvalidArgument: It is of another shape, or not finite.
     """
     numbers = np.asarray(action, float)
     if numbers.shape != (size,) or not np.isfinite(numbers).all():
-        raise InvalidArgument(
-            f"{name} is {action!r}: it takes {size} finite numbers", details={"field": name}
-        )
+        raise invalid(name, f"{name} is {action!r}, but must be {size} finite numbers")
     clipped: NDArray[np.float64] = np.clip(numbers, -1.0, 1.0)
     return clipped
 
@@ -31,23 +29,23 @@ def at_least_1(name: str, value: SupportsIndex) -> int:
     """A whole number of at least 1.
 
     Raises:
-        InvalidArgument: It is none.
+        InvalidArgument: It is not.
     """
     number = whole_from_0(name, value)
     if number == 0:
-        raise InvalidArgument(f"{name!r} is 0: 1 or more", details={"field": name})
+        raise invalid(name, f"{name!r} is 0: use 1 or more")
     return number
 
 
 def finite(name: str, value: float) -> float:
-    """A number that is finite.
+    """A finite number.
 
     Raises:
-        InvalidArgument: It is none.
+        InvalidArgument: It is not.
     """
     number = float(value)
     if not math.isfinite(number):
-        raise InvalidArgument(f"{name!r} is {value!r}: a finite number", details={"field": name})
+        raise invalid(name, f"{name!r} is {value!r}: use a finite one")
     return number
 
 
@@ -55,22 +53,9 @@ def positive(name: str, value: float) -> float:
     """A number above 0.
 
     Raises:
-        InvalidArgument: It is none.
+        InvalidArgument: It is not.
     """
     number = finite(name, value)
     if number <= 0.0:
-        raise InvalidArgument(f"{name!r} is {value!r}: above 0", details={"field": name})
+        raise invalid(name, f"{name!r} is {value!r}: use one above 0")
     return number
-
-
-def check_render_mode(mode: str | None) -> str | None:
-    """A render mode that there is.
-
-    Raises:
-        InvalidArgument: It is none.
-    """
-    if mode not in (None, "rgb_array"):
-        raise InvalidArgument(
-            f"`render_mode` is {mode!r}: 'rgb_array' or None", details={"field": "render_mode"}
-        )
-    return mode

@@ -1,4 +1,4 @@
-"""Pictures of a swarm as arrays of pixels: bodies to scale, heads dark, the informed coloured."""
+"""Pictures of a swarm as arrays of pixels: bodies to scale, heads dark, informed ones coloured."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from .._state import State
 Pixels = NDArray[np.uint8]
 
 _PAPER = (255.0, 255.0, 255.0)
-# Which part of a body's radius is its edge.
+# The width of a body's edge, over its radius.
 _EDGE = 0.18
 
 
@@ -45,7 +45,7 @@ def _fill(
     wide: float,
     colour: NDArray[np.float64],
 ) -> None:
-    """Fills what is less than `wide` from a segment, its rim in part."""
+    """Fills the points at most `wide` from a segment; pixels at the rim in part."""
     low = np.floor(np.minimum(tail, head) - wide - 1.0).astype(int)
     high = np.ceil(np.maximum(tail, head) + wide + 1.0).astype(int)
     left, top = np.maximum(low, 0)

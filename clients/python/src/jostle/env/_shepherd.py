@@ -1,4 +1,4 @@
-"""Gymnasium: one agent chooses whom to inform, and whither."""
+"""The environment for Gymnasium: one agent selects whom to inform, and of which direction."""
 
 from __future__ import annotations
 
@@ -9,17 +9,16 @@ import numpy as np
 from gymnasium.spaces import Box
 from numpy.typing import ArrayLike, NDArray
 
-from .._draw import Camera
 from . import _views
-from ._checks import check_render_mode, read_action
-from ._picture import Pixels, paint
+from ._checks import read_action
+from ._picture import Pixels
 from ._world import World, draw_seed
 
 Floats = NDArray[np.float32]
 
 
 class ShepherdEnv(gymnasium.Env[Floats, Floats]):
-    """A group seen from above, in which a few at a time can be told where to go.
+    """A group seen from above; the agent informs a few individuals at a time.
 
         env = jostle.env.ShepherdEnv(n=50)
         observation, info = env.reset(seed=1)
@@ -29,21 +28,21 @@ class ShepherdEnv(gymnasium.Env[Floats, Floats]):
         env.close()
 
     **Actions**, `Box(-1, 1, (4,))`, in the goal's frame: (1, 0) is along the goal, (0, 1) to its
-    left. Two numbers are a place: (0, 0) is the group's centre, and (±1, ±1) are the corners of a
-    square that reaches twice the group's spread each way; the `informed` individuals nearest to it
-    are informed, and nobody else. Two are what they prefer, a vector whose length, at most 1, times
-    `max_weight` is the weight; (0, 0) is to inform nobody.
+    left. Two numbers are a place: (0, 0) is the group's centroid, and (±1, ±1) are the corners of a
+    square that reaches twice the group's spread in each direction; the `informed` individuals
+    nearest to it are informed, and no others. Two are their preference, a vector whose length, at
+    most 1, times `max_weight` is the weight; (0, 0) informs none.
 
     **Observations**, `Box(-1, 1, (82,))`, directions in the goal's frame:
 
     - 0, 1: the mean heading of the group, which is its velocity.
-    - 2: its spread R, the root mean square of the distances from its centre: R / (√n + R).
-    - 3, 4: whether it is long along the goal or across, and along which diagonal: cos 2φ and sin 2φ
-      of the directions φ from its centre, averaged with the distance squared as weight.
-    - 5, 6: how much headings point away from its centre, and how much they mill around it.
+    - 2: its spread R, the root mean square of the distances from its centroid: R / (√n + R).
+    - 3, 4: its elongation along the goal and along the diagonal: the means of cos 2φ and sin 2φ of
+      the directions φ from its centroid, weighted by the distance squared.
+    - 5, 6: the mean radial and tangential components of the headings about its centroid.
     - Then 3 for each of 5 · 5 cells of the square, rows from right to left of the goal, in each
-      from behind to ahead: the share of the group there, those further out counted at the edge,
-      and their mean heading.
+      from behind to ahead: the share of the group in the cell, with individuals outside the square
+      counted in the nearest cell, and their mean heading.
 
     **Reward**: the drift, which is how fast the group's centre moved along the goal while the
     action held, in free speeds: at most 1.
@@ -53,21 +52,21 @@ class ShepherdEnv(gymnasium.Env[Floats, Floats]):
 
     Args:
         n: The size of the group.
-        informed: How many are informed at a time.
-        goal: Where it is to go, radians.
+        informed: Number of individuals that are informed at a time.
+        goal: The direction in which it is to go, radians, counter-clockwise from +x.
         max_weight: The largest weight of a preference; attraction counts 1.
-        steps_per_action: Time steps that an action holds.
-        max_steps: Actions in an episode.
+        steps_per_action: Number of time steps of an action.
+        max_steps: Number of actions of an episode.
         render_mode: `"rgb_array"`, or None for no pictures.
-        endpoint: Of a daemon to use, such as `tcp/127.0.0.1:7447`; None starts a private one, see
-            `jostle.local`.
+        endpoint: The endpoint of a daemon, such as `tcp/127.0.0.1:7447`; None starts a private one,
+            see `jostle.local`.
         spec: Other fields of `jostle.Spec`, such as `pi1=8.0`.
 
     Raises:
-        InvalidArgument: An argument is wrong.
+        InvalidArgument: An argument is out of range.
     """
 
-    # Not a `ClassVar`, since the base class says it is none.
+    # Not a `ClassVar`, since it is none in the base class.
     metadata: dict[str, Any] = {  # noqa: RUF012
         "render_modes": ["rgb_array"],
         "render_fps": 10,
@@ -94,11 +93,11 @@ class ShepherdEnv(gymnasium.Env[Floats, Floats]):
             max_weight=max_weight,
             steps_per_action=steps_per_action,
             max_steps=max_steps,
+            render_mode=render_mode,
             endpoint=endpoint,
             spec=spec,
         )
-        self.render_mode = check_render_mode(render_mode)
-        self._camera = Camera()
+        self.render_mode = render_mode
         self._informed = np.empty(0, np.intp)
         self.observation_space = Box(-1.0, 1.0, (_views.ABOVE_SIZE,), np.float32)
         self.action_space = Box(-1.0, 1.0, (4,), np.float32)
@@ -106,48 +105,48 @@ class ShepherdEnv(gymnasium.Env[Floats, Floats]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Floats, dict[str, Any]]:
-        """Begins an episode, of which `seed` determines everything but the actions.
+        """Begins an episode; `seed` determines everything except the actions.
 
         Args:
-            seed: None goes on with what the seed before led to.
+            seed: The seed; None draws one from the generator of the last seed.
             options: There are none.
 
         Raises:
-            IncorrectState: It is closed.
-            Unavailable: The daemon does not start, or is gone.
+            IncorrectState: The environment is closed.
+            Unavailable: The daemon does not start, or is disconnected.
         """
         super().reset(seed=seed)
         self._world.reset(draw_seed(self.np_random))
         self._informed = np.empty(0, np.intp)
-        self._camera = Camera()
         return self._observe(), self._world.info()
 
     def step(self, action: ArrayLike) -> tuple[Floats, float, bool, bool, dict[str, Any]]:
-        """Informs those the action chooses, and has the swarm advance.
+        """Informs the individuals that the action selects, and advances the swarm.
+
+        Args:
+            action: The place and the preference, shape (4,).
 
         Raises:
-            IncorrectState: No episode has begun, or it is over.
-            InvalidArgument: The action is no such vector.
-            Unavailable: The daemon is gone.
+            IncorrectState: No episode has begun, or it has ended.
+            InvalidArgument: The action has another shape, or is not finite.
+            Unavailable: The daemon is disconnected.
         """
         world = self._world
         numbers = read_action("action", action, 4)
         chosen = _views.nearest(world.state, world.goal, numbers[:2], world.informed)
-        # Whoever is told something else now, or nothing any more.
-        told = np.union1d(self._informed, chosen)
-        preference = np.where(np.isin(told, chosen)[:, None], numbers[2:], 0.0)
-        drift = world.advance(told, preference)
+        # Individuals that were informed before and are not chosen now get weight 0.
+        changed = np.union1d(self._informed, chosen)
+        preference = np.where(np.isin(changed, chosen)[:, None], numbers[2:], 0.0)
+        drift = world.advance(changed, preference)
         self._informed = chosen
         return self._observe(), drift, False, world.is_over, world.info()
 
     def render(self) -> Pixels | None:
-        """The group now, as an array of shape (360, 520, 3); None without a `render_mode`."""
-        if self.render_mode is None:
-            return None
-        return paint(self._world.state, self._world.spec.pi1, self._camera)
+        """A picture of the group, shape (360, 520, 3), uint8; None without a `render_mode`."""
+        return self._world.render()
 
     def close(self) -> None:
-        """Ends the private daemon, or deletes the swarm; harmless when done already."""
+        """Stops the private daemon, or deletes the swarm; a second call does nothing."""
         self._world.close()
 
     def _observe(self) -> Floats:

@@ -1,7 +1,7 @@
-"""What can be seen of a group: by one within it, and by one above it.
+"""Observations of a group: by its individuals, and from above.
 
-Every number is from -1 to 1. Directions are told in the goal's frame: (1, 0) is along the goal,
-(0, 1) to its left.
+Every number is from -1 to 1. Directions are in the goal's frame: (1, 0) is along the goal, (0, 1)
+to its left.
 """
 
 from __future__ import annotations
@@ -17,37 +17,31 @@ Floats = NDArray[np.float64]
 View = NDArray[np.float32]
 
 OWN_SIZE = 9
-"""Numbers that an individual perceives of itself and the group."""
+"""Numbers of an observation about the agent and the group."""
 
 NEIGHBOUR_SIZE = 4
-"""Numbers that an individual perceives of each neighbour."""
+"""Numbers of an observation about each neighbour."""
 
 CELLS = 5
-"""The view from above has so many cells a side."""
+"""Cells along a side of the view from above."""
 
 ABOVE_SIZE = 7 + 3 * CELLS**2
-"""Numbers that are seen from above."""
+"""Numbers of the view from above."""
 
 REACH = 2.0
 """From the centre to each edge of the view from above, in units of the group's spread."""
 
 
 def within(state: State, who: NDArray[np.intp], goal: float, neighbours: int, sight: float) -> View:
-    """What each of `who`, indices of individuals, perceives: shape (k, 9 + 4 · neighbours).
+    """The observations of individuals with the indices `who`: shape (k, 9 + 4 · neighbours).
 
-    0, 1: its heading.
-    2, 3: where the group's centre is, d / (√n + |d|).
-    4, 5: the mean heading of the group, which is its velocity.
-    6, 7: the mean of the unit vectors to all the others, which attracts it by the default law.
-    8: how crowded it is: c / (1 + c) with c others within one body size.
-    Then for each of the nearest `neighbours` in `sight`, the nearest first: where it is, in units
-    of `sight`, and its heading; zeros where there is none.
+    `ParallelEnv` describes the numbers.
     """
-    position, heading = _seen(state, goal)
+    position, heading = _in_goal_frame(state, goal)
     mine, others = position[who], position[None, :, :] - position[who, None, :]
     distance = np.hypot(others[..., 0], others[..., 1])
     is_other = np.arange(state.n)[None, :] != who[:, None]
-    # Those in the same place have no direction to each other and count for nothing.
+    # Individuals at the same point have no direction to each other and contribute 0.
     unit = others / np.where(distance > 0.0, distance, 1.0)[..., None]
     close = (is_other & (distance <= 1.0)).sum(axis=1)[:, None]
     own = np.hstack(
@@ -70,18 +64,11 @@ def within(state: State, who: NDArray[np.intp], goal: float, neighbours: int, si
 
 
 def above(state: State, goal: float) -> View:
-    """What is seen from above: shape (82,).
+    """The view from above: shape (82,).
 
-    0, 1: the mean heading of the group, which is its velocity.
-    2: its spread R, the root mean square of the distances from its centre, R / (√n + R).
-    3, 4: how long it is along the goal rather than across, and along one diagonal rather than
-    the other: cos 2φ and sin 2φ of the directions φ from its centre, weighted by distance squared.
-    5, 6: how much headings point away from the centre, and how much they mill around it.
-    Then for each of 5 · 5 cells of a square that reaches 2 R from the centre each way, rows from
-    right to left of the goal, columns from behind to ahead: the share of the group that is there,
-    those further out counted into the cell at the edge, and its mean heading.
+    `ShepherdEnv` describes the numbers.
     """
-    position, heading = _seen(state, goal)
+    position, heading = _in_goal_frame(state, goal)
     away = position - position.mean(axis=0)
     squared = (away**2).sum(axis=1)
     spread = math.sqrt(squared.mean())
@@ -114,16 +101,16 @@ def above(state: State, goal: float) -> View:
 def nearest(state: State, goal: float, place: Floats, count: int) -> NDArray[np.intp]:
     """The indices of the `count` individuals nearest to a place in the view from above.
 
-    The place is told in units of half the square's side, from its centre.
+    The place is relative to the centroid, in units of half the square's side.
     """
-    position, _ = _seen(state, goal)
+    position, _ = _in_goal_frame(state, goal)
     away = position - position.mean(axis=0)
     spread = math.sqrt((away**2).sum(axis=1).mean())
     distance = np.hypot(*(away - REACH * spread * place).T)
     return np.sort(np.argsort(distance, kind="stable")[:count])
 
 
-def _seen(state: State, goal: float) -> tuple[Floats, Floats]:
+def _in_goal_frame(state: State, goal: float) -> tuple[Floats, Floats]:
     """Positions relative to the origin and headings, in the goal's frame."""
     c, s = math.cos(goal), math.sin(goal)
     position = np.column_stack((c * state.x + s * state.y, c * state.y - s * state.x))
@@ -132,11 +119,11 @@ def _seen(state: State, goal: float) -> tuple[Floats, Floats]:
 
 
 def _squash(vector: Floats, scale: float) -> Floats:
-    """Vectors of any length as such of less than 1."""
+    """Scales vectors of any length to a length below 1."""
     squashed: Floats = vector / (scale + np.hypot(vector[:, 0], vector[:, 1])[:, None])
     return squashed
 
 
 def _as_view(numbers: Floats) -> View:
-    # Rounding may have gone beyond.
+    # Rounding errors may exceed 1.
     return np.clip(numbers, -1.0, 1.0).astype(np.float32)

@@ -1,6 +1,6 @@
-"""A swarm that is reset and advanced, again and again, and what it earns: under both environments.
+"""The swarm of an environment: reset, advance and reward.
 
-Whatever has a direction is told in the goal's frame: (1, 0) is along the goal, (0, 1) to its left.
+Directions are in the goal's frame: (1, 0) is along the goal, (0, 1) to its left.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from .._arguments import ids as ids_of
 from .._client import Client, connect
 from .._controller import Controller
+from .._draw import Camera
 from .._errors import (
     Conflict,
     IncorrectState,
@@ -24,36 +25,38 @@ from .._errors import (
     JostleError,
     NotFound,
     Unavailable,
+    invalid,
 )
 from .._local import local
 from .._spec import Spec
 from .._state import State
 from .._swarm import Swarm
 from ._checks import at_least_1, finite, positive
+from ._picture import Pixels, paint
 
 _CONTROLLER = "env"
-# Nobody watches the swarm of an environment, so that it need not be published often.
+# Publishing takes time, and usually no client subscribes.
 _PUBLISH_EVERY = 50
 
-# A seed is a whole number below this.
-_SEEDS = 2**53
+# Seeds are below this.
+_SEED_LIMIT = 2**53
 
 _CLOSED = "this environment is closed: make another one"
 _NOT_RESET = "no episode has begun: call `reset` first"
 
 
 class World:
-    """A swarm on a daemon, private unless an endpoint is given; it is there from `reset` on.
+    """A swarm on a daemon, private unless an endpoint is given; `reset` creates it.
 
-    Nothing is connected before, so that a process may be forked from one that made a `World`.
+    It does not connect before, so that a process that has made a `World` may be forked.
 
     Attributes:
         n: The size of the group.
-        informed: How many of it are informed.
+        informed: Number of informed individuals.
         goal: The direction in which the group is to go, radians.
         max_weight: The weight of a preference of length 1.
-        max_steps: Actions in an episode.
-        spec: What the swarm is made from.
+        max_steps: Number of actions of an episode.
+        spec: The spec of the swarm.
     """
 
     def __init__(
@@ -66,12 +69,13 @@ class World:
         max_weight: float,
         steps_per_action: SupportsIndex,
         max_steps: SupportsIndex,
+        render_mode: str | None,
         endpoint: str | None,
         spec: Mapping[str, Any],
     ) -> None:
         for field in ("n", "seed"):
             if field in spec:
-                raise InvalidArgument(f"{field!r} is not part of `spec`", details={"field": field})
+                raise invalid(field, f"{field!r} is not part of `spec`")
         try:
             self.spec = Spec(n=at_least_1("n", n), **{"publish_every": _PUBLISH_EVERY, **spec})
         except TypeError as error:
@@ -79,14 +83,17 @@ class World:
         self.n = self.spec.n
         self.informed = at_least_1("informed", informed)
         if self.informed > self.n:
-            raise InvalidArgument(
-                f"{self.informed} informed of {self.n}", details={"field": "informed"}
-            )
+            raise invalid("informed", f"{self.informed} informed of {self.n}")
         self.goal = finite("goal", goal)
         self.max_weight = positive("max_weight", max_weight)
         self.max_steps = at_least_1("max_steps", max_steps)
         self._steps_per_action = at_least_1("steps_per_action", steps_per_action)
-        # It joins for those that it may ever inform.
+        if render_mode not in (None, "rgb_array"):
+            raise invalid(
+                "render_mode", f"`render_mode` is {render_mode!r}: use 'rgb_array' or None"
+            )
+        self._camera = None if render_mode is None else Camera()
+        # The individuals that it may inform.
         self._steered = range(self.n if steers_all else self.informed)
         self._endpoint = endpoint
         self._is_closed = False
@@ -100,10 +107,10 @@ class World:
 
     @property
     def state(self) -> State:
-        """Where the episode is.
+        """The present state.
 
         Raises:
-            IncorrectState: None has begun.
+            IncorrectState: No episode has begun.
         """
         if self._state is None:
             raise IncorrectState(_NOT_RESET)
@@ -111,14 +118,14 @@ class World:
 
     @property
     def is_over(self) -> bool:
-        """Whether the episode has had all its actions."""
+        """Whether the episode has ended."""
         return self._actions >= self.max_steps
 
-    def check_goes_on(self) -> None:
-        """Goes no further unless an episode has begun and is not over.
+    def check_in_progress(self) -> None:
+        """Checks that an episode has begun and has not ended.
 
         Raises:
-            IncorrectState: It is so.
+            IncorrectState: It has not begun, or has ended.
         """
         if self._is_closed:
             raise IncorrectState(_CLOSED)
@@ -128,12 +135,12 @@ class World:
             raise IncorrectState("the episode is over: call `reset`")
 
     def reset(self, seed: int) -> None:
-        """Begins an episode; makes anew what is gone, a private daemon or the swarm.
+        """Begins an episode; creates the swarm or the private daemon again if it is missing.
 
         Raises:
             IncorrectState: The environment is closed.
-            InvalidArgument: The daemon does not take the spec.
-            Unavailable: The daemon does not start, or is gone.
+            InvalidArgument: The daemon rejects the spec.
+            Unavailable: The daemon does not start, or is disconnected.
         """
         if self._is_closed:
             raise IncorrectState(_CLOSED)
@@ -158,34 +165,36 @@ class World:
         self._state = self._controller.sync()
         self._began_at = self._along(self._state)
         self._actions = 0
+        if self._camera is not None:
+            self._camera = Camera()
 
     def advance(self, ids: NDArray[np.intp], preference: NDArray[np.float64]) -> float:
-        """Gives `ids` their preferences, shape (k, 2), and returns the drift while they had them.
+        """Sets the preferences of `ids`, shape (k, 2), advances, and returns the drift meanwhile.
 
         Raises:
-            Conflict: Somebody else stepped or reset the swarm.
-            IncorrectState: No episode has begun, or it is over.
-            InvalidArgument: The daemon does not take so large a weight.
-            Unavailable: The daemon is gone.
+            Conflict: Another client stepped or reset the swarm.
+            IncorrectState: No episode has begun, or it has ended.
+            InvalidArgument: The daemon rejects the weight.
+            Unavailable: The daemon is disconnected.
         """
         before = self.state
-        self.check_goes_on()
+        self.check_in_progress()
         assert self._controller is not None
         direction, weight = self._set_points(preference)
-        # Until it is answered nobody knows where the swarm is.
+        # Without a reply the state is unknown.
         self._state = None
         advanced = self._controller.advance(
             self._steps_per_action, ids=ids, direction=direction, weight=weight, state=True
         )
         after = advanced.state
         if advanced.steps < self._steps_per_action or after is None:
-            raise Conflict("somebody else came between: call `reset`", step=advanced.step)
+            raise Conflict("another client changed the swarm: call `reset`", step=advanced.step)
         self._state, self._hash = after, advanced.state_hash
         self._actions += 1
         return (self._along(after) - self._along(before)) / (after.time - before.time)
 
     def info(self) -> dict[str, Any]:
-        """What is told beside an observation; a new dictionary."""
+        """The `info` of an observation; a new dictionary."""
         state = self.state
         moved = self._along(state) - self._began_at
         return {
@@ -196,8 +205,12 @@ class World:
             "drift": moved / state.time if state.time else 0.0,
         }
 
+    def render(self) -> Pixels | None:
+        """A picture of the group; None without a `render_mode`."""
+        return None if self._camera is None else paint(self.state, self.spec.pi1, self._camera)
+
     def close(self) -> None:
-        """Deletes the swarm and ends the private daemon; harmless when done already."""
+        """Deletes the swarm and stops the private daemon; a second call does nothing."""
         self._is_closed = True
         self._release()
 
@@ -209,7 +222,7 @@ class World:
         if client is None:
             return
         if swarm is not None and self._endpoint is not None:
-            # A daemon that is gone has nothing left to delete.
+            # The daemon may be disconnected.
             with contextlib.suppress(JostleError):
                 swarm.delete()
         client.close()
@@ -220,7 +233,7 @@ class World:
         return self._client.create(f"env-{uuid.uuid4().hex}", self.spec)
 
     def _along(self, state: State) -> float:
-        """How far along the goal the group's centre is."""
+        """The position of the group's centroid along the goal, body sizes."""
         x, y = state.position.mean(axis=0)
         return float(x) * math.cos(self.goal) + float(y) * math.sin(self.goal)
 
@@ -235,5 +248,5 @@ class World:
 
 
 def draw_seed(random: np.random.Generator) -> int:
-    """A swarm's seed."""
-    return int(random.integers(_SEEDS))
+    """A seed of a swarm."""
+    return int(random.integers(_SEED_LIMIT))

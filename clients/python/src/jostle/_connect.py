@@ -1,0 +1,219 @@
+"""Opens a session with the daemon at an endpoint."""
+
+from __future__ import annotations
+
+import ipaddress
+import json
+import os
+import socket
+import time
+from pathlib import Path
+
+import zenoh
+
+from ._arguments import check_label, check_name, check_seconds
+from ._credentials import Credentials, zenoh_auth
+from ._decode import read_reply
+from ._errors import JostleError, PermissionDenied, Unavailable, invalid
+from ._node import WIRE_VERSION, Hello
+from ._session import REPLY_MARGIN_SECS, Session
+from ._shutdown import use_zenoh
+from ._tls import certificate_mismatch, split_endpoint
+
+_PROBE_TIMEOUT_SECS = 1.0
+
+
+def open_session(
+    endpoint: str,
+    *,
+    node: str | None = None,
+    prefix: str = "jostle",
+    client: str | None = None,
+    timeout: float = 5.0,
+    identity: tuple[Credentials, Path] | None = None,
+) -> tuple[Session, str]:
+    """Opens a session with the daemon at `endpoint`, and returns it with the daemon's name.
+
+    Takes the arguments of `jostle.connect`, and raises what it raises.
+    """
+    if node is not None:
+        check_name("node", node)
+    if not prefix or any(c in "*$?#" for c in prefix) or "" in prefix.split("/"):
+        raise invalid(
+            "prefix",
+            f"invalid prefix {prefix!r}: use a text without *, $, ?, # and empty parts, such as "
+            "jostle",
+        )
+    client = check_label("client", f"python-{os.getpid()}" if client is None else client)
+    seconds = check_seconds("timeout", timeout)
+    opened = open_zenoh(endpoint, seconds, identity)
+    token = None if identity is None else identity[0].token
+    session = Session(opened, endpoint, prefix, client, seconds, token)
+    try:
+        hello = _hello(session, node)
+    except BaseException:
+        session.close()
+        raise
+    session.max_message_bytes = hello.limits.max_message_bytes
+    return session, hello.node
+
+
+def open_zenoh(
+    endpoint: str, timeout: float, identity: tuple[Credentials, Path] | None = None
+) -> zenoh.Session:
+    """Opens a zenoh session with `endpoint` and with no other.
+
+    Raises:
+        InvalidArgument: The endpoint is invalid.
+        PermissionDenied: A process listens there and rejects this client.
+        Unavailable: No daemon answers there, its certificate names other addresses, or zenoh cannot
+            be used in this process.
+    """
+    use_zenoh()
+    if identity is not None and not _is_private(endpoint):
+        raise invalid(
+            "endpoint",
+            f"{endpoint!r} is on another machine, and credentials would be sent there in the "
+            "clear: use tls/HOST:PORT",
+        )
+    began = time.monotonic()
+    try:
+        # The configuration holds a password, so no variable does: tracebacks may show variables.
+        return zenoh.open(_config(endpoint, timeout, identity))
+    except zenoh.ZError:
+        # zenoh reports only that it is unable to connect. A peer that rejects a client does so at
+        # once; one that does not speak zenoh may stay silent until the timeout.
+        is_early = time.monotonic() - began < timeout
+        another = "name another endpoint (argument `endpoint`, or JOSTLE_ENDPOINT)"
+        if not _resolves(endpoint):
+            host = split_endpoint(endpoint)[1]
+            message = f"no address is known of the host {host!r} in {endpoint}: {another}"
+        elif not _listens(endpoint):
+            message = (
+                f"no daemon answers at {endpoint}: start one with `jostled serve`, or {another}"
+            )
+        elif is_early:
+            mismatch = None if identity is None else certificate_mismatch(endpoint, identity[1])
+            raise mismatch or _rejected(endpoint, identity) from None
+        else:
+            message = (
+                f"something accepts connections at {endpoint} but sent no reply within "
+                f"{timeout:g} s: it may hang, or be another program; look at its process, or "
+                f"{another}"
+            )
+        raise Unavailable(message) from None
+
+
+def _config(
+    endpoint: str, timeout: float, identity: tuple[Credentials, Path] | None
+) -> zenoh.Config:
+    milliseconds = max(1, round(timeout * 1000))
+    config = zenoh.Config()
+    for key, value in {
+        # A peer would listen on every interface and connect to whatever it discovers.
+        "mode": "client",
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": False,
+        # Otherwise a listener that does not speak zenoh blocks the caller for 10 s.
+        "transport/unicast/open_timeout": milliseconds,
+        # The session reconnects within a second after the daemon is back.
+        "connect/retry": {
+            "period_init_ms": 100,
+            "period_max_ms": 1000,
+            "period_increase_factor": 2,
+        },
+        **({} if identity is None else zenoh_auth(*identity)),
+    }.items():
+        config.insert_json5(key, json.dumps(value))
+    try:
+        config.insert_json5("connect/endpoints", json.dumps([endpoint]))
+    except zenoh.ZError:
+        raise invalid(
+            "endpoint", f"invalid endpoint {endpoint!r}: use one such as tcp/127.0.0.1:7447"
+        ) from None
+    return config
+
+
+def _is_private(endpoint: str) -> bool:
+    """Whether a connection to `endpoint` is encrypted or stays on this machine."""
+    protocol, host, _ = split_endpoint(endpoint)
+    try:
+        is_local = host == "localhost" or ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        is_local = False
+    return protocol != "tcp" or is_local
+
+
+def _resolves(endpoint: str) -> bool:
+    """Whether the host of `endpoint` has an address."""
+    protocol, host, _ = split_endpoint(endpoint)
+    try:
+        return protocol not in ("tcp", "tls") or bool(socket.getaddrinfo(host, None))
+    except (OSError, UnicodeError):
+        return False
+
+
+def _listens(endpoint: str) -> bool:
+    """Whether a process listens at `endpoint`."""
+    protocol, host, port = split_endpoint(endpoint)
+    if protocol not in ("tcp", "tls") or not port.isdecimal():
+        return False
+    try:
+        socket.create_connection((host, int(port)), _PROBE_TIMEOUT_SECS).close()
+    except OSError:
+        return False
+    return True
+
+
+def _rejected(endpoint: str, identity: tuple[Credentials, Path] | None) -> PermissionDenied:
+    if identity is None:
+        who = "this client"
+        remedy = (
+            "if it is a daemon with authentication, pass your credentials (argument "
+            "`credentials`); if it is another program, name another endpoint"
+        )
+    else:
+        who = identity[0].person
+        remedy = (
+            "if it is a daemon, these credentials may be newer than its last start (restart it), "
+            "expired, or another daemon's, a clock may be wrong, or it has no authentication and "
+            "accepts none"
+        )
+    return PermissionDenied(f"something listens at {endpoint} but rejects {who}: {remedy}")
+
+
+def _hello(session: Session, node: str | None) -> Hello:
+    """Finds the daemon of that name, or the only one."""
+    key = session.node_key("*" if node is None else node, "get/hello")
+    replies = session.query_all(key, session.timeout + REPLY_MARGIN_SECS)
+    hellos = [read_reply(reply, Hello) for reply in replies]
+    if not hellos:
+        raise _no_reply(session, node)
+    if len(hellos) > 1:
+        names = ", ".join(sorted(hello.node for hello in hellos))
+        raise invalid(
+            "node", f"several daemons answer at {session.endpoint}: name one of {names} as `node`"
+        )
+    (hello,) = hellos
+    if hello.wire_version != WIRE_VERSION:
+        raise Unavailable(
+            f"the daemon {hello.version} at {session.endpoint} speaks version {hello.wire_version} "
+            f"of the contract and this package version {WIRE_VERSION}: install the package that "
+            "goes with the daemon",
+            details={"wire_version": hello.wire_version},
+        )
+    return hello
+
+
+def _no_reply(session: Session, node: str | None) -> JostleError:
+    nodes = session.nodes()
+    if nodes and node not in (None, *nodes):
+        return Unavailable(
+            f"no daemon named {node!r} answers at {session.endpoint}: there is {', '.join(nodes)}"
+        )
+    if nodes:
+        return session.explain_silence(None)
+    return Unavailable(
+        f"zenoh answers at {session.endpoint}, but no daemon is reachable under the prefix "
+        f"{session.prefix!r}: start one with `jostled serve`, or give its `prefix`"
+    )

@@ -1,0 +1,285 @@
+"""The queries of a swarm: requests that do not change it."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import time
+from dataclasses import dataclass, replace
+from typing import SupportsIndex, overload
+
+from . import _cancel
+from ._arguments import check_name, check_seconds, whole, whole_from_0
+from ._controller_messages import Controllers, ControllerSummary
+from ._decode import read_events, read_json, read_reply
+from ._errors import (
+    DeadlineExceeded,
+    Faulted,
+    IncorrectState,
+    InvalidArgument,
+    JostleError,
+    late,
+)
+from ._events import Event, Journal, JournalEntry
+from ._history import mark_gaps, pages
+from ._messages import Parameter, Parameters, Phase, SpecReply, Status, Verified
+from ._progress import Bar
+from ._repr import HtmlList
+from ._session import Session
+from ._snapshot import Snapshot, read_snapshot
+from ._spec import Spec
+from ._state import State, read_state
+
+# The daemon replies to a `get/wait` within this time; it is sent again until the deadline.
+_MAX_WAIT_SECS = 30.0
+# The daemon replies early if too many clients wait for the swarm; it is sent again after this.
+_DISPLACED_WAIT_SECS = 0.5
+# The interval of `get/wait` while a progress bar is shown.
+_BAR_INTERVAL_SECS = 0.25
+# The daemon replies that a verification takes longer after an hour.
+_VERIFY_TIMEOUT_SECS = 3610.0
+
+
+@dataclass
+class BodyShape:
+    """The length over width of a swarm's bodies as last received, which pictures show.
+
+    Attributes:
+        pi1: The value; None if it is not known.
+        epoch: The epoch of the status it was read from: a reset may change it.
+    """
+
+    pi1: float | None = None
+    epoch: int | None = None
+
+
+class Queries:
+    """The part of a `Swarm` that queries its daemon."""
+
+    def __init__(self, session: Session, name: str, shape: BodyShape | None = None) -> None:
+        self._session = session
+        self._name = check_name("swarm", name)
+        self._shape = BodyShape() if shape is None else shape
+
+    @property
+    def name(self) -> str:
+        """The swarm's name."""
+        return self._name
+
+    def status(self) -> Status:
+        """The phase, step, parameters, order and certificate of the swarm.
+
+            status = swarm.status()
+            print(status.phase, status.step, status.order.mean_order)
+
+        Raises:
+            NotFound: There is no such swarm.
+        """
+        return self._remember(read_reply(self._get("get/status"), Status))
+
+    def spec(self) -> Spec:
+        """The spec that the swarm was created from, with all defaults.
+
+        Raises:
+            NotFound: There is no such swarm.
+        """
+        return read_json(self._get("get/spec"), SpecReply).result
+
+    def state(self) -> State:
+        """The state of the swarm now: positions and headings, shape (n,), order and certificate.
+
+            state = swarm.state()
+            centroid = state.position.mean(axis=0)    # body sizes
+
+        It is at least as new as every reply that was received before.
+
+        Raises:
+            NotFound: There is no such swarm.
+        """
+        return self._with_pi1(read_state(self._get("state")))
+
+    def parameters(self) -> dict[str, Parameter]:
+        """Every parameter except the start, by name, in the order of the spec.
+
+        Each has its value, range, unit and default, and the verbs that change it.
+
+        Raises:
+            NotFound: There is no such swarm.
+        """
+        reply = read_reply(self._get("get/parameters"), Parameters)
+        return {parameter.name: parameter for parameter in reply.parameters}
+
+    def history(self, after: SupportsIndex = 0) -> HtmlList[Event]:
+        """The events of the swarm, oldest first, as far back as the daemon stores them.
+
+        Args:
+            after: The number of the last event that is known; 0 is none. The first event returned
+                has in `skipped` the number of events that the daemon no longer stores.
+
+        Raises:
+            InvalidArgument: `after` is not a whole number, or below 0.
+            NotFound: There is no such swarm.
+        """
+        known = whole_from_0("after", after)
+        return HtmlList(mark_gaps(self._events_after(known)[0], known))
+
+    def journal(self, after: SupportsIndex = 0) -> HtmlList[JournalEntry]:
+        """The commands that were applied, oldest first, as far back as the daemon lists them.
+
+        The spec and these commands determine the state. The daemon lists about a thousand.
+
+        Args:
+            after: Only commands of a higher `seq`. The first entry returned has in `skipped` the
+                number of commands that the daemon no longer lists.
+
+        Raises:
+            InvalidArgument: `after` is not a whole number, or below 0.
+            NotFound: There is no such swarm.
+        """
+
+        def request(seq: int) -> tuple[list[JournalEntry], int]:
+            page = read_reply(self._get(f"get/journal?after={seq};limit=1000"), Journal)
+            return page.entries, page.newest
+
+        known = whole_from_0("after", after)
+        return HtmlList(mark_gaps(pages(request, lambda it: it.seq, known)[0], known))
+
+    def controllers(self) -> HtmlList[ControllerSummary]:
+        """The controllers that have joined, by name.
+
+        Raises:
+            NotFound: There is no such swarm.
+        """
+        return HtmlList(read_reply(self._get("get/controllers"), Controllers).controllers)
+
+    def snapshot(self) -> Snapshot:
+        """A snapshot: everything that determines the swarm's future.
+
+            swarm.snapshot().save("school.snapshot")
+            other.restore("school.snapshot", "school")
+
+        A daemon of the same `model_version` restores it.
+
+        Raises:
+            NotFound: There is no such swarm.
+            ResourceExhausted: It does not fit into a message; some thousand individuals do.
+        """
+        return read_snapshot(self._get("get/snapshot"))
+
+    def verify(self, timeout: float | None = None) -> Verified:
+        """Replays the stored history beside the swarm and compares the hashes.
+
+        Args:
+            timeout: Seconds it may take; None is an hour.
+
+        Raises:
+            Busy: Too many verifications are queued.
+            Conflict: The history is damaged.
+            DeadlineExceeded: It takes longer than `timeout`.
+        """
+        seconds = _VERIFY_TIMEOUT_SECS if timeout is None else check_seconds("timeout", timeout)
+        return read_reply(self._get("get/verify", timeout=seconds), Verified)
+
+    @overload
+    def wait(
+        self, *, step: SupportsIndex, timeout: float | None = None, show: bool | None = None
+    ) -> Status: ...
+    @overload
+    def wait(self, *, phase: Phase, timeout: float | None = None) -> Status: ...
+    def wait(
+        self,
+        *,
+        step: SupportsIndex | None = None,
+        phase: Phase | None = None,
+        timeout: float | None = None,
+        show: bool | None = None,
+    ) -> Status:
+        """Waits until the swarm reaches a step or enters a phase; give exactly one of the two.
+
+            swarm.run(rate=None)
+            swarm.wait(step=10_000, timeout=60.0)
+
+        Args:
+            step: Return at this step or a later one.
+            phase: Return in this phase.
+            timeout: Seconds; None is no timeout.
+            show: For a step: show a progress bar; None shows it on a terminal and in a notebook.
+
+        Raises:
+            DeadlineExceeded: Not within `timeout`.
+            Faulted: The swarm faulted before `step`.
+            IncorrectState: The swarm was paused before `step`.
+            NotFound: There is no such swarm.
+        """
+        if (step is None) == (phase is None):
+            raise InvalidArgument("wait for a `step` or for a `phase`: exactly one of them")
+        target = None if step is None else whole("step", step)
+        condition = f"phase={phase}" if target is None else f"step={target}"
+        seconds = None if timeout is None else check_seconds("timeout", timeout)
+        with Bar(self._name, False if target is None else show) as bar:
+            status = self._wait(condition, seconds, bar, target or 0)
+            if target is not None and status.step >= target:
+                bar.end(f"step {target}")
+        if target is not None and status.step < target:
+            kind = Faulted if status.phase == "faulted" else IncorrectState
+            raise kind(
+                f"swarm {self._name!r} is {status.phase} at step {status.step} and will not "
+                f"reach step {target} by itself: {status.reason or 'no reason given'}",
+                details={"phase": status.phase, "reason": status.reason},
+                step=status.step,
+            )
+        return self._remember(status)
+
+    def _wait(self, condition: str, seconds: float | None, bar: Bar, target: int) -> Status:
+        """Sends `get/wait` until the condition holds; `bar` shows the progress to `target`."""
+        deadline = math.inf if seconds is None else time.monotonic() + seconds
+        first: int | None = None
+        longest = _BAR_INTERVAL_SECS if bar.is_wanted else _MAX_WAIT_SECS
+        while True:
+            wait = max(min(longest, deadline - time.monotonic()), 0.001)
+            selector = f"get/wait?{condition};timeout_secs={wait:.3f}"
+            end = time.monotonic() + wait
+            try:
+                return read_reply(self._get(selector, timeout=wait), Status)
+            except DeadlineExceeded as error:
+                if seconds is not None and time.monotonic() >= deadline:
+                    where = "" if error.step is None else f" (it is at step {error.step})"
+                    what = f"swarm {self._name!r} did not reach {condition}{where}"
+                    remedy = "a longer `timeout=` waits longer"
+                    raise late(what, seconds, remedy, error) from error
+                step = error.step
+            # The reply is early if too many clients wait for the swarm: let others wait.
+            if (early := end - time.monotonic()) > 0.0:
+                _cancel.sleep(min(early, _DISPLACED_WAIT_SECS))
+            if bar.is_wanted and step is not None:
+                first = step if first is None else first
+                share = (step - first) / max(target - first, 1)
+                bar.show(share, f"step {step} of {target}")
+
+    def _remember(self, status: Status) -> Status:
+        self._shape.pi1, self._shape.epoch = status.parameters.pi1, status.epoch
+        return status
+
+    def _with_pi1(self, state: State) -> State:
+        """The state with the length of its bodies, which the daemon does not send with it."""
+        if state.pi1 is not None:
+            return state
+        if self._shape.epoch != state.epoch:
+            # A state without it is better than an error.
+            with contextlib.suppress(JostleError):
+                self.status()
+        return state if self._shape.pi1 is None else replace(state, pi1=self._shape.pi1)
+
+    def _events_after(self, number: int) -> tuple[list[Event], int]:
+        """The events of higher numbers, and the number of the newest event."""
+
+        def request(after: int) -> tuple[list[Event], int]:
+            page = read_events(self._get(f"get/events?after={after};limit=1000"))
+            return page.events, page.newest
+
+        return pages(request, lambda event: event.number, number)
+
+    def _get(self, rest: str, timeout: float | None = None) -> bytes:
+        return self._session.get(
+            self._session.swarm_key(self._name, rest), swarm=self._name, timeout=timeout
+        )
