@@ -1,11 +1,10 @@
-"""A controller in lock-step: it looks, decides, and lets the swarm step.
+"""A controller in lock-step: it reads the state, decides, and advances the swarm.
 
     jostled &
     python controller.py looped
 
-The swarm moves only when its controllers have advanced, the state comes back with the answer, and
-what was decided for one step is refused at any other. If the daemon is started again meanwhile,
-this goes on as if nothing had been.
+The swarm steps only when its controllers have advanced, the reply has the state, and an advance for
+one step is rejected at any other. After a restart of the daemon the program continues.
 """
 
 import argparse
@@ -17,8 +16,8 @@ import jostle
 def main() -> None:
     """Steers a group of thirty round a corner by five informed individuals."""
     parser = argparse.ArgumentParser(description="Steers a new swarm of thirty round a corner.")
-    parser.add_argument("name", nargs="?", default="looped", help="of the swarm to create")
-    parser.add_argument("--endpoint", help="of the daemon, such as tcp/127.0.0.1:7447")
+    parser.add_argument("name", nargs="?", default="looped", help="name of the swarm to create")
+    parser.add_argument("--endpoint", help="endpoint of the daemon, such as tcp/127.0.0.1:7447")
     args = parser.parse_args()
 
     try:
@@ -37,7 +36,7 @@ def main() -> None:
             state = pilot.sync()
             for turn in range(200):
                 heading = 0.0 if state.time < 20 else math.pi / 2
-                # 0.2 time units on in one exchange.
+                # 0.2 time units in one exchange.
                 arrived = pilot.advance(10, direction=heading, weight=2.0, state=True)
                 state = arrived.state
                 for miss in arrived.news.missed:

@@ -3,9 +3,9 @@
     jostled &
     python repeat.py
 
-A command that comes while a swarm runs takes effect at whatever step it meets. With `at_step` it
-waits for a step of its own, and a `batch` applies several changes there at once or none of them:
-the same commands then lead to the same state, however fast the swarm ran when they came.
+A command that is sent while a swarm runs takes effect at whichever step that is. `Swarm.at` sends
+it for a step of its own, and a `batch` applies several changes at one step or none of them: the
+same commands then lead to the same state, whatever the rate of the swarm when they were sent.
 """
 
 import math
@@ -14,14 +14,14 @@ import jostle
 
 
 def experiment(swarm: jostle.Swarm, rate: float | None) -> jostle.Status:
-    """Lets it run, steers it on the way, and waits until it is over."""
+    """Runs the swarm, steers it at three steps, and waits until it is paused."""
     with swarm.events(timeout=60.0) as events:
         swarm.run(rate=rate)
         leaders = jostle.ids(range(6))
         steer = jostle.Inform(leaders, direction=0.0, weight=2.0)
-        swarm.batch([jostle.Set(pi3=1.5), steer], at_step=1000)
-        swarm.inform(leaders, direction=math.pi / 2, weight=2.0, at_step=1500)
-        swarm.pause(at_step=2000)
+        swarm.at(1000).batch([jostle.Set(pi3=1.5), steer])
+        swarm.at(1500).inform(leaders, direction=math.pi / 2, weight=2.0)
+        swarm.at(2000).pause()
         for event in events:
             if event.kind == "command":
                 print(f"step {event.step:4}: {event.verb}")
@@ -31,7 +31,7 @@ def experiment(swarm: jostle.Swarm, rate: float | None) -> jostle.Status:
 
 
 def main() -> None:
-    """Does it twice, at two rates, and compares."""
+    """Runs the experiment at two rates and compares the hashes."""
     spec = jostle.Spec(n=30, seed=4)
     hashes = []
     with jostle.connect(client="repeat.py") as client:
@@ -44,7 +44,7 @@ def main() -> None:
             hashes.append(status.state_hash)
             print(f"{name}: step {status.step}, drift {status.order.drift:+.2f}, {hashes[-1][:16]}")
     if len(set(hashes)) > 1:
-        raise SystemExit("the two came out differently")
+        raise SystemExit("the two runs have different states")
     print("the same to the bit")
 
 

@@ -3,9 +3,9 @@
     jostled demo &
     python steer.py demo
 
-A tenth of the group is given a direction of its own, east first and north after a while. Nobody
-is told to follow them; how far the whole group does is its drift along that direction, in free
-speeds: 1 if all moved straight along it.
+A tenth of the group is informed of a direction, first east, then north. The others are not; the
+drift of the whole group along that direction, in free speeds, measures how far it follows: 1 if
+all individuals moved straight along it.
 """
 
 import argparse
@@ -16,14 +16,14 @@ import jostle
 
 
 def drift_between(before: jostle.State, after: jostle.State, direction: float) -> float:
-    """The speed of the group's centre along `direction`, radians, in free speeds."""
+    """The mean drift of the group between two states along `direction`, radians, free speeds."""
     moved = after.position.mean(axis=0) - before.position.mean(axis=0)
     along = moved[0] * math.cos(direction) + moved[1] * math.sin(direction)
     return float(along) / (after.time - before.time)
 
 
 def follow(swarm: jostle.Swarm, direction: float, time_units: float) -> None:
-    """Prints the drift along `direction` for so many time units, in six lines."""
+    """Prints the drift along `direction` for `time_units`, in six lines."""
     seen: list[jostle.State] = []
     print("     time  order   drift")
     for state in swarm.states(timeout=10.0):
@@ -43,10 +43,10 @@ def follow(swarm: jostle.Swarm, direction: float, time_units: float) -> None:
 
 
 def main() -> None:
-    """Informs, follows, turns, follows, and takes the direction away again."""
+    """Informs a tenth of the swarm of two directions in turn, and uninforms it."""
     parser = argparse.ArgumentParser(description="Steers a running swarm by a tenth of it.")
-    parser.add_argument("name", help="of a swarm that runs, such as demo")
-    parser.add_argument("--endpoint", help="of its daemon, such as tcp/127.0.0.1:7447")
+    parser.add_argument("name", help="name of a running swarm, such as demo")
+    parser.add_argument("--endpoint", help="endpoint of its daemon, such as tcp/127.0.0.1:7447")
     parser.add_argument("--for", dest="time_units", type=float, default=60.0, help="time per leg")
     args = parser.parse_args()
 

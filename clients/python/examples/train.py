@@ -1,17 +1,17 @@
-"""Trains a shepherd, and holds it against the policy that always says the same.
+"""Trains a policy for `ShepherdEnv` and compares it with the best constant policy.
 
     JOSTLED=../../../target/release/jostled python train.py --figure train.svg
 
-Three of thirty can be told where to go at a time. The constant policy informs those at one place
-in the group, and always of the goal; it gets the best place and the best weight of a grid. The
-policy that is trained gives each cell of what is seen from above a score, a weighted sum of what
-is seen there, informs those in the cell of the highest, and leans against where the group goes
-astray. Its seven numbers are found by the cross-entropy method: draw some about a mean, keep the
-best quarter, and go on from those. All policies of a generation meet the same seeds, and the two
-are compared on seeds that neither has met. A third policy informs whoever is at a place drawn anew
-each time of the goal, to show what changing alone is worth.
+Three of thirty individuals are informed at a time. The constant policy informs those at one place
+in the group, always of the goal; a grid search finds its best place and weight. The trained policy
+gives each cell of the view from above a score, a weighted sum of the observation of the cell,
+informs those in the cell with the highest score, and steers against the group's sideways drift.
+The cross-entropy method finds its seven numbers: it draws policies about a mean, keeps the best
+quarter, and repeats. All policies of a generation have the same seeds, and the comparison uses
+held-out seeds. A third policy informs individuals at a random place of the goal, to measure the
+effect of changing the place alone.
 
-Everything is drawn from seeds, so that the figures are the same every time.
+All draws are from seeds, so the results are reproducible.
 """
 
 import argparse
@@ -33,14 +33,14 @@ from jostle.env import ShepherdEnv
 
 Floats = NDArray[np.float64]
 
-# Where the cells are: -0.8 to 0.8, ahead and to the left, in units of half the square's side.
+# The centres of the cells, ahead and to the left, in units of half the square's side.
 AHEAD, LEFT = np.meshgrid(np.linspace(-0.8, 0.8, 5), np.linspace(-0.8, 0.8, 5))
 NAMES = ("heading along", "heading across", "share", "ahead", "aside", "along", "against")
 
 
 @dataclass(frozen=True)
 class Plan:
-    """How much is done."""
+    """The size of the training."""
 
     n: int = 30
     informed: int = 3
@@ -57,33 +57,33 @@ QUICK = Plan(10, 2, 8, generations=2, population=4, seeds=2, constant_seeds=4, h
 
 @dataclass(frozen=True)
 class Constant:
-    """Informs those at one place of the goal, with one weight."""
+    """Informs those at a fixed place of the goal, with a fixed weight."""
 
     ahead: float
     weight: float
 
     def act(self, observation: NDArray[np.float32], draws: np.random.Generator) -> Floats:
-        """Always the same."""
+        """Returns the same action for every observation."""
         return np.array([self.ahead, 0.0, self.weight, 0.0])
 
 
 @dataclass(frozen=True)
 class Anywhere:
-    """Informs those at a place drawn anew each time of the goal, with all weight."""
+    """Informs those at a random place of the goal, with full weight."""
 
     def act(self, observation: NDArray[np.float32], draws: np.random.Generator) -> Floats:
-        """Looks at nothing."""
+        """Returns a random place."""
         return np.array([*draws.uniform(-0.8, 0.8, 2), 1.0, 0.0])
 
 
 @dataclass(frozen=True)
 class Scores:
-    """Informs those in the cell of the highest score; left and right are the same to it."""
+    """Informs those in the cell with the highest score; it is symmetric in left and right."""
 
     numbers: Floats
 
     def act(self, observation: NDArray[np.float32], draws: np.random.Generator) -> Floats:
-        """Looks at each cell, and at where the group goes."""
+        """Scores each cell."""
         share, along, across = observation[7:].reshape(5, 5, 3).transpose(2, 0, 1).astype(float)
         seen = (along, np.abs(across), 5.0 * share, AHEAD, np.abs(LEFT))
         score = np.tensordot(self.numbers[:5], np.array(seen), 1)
@@ -99,7 +99,7 @@ _env: ShepherdEnv
 
 
 def begin(endpoint: str, plan: Plan) -> None:
-    """Makes this process's environment, on the daemon of all."""
+    """Creates the environment of this process, on the shared daemon."""
     global _env
     _env = ShepherdEnv(
         plan.n,
@@ -113,7 +113,7 @@ def begin(endpoint: str, plan: Plan) -> None:
 
 
 def drift(policy: Policy, seed: int) -> float:
-    """The drift of an episode."""
+    """The drift of an episode with a policy."""
     observation, info = _env.reset(seed=seed)
     draws = np.random.default_rng(seed)
     is_over = False
@@ -123,7 +123,7 @@ def drift(policy: Policy, seed: int) -> float:
 
 
 def best_constant(measure: Measure, plan: Plan) -> tuple[Constant, float]:
-    """The best place and weight of a grid; the four that come out best are looked at again."""
+    """The best place and weight of a grid; the best four are evaluated with more seeds."""
     grid = [Constant(a, w) for a in (-0.8, -0.4, 0.0, 0.4, 0.8) for w in (0.25, 0.5, 1.0)]
     few = measure(grid, range(plan.constant_seeds // 4)).mean(axis=1)
     those = [grid[index] for index in np.argsort(-few)[:4]]
@@ -132,8 +132,8 @@ def best_constant(measure: Measure, plan: Plan) -> tuple[Constant, float]:
 
 
 def train(measure: Measure, plan: Plan, draws: np.random.Generator) -> tuple[Scores, list[Floats]]:
-    """The mean of the last generation, and the drifts of each generation's policies."""
-    # To begin with every cell is as good as any other.
+    """The mean policy of the last generation, and the drifts of each generation's policies."""
+    # The first mean scores all cells equally.
     mean, spread = np.array([0.0] * 5 + [0.5, 0.0]), np.ones(len(NAMES))
     curve = []
     for generation in range(plan.generations):
@@ -141,7 +141,7 @@ def train(measure: Measure, plan: Plan, draws: np.random.Generator) -> tuple[Sco
         first = 1000 + generation * plan.seeds
         drifts = measure(map(Scores, numbers), range(first, first + plan.seeds)).mean(axis=1)
         best = numbers[np.argsort(-drifts)[: plan.population // 4]]
-        # It does not narrow as fast as the few would have it.
+        # Smoothing keeps the spread of a small population from collapsing.
         mean, spread = best.mean(axis=0), 0.6 * best.std(axis=0) + 0.3 * spread
         curve.append(drifts)
         print(f"generation {generation + 1}: drift {drifts.mean():+.3f}, best {drifts.max():+.3f}")
@@ -151,7 +151,7 @@ def train(measure: Measure, plan: Plan, draws: np.random.Generator) -> tuple[Sco
 def draw(
     path: Path, plan: Plan, constant: float, curve: list[Floats], held_out: dict[str, Floats]
 ) -> None:
-    """Draws how it learned, and how the policies fare on the seeds held out."""
+    """Plots the training, and the drifts of the policies on the held-out seeds."""
     figure = Figure(figsize=(9.0, 3.8), layout="constrained")
     left, right = figure.subplots(1, 2)
     generations = np.arange(1, len(curve) + 1)
@@ -178,7 +178,7 @@ def draw(
     right.set_title(f"{pairs.shape[1]} held-out seeds, a line each", fontsize=10)
     right.legend(frameon=False, loc="lower right")
     with matplotlib.rc_context({"svg.hashsalt": "train"}):
-        # The same figures are the same file.
+        # Equal results give equal files.
         figure.savefig(path, metadata={"Date": None} if path.suffix == ".svg" else {})
 
 
@@ -187,8 +187,8 @@ def error(numbers: Floats) -> float:
     return float(numbers.std(ddof=1) / np.sqrt(len(numbers)))
 
 
-def told(gained: Floats) -> str:
-    """A gain, pair by pair."""
+def describe(gained: Floats) -> str:
+    """The mean gain over paired seeds, as a text."""
     return (
         f"{gained.mean():+.3f} ± {error(gained):.3f} better, on {np.sum(gained > 0.0)} of "
         f"{len(gained)}"
@@ -196,11 +196,13 @@ def told(gained: Floats) -> str:
 
 
 def main() -> None:
-    """Trains, compares and draws."""
-    parser = argparse.ArgumentParser(description="Trains a shepherd; a few minutes on two cores.")
-    parser.add_argument("--quick", action="store_true", help="all of it, too little to learn")
-    parser.add_argument("--figure", type=Path, help="a file to draw it into, such as train.svg")
-    parser.add_argument("--seed", type=int, default=1, help="of what the training draws")
+    """Trains, compares and plots."""
+    parser = argparse.ArgumentParser(
+        description="Trains a policy for ShepherdEnv; a few minutes on two cores."
+    )
+    parser.add_argument("--quick", action="store_true", help="a short test, too short to learn")
+    parser.add_argument("--figure", type=Path, help="file of the plot, such as train.svg")
+    parser.add_argument("--seed", type=int, default=1, help="seed of the training")
     parser.add_argument("--processes", type=int, default=os.cpu_count() or 1)
     args = parser.parse_args()
     plan = QUICK if args.quick else Plan()
@@ -233,7 +235,7 @@ def main() -> None:
         gained = held_out["learned"] - those
         print(
             f"{name}: drift {those.mean():+.3f} ± {error(those):.3f}"
-            + ("" if name == "learned" else f"; learned is {told(gained)} held-out seeds")
+            + ("" if name == "learned" else f"; learned is {describe(gained)} held-out seeds")
         )
     print(f"{time.monotonic() - began:.0f} s")
     if args.figure is not None:

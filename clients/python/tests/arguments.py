@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from rows import File, Take, take
+from rows import Arguments, File, call
 from rows_of_swarms import POSES, WIRE_POSES
 
 ENVELOPE: dict[str, list[Any]] = {
@@ -51,37 +51,38 @@ TAKEN: dict[str, tuple[str, ...]] = {
 }
 """Which of them each call takes."""
 
-SHOWN: dict[str, Take] = {
-    "Swarm.run": take(until=3.0, wait=True),
-    "Swarm.wait": take(step=60),
-    "Swarm.frame": take(2),
-    "Client.fetch_recording": take("night", File("new")),
-    "Client.replay": take(File("tape.mcap")),
-    "Experiment.wait": take(),
+SHOWN: dict[str, Arguments] = {
+    "Swarm.run": call(until=3.0, wait=True),
+    "Swarm.wait": call(step=60),
+    "Swarm.frame": call(2),
+    "Client.fetch_recording": call("night", File("new")),
+    "Client.replay": call(File("tape.mcap")),
+    "Experiment.wait": call(),
 }
 """The calls that show a bar."""
 
-VALUES: list[tuple[str, Take, Any]] = [
-    ("ids", take([3, np.uint32(1)]), {"ids": [3, 1]}),
-    ("count", take(np.int64(2)), {"count": 2}),
-    ("fraction", take(0.25), {"fraction": 0.25}),
-    ("within", take(1.5, y=-2.0, radius=3.0), {"within": {"x": 1.5, "y": -2.0, "radius": 3.0}}),
-    ("foremost", take(2, along=0.75), {"foremost": {"count": 2, "along": 0.75}}),
-    ("disc", take(), {"kind": "disc"}),
-    ("disc", take(9.5), {"kind": "disc", "radius": 9.5}),
+VALUES: list[tuple[str, Arguments, Any]] = [
+    ("ids", call([3, np.uint32(1)]), {"ids": [3, 1]}),
+    ("count", call(np.int64(2)), {"count": 2}),
+    ("fraction", call(0.25), {"fraction": 0.25}),
+    ("within", call(1.5, y=-2.0, radius=3.0), {"within": {"x": 1.5, "y": -2.0, "radius": 3.0}}),
+    ("foremost", call(2, along=0.75), {"foremost": {"count": 2, "along": 0.75}}),
+    ("disc", call(), {"kind": "disc"}),
+    ("disc", call(9.5), {"kind": "disc", "radius": 9.5}),
     (
         "given",
-        take([0, 1], y=[2, 3], alpha=np.array([0.5, 1.5])),
+        call([0, 1], y=[2, 3], alpha=np.array([0.5, 1.5])),
         {"kind": "given", "x": [0.0, 1.0], "y": [2.0, 3.0], "alpha": [0.5, 1.5]},
     ),
-    ("poses", take(POSES), WIRE_POSES),
+    ("poses", call(POSES), WIRE_POSES),
 ]
-"""What makes arguments, and what is sent of it."""
+"""Calls that build arguments, and what is sent of them."""
 
 _FILE = "reads a file of this machine"
 _PICTURE = "draws on this machine"
 
 NOT_SENT: dict[tuple[str, str], str] = {
+    ("Swarm.at", "step"): "is the option `at_step` of every command",
     ("Client.swarm", "name"): "is in the key of every row of Swarm",
     ("Client.experiment", "name"): "is in the key of every row of Experiment",
     ("Experiment.wait", "timeout"): "ends the wait on this machine: test_timeouts.py",
@@ -150,7 +151,7 @@ NOT_OFFERED: dict[tuple[str, str], str] = {
 
 _NO_STEP = "is about the daemon, which has no step"
 _NO_EPOCH = "is about the daemon, which has no epoch"
-_OWN = "a controller makes and remembers its own, so that an advance is carried out once"
+_OWN = "a controller generates and stores its own, so that an advance is executed once"
 
 NOT_AROUND: dict[tuple[str, str], str] = {
     **{
@@ -170,7 +171,7 @@ NOT_AROUND: dict[tuple[str, str], str] = {
     ("Controller.advance", "request_id"): _OWN,
     ("Client.replay", "request_id"): "a replay that is opened again is `already_exists`",
     **{
-        ("Swarm.fork", name): "its `step` says which state is meant, also one that has passed"
+        ("Swarm.fork", name): "its `step` selects the state, also a past one"
         for name in ("at_step", "expect_step", "expect_epoch")
     },
     **{

@@ -1,4 +1,4 @@
-"""The real daemon, on a port of its own."""
+"""The real daemon, on a free port."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ from needs import pytest_sessionfinish as pytest_sessionfinish
 ROOT = Path(__file__).resolve().parents[3]
 JOSTLED = Path(os.environ.get("JOSTLED", ROOT / "target" / "release" / "jostled"))
 
-# After so long a test takes for hung what it waits for. No claim about time: on a machine whose
+# A wait fails after this time. It does not measure performance: on a machine whose
 # every core is busy, what takes 1 s otherwise takes 20.
-PATIENCE_SECS = 60.0
+MAX_WAIT_SECS = 60.0
 
 # A shell starts background jobs with SIGINT ignored, which child processes inherit: without this
 # the programs that the tests interrupt would ignore it.
@@ -34,7 +34,7 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 class Daemon:
-    """A `jostled serve` of this test run's own."""
+    """A `jostled serve` of this test run."""
 
     def __init__(
         self,
@@ -42,67 +42,72 @@ class Daemon:
         listen: str = "tcp/127.0.0.1:0",
         failing: str | None = None,
         node: str | None = None,
+        http: str = "",
     ) -> None:
         self.data = folder / "data"
         self.log = folder / "jostled.log"
         with self.log.open("ab") as log:
             self.process = subprocess.Popen(
                 [
-                    *(JOSTLED, "serve", "--listen", listen, "--http", "", "--data-dir", self.data),
+                    *(JOSTLED, "serve", "--listen", listen, "--http", http),
+                    *("--data-dir", self.data),
                     *(() if node is None else ("--node", node)),
                 ],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,
                 stderr=log,
                 cwd=folder,
-                # Where it is to fail, such as `command=panic`.
+                # A failpoint, such as `command=panic`.
                 env=os.environ if failing is None else {**os.environ, "FAILPOINTS": failing},
             )
+        self._output = b""
         try:
-            self.endpoint = self._read_endpoint()
+            self.endpoint = self._read(rb"listening on (\S+)\n")
+            self.http = self._read(rb"http on (\S+)\n") if http else ""
         except BaseException:
             self.kill()
             raise
 
-    def _read_endpoint(self) -> str:
-        """Waits for the line that says where it listens."""
+    def _read(self, pattern: bytes) -> str:
+        """Waits until the standard output has a match of the pattern; returns its first group."""
         assert self.process.stdout is not None
-        deadline = time.monotonic() + PATIENCE_SECS
-        said = b""
+        deadline = time.monotonic() + MAX_WAIT_SECS
         with selectors.DefaultSelector() as selector:
             selector.register(self.process.stdout, selectors.EVENT_READ)
-            while time.monotonic() < deadline:
-                if not selector.select(deadline - time.monotonic()):
+            while (found := re.search(pattern, self._output)) is None:
+                if not selector.select(max(0.0, deadline - time.monotonic())):
                     break
                 chunk = os.read(self.process.stdout.fileno(), 4096)
-                said += chunk
-                if found := re.search(rb"listening on (\S+)\n", said):
-                    return found[1].decode()
+                self._output += chunk
                 if not chunk:
                     break
-        raise AssertionError(f"jostled does not listen: {said!r}, {self.log.read_text()}")
+        if found is None:
+            raise AssertionError(f"jostled: {self._output!r}, {self.log.read_text()}")
+        return found[1].decode()
 
     def stop(self) -> int:
-        """Asks it to stop, as a service manager would, and returns its exit code."""
+        """Stops it with SIGTERM, as a service manager would, and returns its exit code."""
         self.process.terminate()
         return self._reap()
 
     def kill(self) -> None:
-        """Ends it where it stands."""
+        """Kills it with SIGKILL."""
         self.process.kill()
         self._reap()
 
     def freeze(self) -> None:
-        """Stops it from running without ending it."""
+        """Stops its process with SIGSTOP."""
         self.process.send_signal(signal.SIGSTOP)
+        # Some of its threads may still run when the signal has been sent.
+        os.waitid(os.P_PID, self.process.pid, os.WSTOPPED)
 
     def thaw(self) -> None:
-        """Lets it run again."""
+        """Resumes its process."""
         self.process.send_signal(signal.SIGCONT)
 
     def _reap(self) -> int:
         try:
-            return self.process.wait(PATIENCE_SECS)
+            return self.process.wait(MAX_WAIT_SECS)
         except subprocess.TimeoutExpired:
             self.process.kill()
             self.process.wait()
@@ -113,7 +118,7 @@ class Daemon:
 
 
 class Wire:
-    """A cable between clients and a daemon, to be cut, stalled and slowed."""
+    """A proxy between clients and a daemon that can be cut, stalled and slowed."""
 
     def __init__(self, endpoint: str) -> None:
         self.daemon = endpoint
@@ -129,40 +134,40 @@ class Wire:
         threading.Thread(target=self._accept, daemon=True).start()
 
     def mute(self) -> None:
-        """Lets nothing more through from the daemon, until it is cut."""
+        """Drops everything the daemon sends, until `cut`."""
         self._is_mute = True
 
     def cut(self) -> None:
-        """Ends every connection; those made from now on work."""
+        """Closes every connection; new ones work."""
         with self._lock:
             ends, self._ends = self._ends, []
             for end in ends:
                 with contextlib.suppress(OSError):
                     end.shutdown(socket.SHUT_RDWR)
                 end.close()
-            # Only now: a reply that is under way must not pass.
+            # Only now: a reply in transit must not pass.
             self._is_mute = False
 
     def unplug(self) -> None:
-        """Ends every connection, and those made from now on at once."""
+        """Closes every connection, and new ones at once."""
         self._is_out = True
         self.cut()
 
     def plug(self) -> None:
-        """Has all flow again, what was held up as well."""
+        """Forwards again, including what was held back."""
         self._is_out = False
         self._flows.set()
 
     def stall(self) -> None:
-        """Holds up all that is sent, either way."""
+        """Holds back everything, in both directions."""
         self._flows.clear()
 
     def slow(self, seconds: float) -> None:
-        """Delays all that is sent by as long, either way."""
+        """Delays everything by `secs`, in both directions."""
         self._delay = seconds
 
     def close(self) -> None:
-        """Ends every connection and takes no more."""
+        """Closes every connection and accepts no more."""
         self._listener.close()
         self._flows.set()
         self.cut()
@@ -199,8 +204,14 @@ class Wire:
 
 
 @pytest.fixture
+def jostled_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Names the daemon's program in the environment, for `local` and `sweep`."""
+    monkeypatch.setenv("JOSTLED", str(JOSTLED))
+
+
+@pytest.fixture
 def wire(daemon: Daemon) -> Iterator[Wire]:
-    """A cable to the shared daemon."""
+    """A proxy to the shared daemon."""
     wire = Wire(daemon.endpoint)
     yield wire
     wire.close()
@@ -208,7 +219,7 @@ def wire(daemon: Daemon) -> Iterator[Wire]:
 
 @pytest.fixture(scope="session")
 def daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Daemon]:
-    """One daemon for every test that does it no harm."""
+    """One daemon for all tests that do not stop or change it."""
     daemon = Daemon(tmp_path_factory.mktemp("daemon"))
     yield daemon
     assert daemon.stop() == 0, daemon.log.read_text()
@@ -216,7 +227,7 @@ def daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Daemon]:
 
 @pytest.fixture
 def own_daemon(tmp_path: Path) -> Iterator[Daemon]:
-    """A daemon for one test that does it harm."""
+    """A daemon for one test that stops or changes it."""
     daemon = Daemon(tmp_path)
     yield daemon
     if daemon.process.poll() is None:
@@ -235,7 +246,7 @@ _numbers = itertools.count(1)
 
 @pytest.fixture
 def create(client: jostle.Client) -> Iterator[Callable[..., jostle.Swarm]]:
-    """Creates swarms of names of their own, and deletes them after the test."""
+    """Creates swarms with unique names, and deletes them after the test."""
     created: list[jostle.Swarm] = []
 
     def create(n: int = 5, **fields: object) -> jostle.Swarm:
@@ -251,11 +262,11 @@ def create(client: jostle.Client) -> Iterator[Callable[..., jostle.Swarm]]:
 
 
 def eventually(what: str, holds: Callable[[], bool]) -> None:
-    """Waits until `holds`, which asks the daemon, or fails saying `what` did not come about."""
-    deadline = time.monotonic() + PATIENCE_SECS
+    """Polls until `holds`, which queries the daemon, returns true; fails with `what` otherwise."""
+    deadline = time.monotonic() + MAX_WAIT_SECS
     while not holds():
-        assert time.monotonic() < deadline, f"{what}: not within {PATIENCE_SECS} s"
-        # What it waits for needs the core, too.
+        assert time.monotonic() < deadline, f"{what}: not within {MAX_WAIT_SECS} s"
+        # The daemon needs the core, too.
         time.sleep(0.01)
 
 
@@ -273,7 +284,7 @@ def free_endpoint() -> str:
 
 
 def zenoh_session(endpoint: str, mode: str = "connect") -> zenoh.Session:
-    """A session of zenoh's own, that connects or listens there."""
+    """A plain zenoh session that connects or listens there."""
     config = zenoh.Config()
     config.insert_json5("mode", '"client"' if mode == "connect" else '"peer"')
     config.insert_json5("scouting/multicast/enabled", "false")

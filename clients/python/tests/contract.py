@@ -13,8 +13,8 @@ import msgspec
 import numpy as np
 
 import jostle
+from jostle._controller_messages import Controllers, Joined
 from jostle._events import Events, Journal
-from jostle._exchange import Controllers, Joined
 from jostle._messages import CreateResult, Parameters, SpecReply
 from jostle._node import Swarms
 from jostle._recordings import RecordingPiece, RecordingResult, Recordings
@@ -83,10 +83,10 @@ CHANGES: dict[str, type[Any]] = {
     "set.args": jostle.Set,
     "uninform.args": jostle.Uninform,
 }
-"""What a `batch` takes several of."""
+"""The commands that a `batch` can contain."""
 
 OF_CONTROLLERS = {"advance": "advance", "control": "put", "leave": "leave"}
-"""What a controller does, and what the method is called."""
+"""The verbs of a controller, and the names of the methods."""
 
 
 def schemas() -> dict[str, dict[str, Any]]:
@@ -108,22 +108,23 @@ def fixtures(suffix: str) -> list[tuple[str, Path]]:
     return found
 
 
-# Where the contract has one field and this package another way to the same thing.
+# Fields of the contract for which this package has another interface.
 ADDED = {
     ("event", "skipped"),  # Counted by the reader.
     ("events.reply.events[]", "skipped"),
     ("journal.reply.entries[]", "skipped"),
-    ("state", "pi1"),  # As last heard.
+    ("state", "pi1"),  # From the status.
     ("advance.reply.state", "pi1"),
     ("advance.reply.state", "skipped"),
     ("advance.reply.state", "state_hash"),
     ("state", "skipped"),
-    ("state", "state_hash"),  # From the answer around the state.
+    ("scheduled.reply", "outcome"),  # Of a command that did not have to wait.
+    ("state", "state_hash"),  # From the reply around the state.
 }
 ELSEWHERE = {
     ("step.reply", "state"),  # `Swarm.step(state=True)` returns it.
 }
-# A dictionary, so that kinds of other daemons can be asked for and read.
+# A dictionary, so that the kinds of other daemons can be read.
 LOOSE = ".attraction"
 
 
@@ -213,7 +214,7 @@ class Checker:
             self.check(at, hints[name], field)
 
     def check(self, where: str, hint: Any, schema: dict[str, Any]) -> None:
-        """Compares what is no None."""
+        """Compares a value that is not None."""
         schema = self.resolve(schema)
         kind, _ = self.kind(schema)
         if kind is None or hint is Any:

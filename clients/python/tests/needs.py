@@ -1,7 +1,7 @@
-"""What tests need of the machine besides Python.
+"""What tests need on the machine besides Python.
 
-A test that lacks it fails and names the remedy. `JOSTLE_MAY_SKIP` lists, separated by commas, what
-the tests may go without; what was skipped is recorded in the file that `JOSTLE_SKIPPED` names.
+A test without it fails and names the remedy. `JOSTLE_MAY_SKIP` lists, separated by commas, what
+may be missing; what was skipped is recorded in the file that `JOSTLE_SKIPPED` names.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import pytest
 
 
 def may_skip(name: str, test: str) -> bool:
-    """Whether a test may go without something; records that it does."""
+    """Whether a test may be skipped for lack of `name`; records the skip."""
     if name not in (it.strip() for it in os.environ.get("JOSTLE_MAY_SKIP", "").split(",")):
         return False
     if path := os.environ.get("JOSTLE_SKIPPED"):
@@ -24,7 +24,7 @@ def may_skip(name: str, test: str) -> bool:
 
 
 def refusal(name: str, remedy: str) -> str:
-    """Why a test fails that may not go without something."""
+    """The message of a test that may not be skipped."""
     return f"this test needs {name}: {remedy}; or set JOSTLE_MAY_SKIP={name} to skip it"
 
 

@@ -18,7 +18,7 @@ import numpy as np
 import zenoh
 
 import contract
-from conftest import PATIENCE_SECS
+from conftest import MAX_WAIT_SECS
 
 NODE = "lab"
 PERSON, PASSWORD, TOKEN = "ada", "sesame", "token-of-ada"
@@ -66,21 +66,21 @@ SNAPSHOT = cbor2.dumps(cbor_fixture("snapshot.reply")["result"])
 
 
 def credentials(folder: Path, endpoint: str = "tcp/127.0.0.1:1") -> Path:
-    """Makes a folder of credentials, which say where the daemon is."""
+    """Writes a folder of credentials, which contain the endpoint."""
     folder.mkdir()
-    told = {
+    document = {
         "person": PERSON,
         "role": "operator",
         "endpoint": endpoint,
         "token": TOKEN,
         "password": PASSWORD,
     }
-    (folder / "credentials.json").write_text(json.dumps(told), encoding="utf-8")
+    (folder / "credentials.json").write_text(json.dumps(document), encoding="utf-8")
     return folder
 
 
 class Recorder:
-    """Records what clients send, and replies what the contract's fixtures have.
+    """Records what clients send, and replies with the contract's fixtures.
 
     Attributes:
         is_mute: Whether it holds every query whose key this is true of, and never replies.
@@ -124,7 +124,7 @@ class Recorder:
         ]
 
     def clear(self) -> None:
-        """Forgets what was sent, and replies to everything as at the beginning."""
+        """Clears the record, and replies to everything as at the start."""
         with self._changed:
             self._sent.clear()
             self.repeats.clear()
@@ -150,13 +150,13 @@ class Recorder:
     def sent(self, count: int = 0) -> list[Sent]:
         """Every message since `clear`; waits until there are `count`."""
         with self._changed:
-            self._changed.wait_for(lambda: len(self._sent) >= count, PATIENCE_SECS)
+            self._changed.wait_for(lambda: len(self._sent) >= count, MAX_WAIT_SECS)
             return list(self._sent)
 
     def holds(self, count: int) -> bool:
-        """Waits until it holds so many queries, and says whether it does."""
+        """Waits until it holds `count` queries; returns whether it does."""
         with self._changed:
-            return self._changed.wait_for(lambda: len(self._held) >= count, PATIENCE_SECS)
+            return self._changed.wait_for(lambda: len(self._held) >= count, MAX_WAIT_SECS)
 
     def _hear(self, query: zenoh.Query) -> None:
         key, parameters = str(query.key_expr), str(query.parameters)
@@ -281,7 +281,7 @@ class Recorder:
 def _page(
     reply: dict[str, Any], name: str, number: str, parameters: dict[str, str]
 ) -> dict[str, Any]:
-    """A page of what is numbered higher than `after`."""
+    """A page of the entries numbered above `after`."""
     reply = copy.deepcopy(reply)
     entries = reply["result"][name]
     reply["result"]["newest"] = entries[-1][number]
@@ -325,9 +325,9 @@ def _freshened(body: Any) -> Any:
 
 
 def fake_jostled(folder: Path, endpoint: str) -> Path:
-    """A program that notes its arguments and says that it listens where a recorder does."""
+    """A program that writes its arguments to a file and prints a recorder's endpoint."""
     program = folder / "jostled"
-    said = f'printf "%s\\n" "$@" > {folder}/arguments\necho "listening on {endpoint}"\n'
-    program.write_text(f"#!/bin/sh\n{said}exec sleep 600\n", encoding="utf-8")
+    script = f'printf "%s\\n" "$@" > {folder}/arguments\necho "listening on {endpoint}"\n'
+    program.write_text(f"#!/bin/sh\n{script}exec sleep 600\n", encoding="utf-8")
     program.chmod(0o755)
     return program

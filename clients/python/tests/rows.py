@@ -1,4 +1,4 @@
-"""What the tables of arguments are made of."""
+"""The parts of the tables of arguments."""
 
 from __future__ import annotations
 
@@ -6,14 +6,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from recorder import FRESH, NODE, SNAPSHOT, TOKEN, Sent
 
 CLIENT, TIMEOUT_SECS = "ada@lab", 7.5
-"""What every client of the tables is called, and its timeout."""
+"""The name of every client of the tables, and its timeout."""
 
 
 @dataclass(frozen=True)
-class Take:
+class Arguments:
     """The arguments of a call."""
 
     args: tuple[Any, ...]
@@ -22,18 +24,18 @@ class Take:
 
 @dataclass(frozen=True)
 class Row:
-    """A call, and what must leave the client.
+    """A call, and what the client must send.
 
     Attributes:
         call: The class and the method, or the function.
-        take: Its arguments.
+        arguments: Its arguments.
         sent: Every message, in order.
         joined: What a controller had joined with.
         name: The name of that controller.
     """
 
     call: str
-    take: Take
+    arguments: Arguments
     sent: list[Sent]
     joined: dict[str, Any] = field(default_factory=dict)
     name: str = "ada"
@@ -41,12 +43,12 @@ class Row:
 
 @dataclass(frozen=True)
 class File:
-    """Stands for a path, which each test makes."""
+    """A placeholder for a path that each test creates."""
 
     name: str
 
     def make(self, folder: Path) -> Path:
-        """Makes it in a folder that is empty."""
+        """Creates it in an empty folder."""
         path = folder / self.name
         match self.name:
             case "half":
@@ -86,9 +88,14 @@ class AtMost:
         return hash(self.start)
 
 
-def take(*args: Any, **kwargs: Any) -> Take:
+def call(*args: Any, **kwargs: Any) -> Arguments:
     """The arguments of a call."""
-    return Take(args, kwargs)
+    return Arguments(args, kwargs)
+
+
+def parameters(rows: list[Row]) -> list[Any]:
+    """The rows as parameters of a test, named by their calls."""
+    return [pytest.param(row, id=f"{row.call}-{index}") for index, row in enumerate(rows)]
 
 
 def cmd(verb: str, args: dict[str, Any], swarm: str = "school", **envelope: Any) -> Sent:

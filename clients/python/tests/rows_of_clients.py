@@ -1,4 +1,4 @@
-"""Every call of a client and of an experiment, and what must leave the client."""
+"""Every call of a client and of an experiment, and what the client must send."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 import jostle
 from recorder import SNAPSHOT, Sent
-from rows import LONG, PLAN, TAPE, File, Row, node_cmd, node_get, take
+from rows import LONG, PLAN, TAPE, File, Row, call, node_cmd, node_get
 from rows_of_swarms import ATTRACTIONS
 
 DEFAULTS: dict[str, Any] = {
@@ -49,7 +49,7 @@ GIVEN = {"kind": "given", "x": [0.0, 2.0, 4.0], "y": [1.0, 1.5, 2.0], "alpha": [
 
 
 def _create(spec: Any, sent: dict[str, Any], exist_ok: bool = False) -> Row:
-    taken = take("school", spec, exist_ok=True) if exist_ok else take("school", spec)
+    taken = call("school", spec, exist_ok=True) if exist_ok else call("school", spec)
     args = {"name": "school", "spec": sent, "exist_ok": exist_ok}
     return Row("Client.create", taken, [node_cmd("create", args)])
 
@@ -98,7 +98,7 @@ def _opened(name: str, **args: Any) -> Sent:
 
 
 def _pieces(*pieces: tuple[int, int]) -> list[Sent]:
-    """The queries of pieces of a recording: the part, and from where on."""
+    """The queries of pieces of a recording: the part and the offset."""
     return [
         node_get("get/recordings"),
         *(
@@ -110,25 +110,25 @@ def _pieces(*pieces: tuple[int, int]) -> list[Sent]:
 
 CLIENTS = [
     *CREATIONS,
-    Row("Client.restore", take(SNAPSHOT, "twin"), _restored("twin")),
+    Row("Client.restore", call(SNAPSHOT, "twin"), _restored("twin")),
     Row(
         "Client.restore",
-        take(snapshot=jostle.Snapshot.from_bytes(SNAPSHOT), name="twin"),
+        call(snapshot=jostle.Snapshot.from_bytes(SNAPSHOT), name="twin"),
         _restored("twin"),
     ),
-    Row("Client.restore", take(File("school.snapshot"), "other"), _restored("other")),
-    Row("Client.discard", take("school"), [node_cmd("discard", {"name": "school"})]),
-    Row("Client.discard", take(name="other"), [node_cmd("discard", {"name": "other"})]),
-    _record(take("school")),
-    _record(take("school", "night"), recording="night"),
-    _record(take(swarm="school", recording="night"), recording="night"),
-    _record(take("school", every=np.int64(50)), every=50),
-    _record(take("school", steps=1000), steps=1000),
-    _record(take("school", drop_when_behind=True), drop_when_behind=True),
-    _record(take("school", max_bytes=1 << 20), max_bytes=1 << 20),
-    _record(take("school", temporary=True), temporary=True),
+    Row("Client.restore", call(File("school.snapshot"), "other"), _restored("other")),
+    Row("Client.discard", call("school"), [node_cmd("discard", {"name": "school"})]),
+    Row("Client.discard", call(name="other"), [node_cmd("discard", {"name": "other"})]),
+    _record(call("school")),
+    _record(call("school", "night"), recording="night"),
+    _record(call(swarm="school", recording="night"), recording="night"),
+    _record(call("school", every=np.int64(50)), every=50),
+    _record(call("school", steps=1000), steps=1000),
+    _record(call("school", drop_when_behind=True), drop_when_behind=True),
+    _record(call("school", max_bytes=1 << 20), max_bytes=1 << 20),
+    _record(call("school", temporary=True), temporary=True),
     _record(
-        take(
+        call(
             "school",
             "night",
             every=3,
@@ -146,63 +146,63 @@ CLIENTS = [
     ),
     Row(
         "Client.stop_recording",
-        take("night"),
+        call("night"),
         [node_cmd("record", {"stop": {"recording": "night"}})],
     ),
     Row(
         "Client.delete_recording",
-        take("night"),
+        call("night"),
         [node_cmd("record", {"delete": {"recording": "night"}})],
     ),
     # It has three parts of four bytes each.
-    Row("Client.fetch_recording", take("night", File("new")), _pieces((0, 0), (1, 0), (2, 0))),
+    Row("Client.fetch_recording", call("night", File("new")), _pieces((0, 0), (1, 0), (2, 0))),
     Row(
         "Client.fetch_recording",
-        take(recording="night", path=File("half")),
+        call(recording="night", path=File("half")),
         _pieces((0, 4), (1, 2), (2, 0)),
     ),
     Row(
         "Client.replay",
-        take(recording="night"),
+        call(recording="night"),
         [_opened("night", recording="night")],
     ),
     Row(
         "Client.replay",
-        take(name="shown", recording="night"),
+        call(name="shown", recording="night"),
         [_opened("shown", recording="night")],
     ),
     Row(
         "Client.replay",
-        take(File("tape.mcap")),
+        call(File("tape.mcap")),
         [_uploaded("tape", TAPE, 0, 20), _opened("tape")],
     ),
     Row(
         "Client.replay",
-        take(path=File("long.mcap"), name="shown"),
+        call(path=File("long.mcap"), name="shown"),
         [
             _uploaded("shown", LONG, 0, 184_320),
             _uploaded("shown", LONG, 184_320, 200_016),
             _opened("shown"),
         ],
     ),
-    Row("Client.submit", take(PLAN), [node_cmd("experiment", {"submit": {"toml": PLAN}})]),
+    Row("Client.submit", call(PLAN), [node_cmd("experiment", {"submit": {"toml": PLAN}})]),
     Row(
         "Client.submit",
-        take({"name": "small", "grid": [{"n": np.array([3, 8])}]}),
+        call({"name": "small", "grid": [{"n": np.array([3, 8])}]}),
         [
             node_cmd(
                 "experiment",
-                {"submit": {"toml": '"name" = "small"\n"grid" = [{ "n" = [3, 8] }]\n'}},
+                {"submit": {"toml": 'name = "small"\n\n[[grid]]\nn = [\n    3,\n    8,\n]\n'}},
             )
         ],
     ),
     Row(
         "Client.submit",
-        take(source=File("plan.toml"), name="other"),
+        call(source=File("plan.toml"), name="other"),
         [node_cmd("experiment", {"submit": {"toml": PLAN, "name": "other"}})],
     ),
     *(
-        Row(f"Client.{noun}", take(), [node_get(f"get/{noun}")])
+        Row(f"Client.{noun}", call(), [node_get(f"get/{noun}")])
         for noun in (
             "experiments",
             "recordings",
@@ -219,17 +219,17 @@ CLIENTS = [
 _RESULTS = [node_get(f"experiment/small/results?after={after};limit=1000") for after in (0, 2)]
 
 EXPERIMENTS = [
-    Row("Experiment.progress", take(), [node_get("experiment/small/progress")]),
-    Row("Experiment.wait", take(), [node_get("experiment/small/progress")]),
+    Row("Experiment.progress", call(), [node_get("experiment/small/progress")]),
+    Row("Experiment.wait", call(), [node_get("experiment/small/progress")]),
     *(
-        Row(f"Experiment.{verb}", take(), [node_cmd("experiment", {verb: {"name": "small"}})])
+        Row(f"Experiment.{verb}", call(), [node_cmd("experiment", {verb: {"name": "small"}})])
         for verb in ("pause", "resume", "cancel", "delete")
     ),
-    Row("Experiment.rows", take(), _RESULTS),
-    Row("Experiment.frame", take(), _RESULTS),
+    Row("Experiment.rows", call(), _RESULTS),
+    Row("Experiment.frame", call(), _RESULTS),
     Row(
         "Experiment.order",
-        take("n=5 #0"),
+        call("n=5 #0"),
         [node_get(f"experiment/small/order?run=n=5 #0;after={after}") for after in (0, 3)],
     ),
 ]

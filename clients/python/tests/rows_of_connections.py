@@ -1,4 +1,4 @@
-"""Every call that connects, and what must leave the client, or be said to the daemon it starts."""
+"""Every call that connects, and what the client must send, or pass to the daemon it starts."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 
 from recorder import FRESH, NODE, TOKEN, Sent
-from rows import PLAN, File, Row, node_cmd, take
+from rows import PLAN, File, Row, call, node_cmd
 from rows_of_clients import DEFAULTS
 
 
 @dataclass(frozen=True)
 class Stand:
-    """Stands for what each test has: an endpoint, a client, a program."""
+    """A placeholder for what each test has: an endpoint, a client, a program."""
 
     name: str
 
@@ -39,23 +39,23 @@ def _paused(
     timeout_secs: float = 5.0,
     proof: str | None = None,
 ) -> Sent:
-    """What every test does with the client that it has connected."""
+    """The call of every test on its connected client."""
     return Sent(f"{prefix}/school/cmd/pause", _request({}, client, timeout_secs), proof)
 
 
 CONNECTS = [
-    Row("connect", take(ENDPOINT), [_hello(), _paused()]),
-    Row("connect", take(ENDPOINT, node="lab"), [_hello("lab"), _paused()]),
+    Row("connect", call(ENDPOINT), [_hello(), _paused()]),
+    Row("connect", call(ENDPOINT, node="lab"), [_hello("lab"), _paused()]),
     Row(
         "connect",
-        take(ENDPOINT, prefix="a/b"),
+        call(ENDPOINT, prefix="a/b"),
         [_hello(prefix="a/b"), _paused(prefix="a/b")],
     ),
-    Row("connect", take(ENDPOINT, client="eve"), [_hello(), _paused(client="eve")]),
-    Row("connect", take(endpoint=ENDPOINT, timeout=2.25), [_hello(), _paused(timeout_secs=2.25)]),
+    Row("connect", call(ENDPOINT, client="eve"), [_hello(), _paused(client="eve")]),
+    Row("connect", call(endpoint=ENDPOINT, timeout=2.25), [_hello(), _paused(timeout_secs=2.25)]),
     Row(
         "connect",
-        take(ENDPOINT, credentials=PROOF),
+        call(ENDPOINT, credentials=PROOF),
         [_hello(proof=TOKEN), _paused(proof=TOKEN)],
     ),
 ]
@@ -70,30 +70,30 @@ def _started(*flags: str, folder: str = "(temporary)") -> Sent:
 _QUIET = ("--node=local", "--http=")
 
 LOCALS = [
-    Row("local", take(jostled=PROGRAM), [_started(*_QUIET), _hello(), _paused()]),
+    Row("local", call(jostled=PROGRAM), [_started(*_QUIET), _hello(), _paused()]),
     Row(
         "local",
-        take(File("kept"), jostled=PROGRAM),
+        call(File("kept"), jostled=PROGRAM),
         [_started(*_QUIET, folder="kept"), _hello(), _paused()],
     ),
     Row(
         "local",
-        take(folder=File("kept"), jostled=PROGRAM, client="eve"),
+        call(folder=File("kept"), jostled=PROGRAM, client="eve"),
         [_started(*_QUIET, folder="kept"), _hello(), _paused(client="eve")],
     ),
     Row(
         "local",
-        take(jostled=PROGRAM, timeout=2.25),
+        call(jostled=PROGRAM, timeout=2.25),
         [_started(*_QUIET), _hello(), _paused(timeout_secs=2.25)],
     ),
     Row(
         "local",
-        take(jostled=PROGRAM, max_individuals=5000, log="debug"),
+        call(jostled=PROGRAM, max_individuals=5000, log="debug"),
         [_started(*_QUIET, "--max-individuals=5000", "--log=debug"), _hello(), _paused()],
     ),
     Row(
         "local",
-        take(jostled=PROGRAM, node="mine", http="127.0.0.1:0"),
+        call(jostled=PROGRAM, node="mine", http="127.0.0.1:0"),
         [_started("--node=mine", "--http=127.0.0.1:0"), _hello(), _paused()],
     ),
 ]
@@ -105,15 +105,15 @@ def _submitted(client: str, timeout_secs: float, **args: Any) -> Sent:
 
 
 EXPERIMENTS = [
-    Row("experiment", take(PLAN, client=CLIENT), [_submitted("ada@lab", 7.5)]),
+    Row("experiment", call(PLAN, client=CLIENT), [_submitted("ada@lab", 7.5)]),
     Row(
         "experiment",
-        take(source=PLAN, name="other", client=CLIENT),
+        call(source=PLAN, name="other", client=CLIENT),
         [_submitted("ada@lab", 7.5, name="other")],
     ),
     Row(
         "experiment",
-        take(File("plan.toml"), endpoint=ENDPOINT),
+        call(File("plan.toml"), endpoint=ENDPOINT),
         [_hello(), _submitted(_DEFAULT_CLIENT, 5.0)],
     ),
 ]
@@ -164,35 +164,35 @@ def _env_advanced(ids: list[int], direction: list[float], weight: list[float]) -
 _OF_ENVS: dict[str, Any] = {"goal": 0.5, "max_weight": 3.0, "steps_per_action": 3, "pi1": 6.0}
 
 ENVS: dict[str, list[Row]] = {
-    # Each is made, reset, stepped and closed.
+    # Each is created, reset, stepped and closed.
     "ParallelEnv": [
         Row(
             "env.ParallelEnv",
-            take(4, 2, **_OF_ENVS, endpoint=ENDPOINT),
+            call(4, 2, **_OF_ENVS, endpoint=ENDPOINT),
             _env_created([0, 1], pi1=6.0),
         ),
-        Row("env.ParallelEnv.reset", take(seed=7), _env_reset(7)),
+        Row("env.ParallelEnv.reset", call(seed=7), _env_reset(7)),
         Row(
             "env.ParallelEnv.step",
-            take({"informed_0": np.array([1, 0]), "informed_1": [0, 0]}),
+            call({"informed_0": np.array([1, 0]), "informed_1": [0, 0]}),
             _env_advanced([0, 1], [0.5, 0.0], [3.0, 0.0]),
         ),
-        Row("env.ParallelEnv.close", take(), [_env_cmd("delete", {})]),
+        Row("env.ParallelEnv.close", call(), [_env_cmd("delete", {})]),
     ],
     "ShepherdEnv": [
         Row(
             "env.ShepherdEnv",
-            take(n=4, informed=1, **_OF_ENVS, endpoint=ENDPOINT),
+            call(n=4, informed=1, **_OF_ENVS, endpoint=ENDPOINT),
             _env_created([0, 1, 2, 3], pi1=6.0),
         ),
-        Row("env.ShepherdEnv.reset", take(seed=8), _env_reset(8)),
+        Row("env.ShepherdEnv.reset", call(seed=8), _env_reset(8)),
         # Of the fixture's individuals 1 is the nearest to the centre.
         Row(
             "env.ShepherdEnv.step",
-            take(np.array([0, 0, 1, 0])),
+            call(np.array([0, 0, 1, 0])),
             _env_advanced([1], [0.5], [3.0]),
         ),
-        Row("env.ShepherdEnv.close", take(), [_env_cmd("delete", {})]),
+        Row("env.ShepherdEnv.close", call(), [_env_cmd("delete", {})]),
     ],
 }
 

@@ -1,4 +1,4 @@
-"""Every call of a swarm and of a controller, and what must leave the client."""
+"""Every call of a swarm and of a controller, and what the client must send."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import numpy as np
 
 import jostle
 from recorder import Sent
-from rows import AtMost, Row, cmd, get, put, take
+from rows import AtMost, Row, call, cmd, get, put
 
 HOUR: dict[str, Any] = {"timeout_secs": 3600.0}
 STATE = [get("state"), get("get/status")]
-"""How a state is queried: it has not the length of the bodies, and the status does."""
+"""How a state is queried: the status has the length of the bodies, the state does not."""
 
 SELECTS: list[tuple[Any, dict[str, Any]]] = [
     (jostle.ids(np.array([3, 1])), {"ids": [3, 1]}),
@@ -106,7 +106,7 @@ def _changes() -> list[tuple[Any, dict[str, Any]]]:
 
 
 def _set(**args: Any) -> Row:
-    return Row("Swarm.set", take(**args), [cmd("set", args)])
+    return Row("Swarm.set", call(**args), [cmd("set", args)])
 
 
 def _selecting() -> list[Row]:
@@ -116,12 +116,12 @@ def _selecting() -> list[Row]:
         rows += [
             Row(
                 "Swarm.inform",
-                take(select, 0.5),
+                call(select, 0.5),
                 [cmd("inform", {"select": sent, "direction": 0.5})],
             ),
-            Row("Swarm.uninform", take(select), [cmd("uninform", {"select": sent})]),
-            Row("Swarm.remove", take(select), [cmd("remove", {"select": sent})]),
-            _join(take("ada", select), select=sent),
+            Row("Swarm.uninform", call(select), [cmd("uninform", {"select": sent})]),
+            Row("Swarm.remove", call(select), [cmd("remove", {"select": sent})]),
+            _join(call("ada", select), select=sent),
         ]
     return rows
 
@@ -138,55 +138,55 @@ def _join(taken: Any, **terms: Any) -> Row:
 
 
 QUESTIONS = [
-    Row("Swarm.status", take(), [get("get/status")]),
-    Row("Swarm.spec", take(), [get("get/spec")]),
-    Row("Swarm.state", take(), STATE),
-    Row("Swarm.parameters", take(), [get("get/parameters")]),
-    Row("Swarm.controllers", take(), [get("get/controllers")]),
-    Row("Swarm.snapshot", take(), [get("get/snapshot")]),
-    Row("Swarm.verify", take(), [get("get/verify")]),
+    Row("Swarm.status", call(), [get("get/status")]),
+    Row("Swarm.spec", call(), [get("get/spec")]),
+    Row("Swarm.state", call(), STATE),
+    Row("Swarm.parameters", call(), [get("get/parameters")]),
+    Row("Swarm.controllers", call(), [get("get/controllers")]),
+    Row("Swarm.snapshot", call(), [get("get/snapshot")]),
+    Row("Swarm.verify", call(), [get("get/verify")]),
     # A page has two events, of the numbers 3 to 7, or two entries, 1 to 3.
     Row(
         "Swarm.history",
-        take(),
+        call(),
         [get(f"get/events?after={after};limit=1000") for after in (0, 4, 6)],
     ),
     Row(
         "Swarm.history",
-        take(after=5),
+        call(after=5),
         [get("get/events?after=5;limit=1000")],
     ),
     Row(
         "Swarm.journal",
-        take(),
+        call(),
         [get(f"get/journal?after={after};limit=1000") for after in (0, 2)],
     ),
-    Row("Swarm.journal", take(after=2), [get("get/journal?after=2;limit=1000")]),
+    Row("Swarm.journal", call(after=2), [get("get/journal?after=2;limit=1000")]),
     Row(
         "Swarm.wait",
-        take(step=60),
+        call(step=60),
         [get("get/wait?step=60;timeout_secs=30.000")],
     ),
-    Row("Swarm.wait", take(step=0), [get("get/wait?step=0;timeout_secs=30.000")]),
-    # With a bar the daemon is queried more often.
-    Row("Swarm.wait", take(step=60, show=True), [get("get/wait?step=60;timeout_secs=0.250")]),
+    Row("Swarm.wait", call(step=0), [get("get/wait?step=0;timeout_secs=30.000")]),
+    # A progress bar queries the daemon more often.
+    Row("Swarm.wait", call(step=60, show=True), [get("get/wait?step=60;timeout_secs=0.250")]),
     Row(
         "Swarm.wait",
-        take(phase="paused"),
+        call(phase="paused"),
         [get("get/wait?phase=paused;timeout_secs=30.000")],
     ),
     Row(
         "Swarm.wait",
-        take(phase="running", timeout=20.0),
+        call(phase="running", timeout=20.0),
         [Sent(AtMost("jostle/school/get/wait?phase=running;timeout_secs=", 20.0))],
     ),
-    Row("Swarm.states", take(), STATE),
-    Row("Swarm.orders", take(), [get("get/status")]),
-    Row("Swarm.events", take(), [get("get/events?after=9007199254740991;limit=1000")]),
-    Row("Swarm.events", take(after=5), [get("get/events?after=5;limit=1000")]),
+    Row("Swarm.states", call(), STATE),
+    Row("Swarm.orders", call(), [get("get/status")]),
+    Row("Swarm.events", call(), [get("get/events?after=9007199254740991;limit=1000")]),
+    Row("Swarm.events", call(after=5), [get("get/events?after=5;limit=1000")]),
     Row(
         "Swarm.events",
-        take(after=0),
+        call(after=0),
         [get(f"get/events?after={after};limit=1000") for after in (0, 4, 6)],
     ),
 ]
@@ -198,34 +198,34 @@ def _stepped(steps: int, expect_step: int) -> Sent:
 
 
 FRAMES = [
-    Row("Swarm.frame", take(), STATE),
+    Row("Swarm.frame", call(), STATE),
     Row(
         "Swarm.frame",
-        take(3),
+        call(3),
         [*STATE, _stepped(1, 40), _stepped(1, 41), _stepped(1, 42)],
     ),
     Row(
         "Swarm.frame",
-        take(np.int64(5), every=2),
+        call(np.int64(5), every=2),
         [*STATE, _stepped(2, 40), _stepped(2, 42), _stepped(1, 44)],
     ),
 ]
 
 COMMANDS = [
-    Row("Swarm.run", take(), [cmd("run", {})]),
-    Row("Swarm.run", take(12.5), [cmd("run", {"until_time": 12.5})]),
-    Row("Swarm.run", take(until_step=151), [cmd("run", {"until_step": 151})]),
+    Row("Swarm.run", call(), [cmd("run", {})]),
+    Row("Swarm.run", call(12.5), [cmd("run", {"until_time": 12.5})]),
+    Row("Swarm.run", call(until_step=151), [cmd("run", {"until_step": 151})]),
     Row(
         "Swarm.run",
-        take(until=0.0, until_step=0),
+        call(until=0.0, until_step=0),
         [cmd("run", {"until_time": 0.0, "until_step": 0})],
     ),
-    Row("Swarm.run", take(rate=2.0), [cmd("run", {"rate": 2.0})]),
-    Row("Swarm.run", take(rate=None), [cmd("run", {"rate": None})]),
-    Row("Swarm.run", take(rate=..., at_step=41), [cmd("run", {}, at_step=41)]),
+    Row("Swarm.run", call(rate=2.0), [cmd("run", {"rate": 2.0})]),
+    Row("Swarm.run", call(rate=None), [cmd("run", {"rate": None})]),
+    Row("Swarm.run", call(rate=..., at_step=41), [cmd("run", {}, at_step=41)]),
     Row(
         "Swarm.run",
-        take(until_step=151, rate=None, wait=True, expect_step=40),
+        call(until_step=151, rate=None, wait=True, expect_step=40),
         [
             cmd("run", {"until_step": 151, "rate": None}, expect_step=40),
             get("get/wait?step=151;timeout_secs=30.000"),
@@ -233,26 +233,26 @@ COMMANDS = [
     ),
     Row(
         "Swarm.run",
-        take(until=3.0, wait=True, show=True),
+        call(until=3.0, wait=True, show=True),
         [cmd("run", {"until_time": 3.0}), get("get/wait?step=151;timeout_secs=0.250")],
     ),
-    Row("Swarm.pause", take(), [cmd("pause", {})]),
-    Row("Swarm.annotate", take("ready"), [cmd("annotate", {"text": "ready"})]),
-    Row("Swarm.step", take(), [cmd("step", {"steps": 1}, **HOUR)]),
-    Row("Swarm.step", take(np.int64(50)), [cmd("step", {"steps": 50}, **HOUR)]),
+    Row("Swarm.pause", call(), [cmd("pause", {})]),
+    Row("Swarm.annotate", call("ready"), [cmd("annotate", {"text": "ready"})]),
+    Row("Swarm.step", call(), [cmd("step", {"steps": 1}, **HOUR)]),
+    Row("Swarm.step", call(np.int64(50)), [cmd("step", {"steps": 50}, **HOUR)]),
     Row(
         "Swarm.step",
-        take(state=True),
+        call(state=True),
         [cmd("step", {"steps": 1, "return": "state"}, **HOUR), get("get/status")],
     ),
     Row(
         "Swarm.step",
-        take(3, state=True, at_step=41),
+        call(3, state=True, at_step=41),
         [cmd("step", {"steps": 3, "return": "state"}, at_step=41, **HOUR)],
     ),
     Row(
         "Swarm.step",
-        take(3, state=True, expect_step=0, expect_epoch=2, timeout=2.5, request_id="mine"),
+        call(3, state=True, expect_step=0, expect_epoch=2, timeout=2.5, request_id="mine"),
         [
             cmd(
                 "step",
@@ -265,9 +265,9 @@ COMMANDS = [
             get("get/status"),
         ],
     ),
-    Row("Swarm.reset", take(), [cmd("reset", {})]),
-    Row("Swarm.reset", take(np.uint64(7)), [cmd("reset", {"seed": 7})]),
-    Row("Swarm.reset", take(seed=0), [cmd("reset", {"seed": 0})]),
+    Row("Swarm.reset", call(), [cmd("reset", {})]),
+    Row("Swarm.reset", call(np.uint64(7)), [cmd("reset", {"seed": 7})]),
+    Row("Swarm.reset", call(seed=0), [cmd("reset", {"seed": 0})]),
     _set(pi3=2.0),
     *(_set(**{name: value}) for name, value in ALL_SET.items() if name != "make_room"),
     *(_set(attraction=it) for it in ATTRACTIONS),
@@ -278,7 +278,7 @@ COMMANDS = [
     _set(**ALL_SET),
     Row(
         "Swarm.inform",
-        take(jostle.count(2), direction=0.0, weight=2.0, for_time=4.0),
+        call(jostle.count(2), direction=0.0, weight=2.0, for_time=4.0),
         [
             cmd(
                 "inform",
@@ -288,68 +288,68 @@ COMMANDS = [
     ),
     Row(
         "Swarm.inform",
-        take(jostle.count(2), np.float64(0.5), weight=2.0),
+        call(jostle.count(2), np.float64(0.5), weight=2.0),
         [cmd("inform", {"select": {"count": 2}, "direction": 0.5, "weight": 2.0})],
     ),
     Row(
         "Swarm.inform",
-        take(select=jostle.count(2), direction=0.5, for_time=4.0),
+        call(select=jostle.count(2), direction=0.5, for_time=4.0),
         [cmd("inform", {"select": {"count": 2}, "direction": 0.5, "for_time": 4.0})],
     ),
-    Row("Swarm.inject", take(3), [cmd("inject", {"count": 3})]),
-    Row("Swarm.inject", take(at=POSES), [cmd("inject", {"at": WIRE_POSES})]),
+    Row("Swarm.inject", call(3), [cmd("inject", {"count": 3})]),
+    Row("Swarm.inject", call(at=POSES), [cmd("inject", {"at": WIRE_POSES})]),
     Row(
         "Swarm.inject",
-        take(3, within=(1.0, -2.0, 4.0)),
+        call(3, within=(1.0, -2.0, 4.0)),
         [cmd("inject", {"count": 3, "within": {"x": 1.0, "y": -2.0, "radius": 4.0}})],
     ),
     Row(
         "Swarm.inject",
-        take(3, within={"x": 1.0, "y": -2.0, "radius": 4.0}),
+        call(3, within={"x": 1.0, "y": -2.0, "radius": 4.0}),
         [cmd("inject", {"count": 3, "within": {"x": 1.0, "y": -2.0, "radius": 4.0}})],
     ),
     Row(
         "Swarm.inject",
-        take(count=3, direction=0.0),
+        call(count=3, direction=0.0),
         [cmd("inject", {"count": 3, "direction": 0.0})],
     ),
     Row(
         "Swarm.inject",
-        take(np.int64(3), direction=0.5, weight=1.5),
+        call(np.int64(3), direction=0.5, weight=1.5),
         [cmd("inject", {"count": 3, "direction": 0.5, "weight": 1.5})],
     ),
     *_selecting(),
     Row(
         "Swarm.batch",
-        take([change for change, _ in _changes()]),
+        call([change for change, _ in _changes()]),
         [cmd("batch", {"commands": [sent for _, sent in _changes()]})],
     ),
     Row(
         "Swarm.batch",
-        take([{"verb": "set", "args": {"pi3": 2.0}}]),
+        call([{"verb": "set", "args": {"pi3": 2.0}}]),
         [cmd("batch", {"commands": [{"verb": "set", "args": {"pi3": 2.0}}]})],
     ),
-    Row("Swarm.delete", take(), [cmd("delete", {})]),
-    Row("Swarm.fork", take("twin"), [cmd("fork", {"name": "twin"})]),
+    Row("Swarm.delete", call(), [cmd("delete", {})]),
+    Row("Swarm.fork", call("twin"), [cmd("fork", {"name": "twin"})]),
     Row(
         "Swarm.fork",
-        take("twin", np.int64(50)),
+        call("twin", np.int64(50)),
         [cmd("fork", {"name": "twin", "step": 50}, **HOUR)],
     ),
     Row(
         "Swarm.fork",
-        take("twin", step=0, timeout=2.5),
+        call("twin", step=0, timeout=2.5),
         [cmd("fork", {"name": "twin", "step": 0}, timeout_secs=2.5)],
     ),
-    Row("Swarm.seek", take(step=50), [cmd("seek", {"step": 50})]),
-    Row("Swarm.seek", take(time=2.5), [cmd("seek", {"time": 2.5})]),
-    Row("Swarm.seek", take(fraction=0.5), [cmd("seek", {"fraction": 0.5})]),
-    Row("Swarm.seek", take(step=0), [cmd("seek", {"step": 0})]),
-    Row("Swarm.seek", take(time=0.0), [cmd("seek", {"time": 0.0})]),
-    Row("Swarm.seek", take(fraction=0.0), [cmd("seek", {"fraction": 0.0})]),
-    _join(take("ada")),
+    Row("Swarm.seek", call(step=50), [cmd("seek", {"step": 50})]),
+    Row("Swarm.seek", call(time=2.5), [cmd("seek", {"time": 2.5})]),
+    Row("Swarm.seek", call(fraction=0.5), [cmd("seek", {"fraction": 0.5})]),
+    Row("Swarm.seek", call(step=0), [cmd("seek", {"step": 0})]),
+    Row("Swarm.seek", call(time=0.0), [cmd("seek", {"time": 0.0})]),
+    Row("Swarm.seek", call(fraction=0.0), [cmd("seek", {"fraction": 0.0})]),
+    _join(call("ada")),
     _join(
-        take(
+        call(
             "ada",
             jostle.ids([1, 2]),
             mode="free_running",
@@ -365,12 +365,12 @@ COMMANDS = [
         driving=True,
         again=True,
     ),
-    _join(take("ada", mode="lockstep", on_timeout="hold"), mode="lockstep", on_timeout="hold"),
-    *(_join(take("ada", mode=it), mode=it) for it in ("free_running",)),
-    *(_join(take("ada", on_timeout=it), on_timeout=it) for it in ("free", "pause")),
-    _join(take("ada", deadline=np.float64(60.0)), deadline_secs=60.0),
-    _join(take("ada", driving=True), driving=True),
-    _join(take("ada", again=True), again=True),
+    _join(call("ada", mode="lockstep", on_timeout="hold"), mode="lockstep", on_timeout="hold"),
+    *(_join(call("ada", mode=it), mode=it) for it in ("free_running",)),
+    *(_join(call("ada", on_timeout=it), on_timeout=it) for it in ("free", "pause")),
+    _join(call("ada", deadline=np.float64(60.0)), deadline_secs=60.0),
+    _join(call("ada", driving=True), driving=True),
+    _join(call("ada", again=True), again=True),
 ]
 
 
@@ -410,18 +410,18 @@ _POINTS: list[tuple[dict[str, Any], dict[str, Any]]] = [
 """Set-points, and how they are sent."""
 
 CONTROLLERS = [
-    _advance(take()),
-    _advance(take(np.int64(5)), steps=5),
-    _advance(take(state=True), **{"return": "state"}),
-    *(_advance(take(**given), set=sent) for given, sent in _POINTS),
-    _advance(take(5, **DRIVE, state=True), steps=5, set=DRIVEN, **{"return": "state"}),
-    *(Row("Controller.put", take(**given), [put(sent)]) for given, sent in _POINTS),
-    Row("Controller.leave", take(), [cmd("leave", {"controller": "ada"})]),
-    Row("Controller.sync", take(), [get("get/controllers"), get("state")]),
-    # One that has left joins again, on the terms it had, for those it had.
+    _advance(call()),
+    _advance(call(np.int64(5)), steps=5),
+    _advance(call(state=True), **{"return": "state"}),
+    *(_advance(call(**given), set=sent) for given, sent in _POINTS),
+    _advance(call(5, **DRIVE, state=True), steps=5, set=DRIVEN, **{"return": "state"}),
+    *(Row("Controller.put", call(**given), [put(sent)]) for given, sent in _POINTS),
+    Row("Controller.leave", call(), [cmd("leave", {"controller": "ada"})]),
+    Row("Controller.sync", call(), [get("get/controllers"), get("state")]),
+    # A controller that left joins again, with its options and individuals.
     Row(
         "Controller.sync",
-        take(),
+        call(),
         [
             get("get/controllers"),
             get("state"),

@@ -1,7 +1,7 @@
-"""A controller as a program of its own: steers two individuals in lock-step, and says how it goes.
+"""A controller as a separate program: steers two individuals in lock-step, and prints the progress.
 
-Every line it says is a word and what belongs to it, and what it wants is a function of the step
-alone, so that a run in which nothing is lost leads to the bit where an undisturbed one does.
+Every line is a word and its values. The directions are a function of the step alone, so that a run
+in which nothing is lost gives the same bits as an undisturbed one.
 """
 
 from __future__ import annotations
@@ -14,18 +14,18 @@ import time
 import jostle
 
 
-def say(*words: object) -> None:
-    """Says a line at once."""
+def put(*words: object) -> None:
+    """Prints a line and flushes it."""
     print(*words, flush=True)
 
 
 def directions(controller: jostle.Controller) -> list[float]:
-    """What it wants at the step it is at."""
+    """The directions at the current step."""
     return [math.sin(0.1 * controller.step + one) for one in controller.ids]
 
 
 def steer(controller: jostle.Controller, until: int, waits: bool) -> None:
-    """Advances until a step, each time it is told to if it waits; gets in line again when out."""
+    """Advances until a step, with `waits` once per line on stdin; syncs after an error."""
     is_back = False
     while controller.step < until:
         if waits and not is_back:
@@ -33,21 +33,21 @@ def steer(controller: jostle.Controller, until: int, waits: bool) -> None:
         try:
             advanced = controller.advance(direction=directions(controller), weight=2.0)
         except (jostle.Conflict, jostle.NotFound) as error:
-            say("out", error.code, error)
+            put("out", error.code, error)
             controller.sync()
             is_back = True
-            say("back", controller.step)
+            put("back", controller.step)
             continue
         is_back = False
-        say("step", advanced.step, advanced.state_hash)
+        put("step", advanced.step, advanced.state_hash)
         for miss in advanced.news.missed:
-            say("missed", miss.controller, miss.misses)
+            put("missed", miss.controller, miss.misses)
         for departed in advanced.news.left:
-            say("left", departed.controller, departed.why)
+            put("left", departed.controller, departed.why)
 
 
 def main() -> None:
-    """Joins, and steers."""
+    """Joins and steers."""
     parser = argparse.ArgumentParser()
     parser.add_argument("endpoint")
     parser.add_argument("swarm")
@@ -58,20 +58,20 @@ def main() -> None:
     parser.add_argument("--on-timeout", default="hold")
     parser.add_argument("--timeout", type=float, default=60.0)
     parser.add_argument("--waits", action="store_true", help="for a line before it advances")
-    asked = parser.parse_args()
-    with jostle.connect(asked.endpoint, client=asked.name, timeout=asked.timeout) as client:
-        swarm = client.swarm(asked.swarm)
+    options = parser.parse_args()
+    with jostle.connect(options.endpoint, client=options.name, timeout=options.timeout) as client:
+        swarm = client.swarm(options.swarm)
         with swarm.join(
-            asked.name,
-            jostle.ids(asked.ids),
-            deadline=asked.deadline,
-            on_timeout=asked.on_timeout,
+            options.name,
+            jostle.ids(options.ids),
+            deadline=options.deadline,
+            on_timeout=options.on_timeout,
         ) as controller:
-            say("joined", controller.step)
-            # Nobody begins before all are there.
+            put("joined", controller.step)
+            # No controller advances before all have joined.
             while swarm.status().controllers < 2:
                 time.sleep(0.01)
-            steer(controller, asked.until, asked.waits)
+            steer(controller, options.until, options.waits)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The asyncio form: the same calls, awaited, and a loop that never waits."""
+"""The asyncio form: the same calls, awaited, and a loop that is never blocked."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from typing import Any
 import pytest
 
 import jostle
-from conftest import JOSTLED, PATIENCE_SECS, Daemon, Wire, eventually
+from conftest import JOSTLED, MAX_WAIT_SECS, Daemon, Wire, eventually
 from jostle import aio
 
 Create = Callable[..., jostle.Swarm]
@@ -28,7 +28,7 @@ Create = Callable[..., jostle.Swarm]
 
 @pytest.fixture(autouse=True)
 def _ends_soon(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("jostle._workers._IDLE_SECS", 0.1)
+    monkeypatch.setattr("jostle._threads._IDLE_SECS", 0.1)
 
 
 def workers() -> int:
@@ -36,7 +36,7 @@ def workers() -> int:
 
 
 def run_delay_secs() -> float:
-    """For how long the threads of this process have been ready to run and waited for a CPU."""
+    """How long threads of this process were ready to run and waited for a CPU."""
     total = 0
     for task in Path("/proc/self/task").iterdir():
         with suppress(FileNotFoundError, ProcessLookupError):
@@ -45,7 +45,7 @@ def run_delay_secs() -> float:
 
 
 def run(main: Callable[[], Coroutine[Any, Any, None]]) -> None:
-    """Runs `main`, and sees that the loop never waited and that no thread stays."""
+    """Runs `main`, and checks that the loop was never blocked and no thread remains."""
     before = workers()
     gap = 0.0
 
@@ -63,12 +63,12 @@ def run(main: Callable[[], Coroutine[Any, Any, None]]) -> None:
 
         watching = asyncio.create_task(watch())
         try:
-            await asyncio.wait_for(main(), 2 * PATIENCE_SECS)
+            await asyncio.wait_for(main(), 2 * MAX_WAIT_SECS)
         finally:
             watching.cancel()
 
     asyncio.run(watched())
-    # Nothing here takes less than a second where it would be waited for.
+    # Each of these calls would block for a second or longer.
     assert gap < 0.5
     gc.collect()
     eventually("its threads end", lambda: workers() <= before)
@@ -80,11 +80,12 @@ def run(main: Callable[[], Coroutine[Any, Any, None]]) -> None:
         (jostle.Client, aio.Client),
         (jostle.Local, aio.Local),
         (jostle.Swarm, aio.Swarm),
+        (jostle.AtStep, aio.AtStep),
         (jostle.Experiment, aio.Experiment),
         (jostle.Controller, aio.Controller),
     ],
 )
-def test_every_call_is_there(sync: type, form: type) -> None:
+def test_every_blocking_call_has_an_awaited_one(sync: type, form: type) -> None:
     for name, thing in inspect.getmembers(sync):
         if name.startswith("_"):
             continue
@@ -109,7 +110,7 @@ def test_a_swarm_is_steered_and_followed(daemon: Daemon) -> None:
             await fork.delete()
             await swarm.run(until_step=60, rate=None)
             steps = []
-            async for state in swarm.states(timeout=PATIENCE_SECS):
+            async for state in swarm.states(timeout=MAX_WAIT_SECS):
                 steps.append(state.step)
                 if state.step == 60 and state.phase == "paused":
                     break
@@ -117,7 +118,7 @@ def test_a_swarm_is_steered_and_followed(daemon: Daemon) -> None:
             verbs = [event.verb for event in await swarm.history() if event.kind == "command"]
             assert verbs == ["step", "inform", "run"]
             with pytest.raises(jostle.NotFound):
-                await client.swarm("nobody").status()
+                await client.swarm("unknown").status()
             with pytest.raises(jostle.InvalidArgument, match="pi3"):
                 await swarm.set(pi3=-1.0)
             assert "aio" in [it.swarm for it in await client.swarms()]
@@ -126,7 +127,7 @@ def test_a_swarm_is_steered_and_followed(daemon: Daemon) -> None:
     run(main)
 
 
-def test_many_calls_wait_at_once_and_hold_nobody_up(create: Create, daemon: Daemon) -> None:
+def test_many_calls_wait_at_once_without_blocking_the_loop(create: Create, daemon: Daemon) -> None:
     swarm = create(n=2)
 
     async def main() -> None:
@@ -154,8 +155,8 @@ def test_a_cancelled_call_ends_at_once_and_its_thread_soon(create: Create, daemo
                 with pytest.raises(TimeoutError):
                     await asyncio.wait_for(mine.wait(phase="running"), 0.05)
             # Each of these waits for half a minute if it is not cancelled.
-            assert time.monotonic() - began < PATIENCE_SECS
-            # What waits holds a thread, and what was cancelled none for long.
+            assert time.monotonic() - began < MAX_WAIT_SECS
+            # A waiting call holds a thread, a cancelled one only briefly.
             assert threading.active_count() - before < 10
             assert (await mine.status()).step == 0
 
@@ -190,14 +191,14 @@ def test_a_cancelled_item_is_not_lost(create: Create, daemon: Daemon) -> None:
         ):
             got: list[float] = []
             setting: asyncio.Task[None] | None = None
-            # Were items lost with those that are cancelled, the later ones would end this.
+            # If cancelling lost items, the later ones would end the loop.
             waits = [0.002] * 200
             while not got or got[-1] < _pi3(49):
                 try:
                     wait = waits.pop() if waits else None
                     got.append((await asyncio.wait_for(anext(events), wait)).args["pi3"])
                 except TimeoutError:
-                    # Nothing is set before: the first one is cancelled in any case.
+                    # No item is available yet: the first one is cancelled in any case.
                     setting = setting or asyncio.create_task(_set(client.swarm(swarm.name)))
             assert setting is not None
             setting.cancel()
@@ -213,7 +214,7 @@ def test_a_cancelled_item_is_not_lost(create: Create, daemon: Daemon) -> None:
     run(main)
 
 
-def test_two_who_ask_one_stream_get_an_item_each(create: Create, daemon: Daemon) -> None:
+def test_two_readers_of_a_stream_get_an_item_each(create: Create, daemon: Daemon) -> None:
     swarm = create(n=2)
 
     async def main() -> None:
@@ -273,7 +274,7 @@ def test_a_stream_of_a_deleted_swarm_ends(create: Create, daemon: Daemon) -> Non
     run(main)
 
 
-def test_a_stream_that_is_left_or_cancelled_stops_listening(create: Create, daemon: Daemon) -> None:
+def test_a_stream_that_is_left_or_cancelled_is_unsubscribed(create: Create, daemon: Daemon) -> None:
     swarm = create(n=2)
 
     async def main() -> None:
@@ -290,7 +291,7 @@ def test_a_stream_that_is_left_or_cancelled_stops_listening(create: Create, daem
                 await task
             del task
             gc.collect()
-            deadline = time.monotonic() + PATIENCE_SECS
+            deadline = time.monotonic() + MAX_WAIT_SECS
             while workers() > before:
                 assert time.monotonic() < deadline
                 await asyncio.sleep(0.05)
@@ -298,7 +299,7 @@ def test_a_stream_that_is_left_or_cancelled_stops_listening(create: Create, daem
     run(main)
 
 
-def test_a_daemon_of_its_own_and_its_death(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_private_daemon_and_its_end(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("JOSTLED", str(JOSTLED))
 
     async def main() -> None:
@@ -327,7 +328,7 @@ def test_a_daemon_of_its_own_and_its_death(monkeypatch: pytest.MonkeyPatch) -> N
     run(main)
 
 
-def test_a_mute_daemon_holds_only_who_asked(wire: Wire, create: Create) -> None:
+def test_a_daemon_without_replies_blocks_only_the_call_to_it(wire: Wire, create: Create) -> None:
     swarm = create(n=2)
 
     async def main() -> None:
@@ -350,7 +351,7 @@ def test_an_experiment_is_awaited(daemon: Daemon) -> None:
         async with aio.connect(daemon.endpoint) as client:
             text = {"name": "aio", "seed": 1, "replicates": 2, "duration": 1, "grid": [{"n": [3]}]}
             experiment = await client.submit(text)
-            assert await experiment.wait(PATIENCE_SECS) is experiment
+            assert await experiment.wait(MAX_WAIT_SECS) is experiment
             assert len(await experiment.rows()) == 2
             assert (await aio.experiment(text, client=client)).name == "aio"
             await experiment.delete()
@@ -381,7 +382,7 @@ def test_a_program_that_closes_nothing_exits(ends: str, code: int) -> None:
         env={**os.environ, "JOSTLED": str(JOSTLED)},
         capture_output=True,
         text=True,
-        timeout=PATIENCE_SECS,
+        timeout=MAX_WAIT_SECS,
         check=False,
     )
     assert ran.returncode == code

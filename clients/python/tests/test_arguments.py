@@ -1,4 +1,4 @@
-"""Every argument of every call arrives: what leaves the client is compared with literal tables.
+"""Every argument of every call is sent: the messages are compared with literal tables.
 
 The client and the connection are real; a `Recorder` stands in for the daemon. Each row is called
 blocking and awaited. `test_arguments_complete.py` checks that no argument is without a row.
@@ -20,11 +20,11 @@ import jostle
 import rows_of_clients
 import rows_of_swarms
 from arguments import ENVELOPE, SHOWN, TAKEN, VALUES
-from conftest import PATIENCE_SECS, find_free_endpoint
+from conftest import MAX_WAIT_SECS, find_free_endpoint
 from jostle import aio
 from jostle._arguments import to_json
 from recorder import Recorder, Sent, credentials, fixture
-from rows import CLIENT, TIMEOUT_SECS, File, Row, Take, cmd
+from rows import CLIENT, TIMEOUT_SECS, Arguments, File, Row, cmd, parameters
 
 ROWS = [*rows_of_swarms.ROWS, *rows_of_clients.ROWS]
 FIRST = {row.call: row for row in reversed(ROWS)}
@@ -34,7 +34,7 @@ Perform = Callable[[Row, Path], object]
 
 
 class Clients:
-    """A recorder, and a client of either kind that is connected with it."""
+    """A recorder, and a client of either kind that is connected to it."""
 
     def __init__(self, folder: Path, is_known: bool) -> None:
         passwords = folder / "passwords" if is_known else None
@@ -53,17 +53,17 @@ class Clients:
         self.awaited = asyncio.run(connect())
 
     def close(self) -> None:
-        """Closes them."""
+        """Closes all of them."""
         self.blocking.close()
         asyncio.run(self.awaited.close())
         self.recorder.close()
 
     def perform(self, form: str, row: Row, folder: Path) -> list[Sent]:
-        """Calls what the row says, and returns what was sent."""
+        """Makes the call of the row, and returns what was sent."""
         self.recorder.clear()
-        taken = Take(
-            tuple(_made(it, folder) for it in row.take.args),
-            {name: _made(it, folder) for name, it in row.take.kwargs.items()},
+        taken = Arguments(
+            tuple(_made(it, folder) for it in row.arguments.args),
+            {name: _made(it, folder) for name, it in row.arguments.kwargs.items()},
         )
         if form == "blocking":
             self._call(row, taken)
@@ -71,7 +71,7 @@ class Clients:
             asyncio.run(self._await(row, taken))
         return self.recorder.sent(1)
 
-    def _call(self, row: Row, taken: Take) -> None:
+    def _call(self, row: Row, taken: Arguments) -> None:
         owner, method = row.call.split(".")
         target: Any = self.blocking
         if owner == "Experiment":
@@ -79,13 +79,13 @@ class Clients:
         elif owner != "Client":
             target = self.blocking.swarm("school")
         if owner == "Controller":
-            target = target.join(row.name, jostle.ids([1, 2]), **row.joined)
+            target = target.join(row.name, jostle.ids([1, 2]), **_mode(method), **row.joined)
             self.recorder.clear()
-        result = getattr(target, method)(*taken.args, **taken.kwargs)
+        result = _bound(target, method, taken)(*taken.args, **taken.kwargs)
         if isinstance(result, jostle.Stream):
             result.close()
 
-    async def _await(self, row: Row, taken: Take) -> None:
+    async def _await(self, row: Row, taken: Arguments) -> None:
         owner, method = row.call.split(".")
         target: Any = self.awaited
         if owner == "Experiment":
@@ -93,11 +93,22 @@ class Clients:
         elif owner != "Client":
             target = self.awaited.swarm("school")
         if owner == "Controller":
-            target = await target.join(row.name, jostle.ids([1, 2]), **row.joined)
+            target = await target.join(row.name, jostle.ids([1, 2]), **_mode(method), **row.joined)
             self.recorder.clear()
-        result = await getattr(target, method)(*taken.args, **taken.kwargs)
+        result = await _bound(target, method, taken)(*taken.args, **taken.kwargs)
         if isinstance(result, aio.Stream):
             await result.close()
+
+
+def _mode(method: str) -> dict[str, Any]:
+    """The mode in which a controller must join for a method; the default, or that of `put`."""
+    return {"mode": "free_running"} if method == "put" else {}
+
+
+def _bound(target: Any, method: str, taken: Arguments) -> Any:
+    """The method; with `at_step`, which is taken out, that of the swarm at this step."""
+    step = taken.kwargs.pop("at_step", None)
+    return getattr(target if step is None else target.at(step), method)
 
 
 def _made(value: Any, folder: Path) -> Any:
@@ -120,13 +131,9 @@ def unknown(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Clients]:
     clients.close()
 
 
-def _named(rows: list[Row]) -> list[Any]:
-    return [pytest.param(row, id=f"{row.call}-{index}") for index, row in enumerate(rows)]
-
-
 @pytest.mark.parametrize("form", ["blocking", "awaited"])
-@pytest.mark.parametrize("row", _named(ROWS))
-def test_each_call_sends_what_its_row_says(
+@pytest.mark.parametrize("row", parameters(ROWS))
+def test_each_call_sends_what_its_row_contains(
     row: Row, form: str, known: Clients, tmp_path: Path
 ) -> None:
     assert known.perform(form, row, tmp_path) == row.sent
@@ -147,7 +154,7 @@ def test_each_call_sends_the_options_that_it_takes(
     call: str, options: dict[str, Any], form: str, known: Clients, tmp_path: Path
 ) -> None:
     first = FIRST[call]
-    taken = Take(first.take.args, {**first.take.kwargs, **options})
+    taken = Arguments(first.arguments.args, {**first.arguments.kwargs, **options})
     added = {"timeout_secs" if it == "timeout" else it: value for it, value in options.items()}
     (sent,) = first.sent
     expected = Sent(sent.selector, {**sent.body, **added}, sent.attachment)
@@ -156,11 +163,11 @@ def test_each_call_sends_the_options_that_it_takes(
 
 
 def _without_one() -> Iterator[Any]:
-    """Each row with each of its arguments that may be left out left out."""
+    """Each row without each of its optional arguments."""
     for index, row in enumerate(ROWS):
         owner, method = row.call.split(".")
         signature = inspect.signature(getattr(getattr(jostle, owner), method))
-        bound = signature.bind(None, *row.take.args, **row.take.kwargs)
+        bound = signature.bind(None, *row.arguments.args, **row.arguments.kwargs)
         given = {**bound.arguments, **bound.arguments.get("options", {})}
         given = {it: value for it, value in given.items() if it not in ("self", "options")}
         for name, value in given.items():
@@ -169,7 +176,7 @@ def _without_one() -> Iterator[Any]:
             if default is inspect.Parameter.empty or _is_same(value, default):
                 continue
             rest = {it: value for it, value in given.items() if it != name}
-            yield pytest.param(row, Take((), rest), id=f"{row.call}-{index}-{name}")
+            yield pytest.param(row, Arguments((), rest), id=f"{row.call}-{index}-{name}")
 
 
 def _is_same(one: Any, other: Any) -> bool:
@@ -178,9 +185,9 @@ def _is_same(one: Any, other: Any) -> bool:
 
 @pytest.mark.parametrize(("row", "rest"), list(_without_one()))
 def test_an_argument_left_out_changes_what_is_sent(
-    row: Row, rest: Take, known: Clients, tmp_path: Path
+    row: Row, rest: Arguments, known: Clients, tmp_path: Path
 ) -> None:
-    # So no row can be the copy of what a client sends that drops an argument.
+    # So no row can match a client that drops an argument.
     changed = Row(row.call, rest, [], row.joined, row.name)
     try:
         sent = known.perform("blocking", changed, tmp_path)
@@ -201,7 +208,7 @@ def test_an_argument_left_out_changes_what_is_sent(
         "Client.hello",
     ],
 )
-def test_a_client_without_credentials_proves_nothing(
+def test_a_client_without_credentials_sends_no_proof(
     call: str, form: str, unknown: Clients, tmp_path: Path
 ) -> None:
     row = FIRST[call]
@@ -216,13 +223,13 @@ def test_a_command_sent_again_is_the_same_but_for_its_timeout(known: Clients) ->
     options: dict[str, Any] = {"at_step": 41, "expect_step": 40, "expect_epoch": 3}
     with ThreadPoolExecutor(1) as pool:
         try:
-            pause = known.blocking.swarm("school").pause
-            reply = pool.submit(pause, **options, timeout=3600)
+            pause = known.blocking.swarm("school").at(41).pause
+            reply = pool.submit(pause, expect_step=40, expect_epoch=3, timeout=3600)
             assert recorder.holds(2)
         finally:
             recorder.release()
-        reply.result(PATIENCE_SECS)
-    # A client that is not replied to asks more than that.
+        reply.result(MAX_WAIT_SECS)
+    # A client without a reply sends more requests than that.
     first = recorder.sent(1)[0]
     assert first == cmd("pause", {}, **options, timeout_secs=3600.0)
     assert recorder.repeats != []
@@ -234,14 +241,14 @@ def test_a_command_sent_again_is_the_same_but_for_its_timeout(known: Clients) ->
 
 @pytest.mark.parametrize("form", ["blocking", "awaited"])
 @pytest.mark.parametrize("call", SHOWN)
-def test_a_bar_is_shown_if_it_is_wanted(
+def test_a_bar_is_shown_if_it_is_requested(
     call: str, form: str, known: Clients, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for show in (True, False):
         folder = tmp_path / str(show)
         folder.mkdir()
-        taken = Take(SHOWN[call].args, {**SHOWN[call].kwargs, "show": show})
-        # What waits shows a bar when the daemon has replied that it takes longer.
+        taken = Arguments(SHOWN[call].args, {**SHOWN[call].kwargs, "show": show})
+        # A waiting call shows a bar once the daemon has replied that it takes longer.
         known.recorder.late = [{**fixture("error.deadline_exceeded"), "step": 45}]
         known.perform(form, Row(call, taken, []), folder)
         known.recorder.late = []
@@ -249,6 +256,6 @@ def test_a_bar_is_shown_if_it_is_wanted(
 
 
 @pytest.mark.parametrize(("call", "taken", "value"), VALUES)
-def test_each_helper_makes_what_is_sent(call: str, taken: Take, value: Any) -> None:
+def test_each_helper_returns_what_is_sent(call: str, taken: Arguments, value: Any) -> None:
     made = getattr(jostle, call)(*taken.args, **taken.kwargs)
     assert to_json({"args": made}) == to_json({"args": value})

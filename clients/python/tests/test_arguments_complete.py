@@ -1,4 +1,4 @@
-"""The tables of arguments leave nothing out: neither of the package nor of the contract."""
+"""The tables of arguments are complete, for the package and for the contract."""
 
 from __future__ import annotations
 
@@ -59,6 +59,9 @@ def public_calls() -> dict[str, Callable[..., Any]]:
     for module, start in ((jostle, ""), (env, "env.")):
         for name in module.__all__:
             thing = getattr(module, name)
+            if thing is jostle.AtStep:
+                # Its calls are those of `Swarm` with the option `at_step`.
+                continue
             if isinstance(thing, type):
                 calls |= _members(f"{start}{name}", thing)
                 if module is env:
@@ -69,10 +72,12 @@ def public_calls() -> dict[str, Callable[..., Any]]:
 
 
 def awaited_calls() -> dict[str, Callable[..., Any]]:
-    """The same of `jostle.aio`."""
+    """The same for `jostle.aio`."""
     calls: dict[str, Callable[..., Any]] = {}
     for name in aio.__all__:
         thing = getattr(aio, name)
+        if thing is aio.AtStep:
+            continue
         if isinstance(thing, type):
             calls |= {
                 f"{name}.{member}": it
@@ -85,7 +90,7 @@ def awaited_calls() -> dict[str, Callable[..., Any]]:
 
 
 def parameters(call: Callable[..., Any]) -> dict[str, Any]:
-    """What it takes, and the default of each."""
+    """Its arguments, and the default of each."""
     found: dict[str, Any] = {}
     for name, parameter in inspect.signature(call).parameters.items():
         if name == "options" and parameter.kind is parameter.VAR_KEYWORD:
@@ -96,10 +101,10 @@ def parameters(call: Callable[..., Any]) -> dict[str, Any]:
 
 
 def given(row: Row, call: Callable[..., Any]) -> set[str]:
-    """The arguments of a row that are not the default ones."""
+    """The arguments of a row that differ from their defaults."""
     signature = inspect.signature(call)
     subject = [None] if "self" in signature.parameters else []
-    arguments = signature.bind(*subject, *row.take.args, **row.take.kwargs).arguments
+    arguments = signature.bind(*subject, *row.arguments.args, **row.arguments.kwargs).arguments
     defaults = parameters(call)
     found = {*arguments.pop("options", {})}
     for name, value in arguments.items():
@@ -111,6 +116,13 @@ def given(row: Row, call: Callable[..., Any]) -> set[str]:
 
 
 CALLS = public_calls()
+
+
+def takes(name: str) -> dict[str, Any]:
+    """What a call takes, also `at_step` if `Swarm.at` has it."""
+    owner, _, method = name.rpartition(".")
+    has_step = owner == "Swarm" and hasattr(jostle.AtStep, method)
+    return parameters(CALLS[name]) | ({"at_step": None} if has_step else {})
 
 
 def _covered() -> set[tuple[str, str]]:
@@ -125,7 +137,7 @@ def _covered() -> set[tuple[str, str]]:
 
 
 def test_every_argument_of_every_call_has_a_row_or_a_reason() -> None:
-    every = {(name, it) for name, call in CALLS.items() for it in parameters(call)}
+    every = {(name, it) for name in CALLS for it in takes(name)}
     covered = _covered()
     assert every - covered == NOT_SENT.keys(), "no row of rows_of_*.py has it"
     assert covered - every == set()
@@ -146,11 +158,21 @@ def test_every_awaited_call_is_one_of_the_tables() -> None:
 
 def test_the_options_of_commands_are_the_ones_of_the_tables() -> None:
     assert ENVELOPE.keys() == {*Options.__annotations__, "at_step"}
-    for name, call in CALLS.items():
+    for name in CALLS:
         if name not in rows_of_connections.CALLS:
             # A timeout that is not sent is in another table.
-            taken = {it for it in parameters(call) if it in ENVELOPE and (name, it) not in NOT_SENT}
+            taken = {it for it in takes(name) if it in ENVELOPE and (name, it) not in NOT_SENT}
             assert taken - {"timeout"} == {*TAKEN.get(name, ())} - {"timeout"}, name
+
+
+@pytest.mark.parametrize("form", [jostle, aio])
+def test_a_command_at_a_step_takes_what_it_takes_of_the_swarm(form: Any) -> None:
+    methods = {name for name in vars(form.AtStep) if not name.startswith("_")}
+    assert methods == {name[6:] for name, names in TAKEN.items() if "at_step" in names}
+    for method in methods:
+        both = [parameters(getattr(it, method)) for it in (form.AtStep, form.Swarm)]
+        # A run that begins later cannot be waited for.
+        assert both[0] == {k: v for k, v in both[1].items() if k not in ("wait", "show")}, method
 
 
 def test_every_timeout_has_a_row_of_its_own() -> None:
@@ -158,7 +180,7 @@ def test_every_timeout_has_a_row_of_its_own() -> None:
     assert timed - {"View.wait"} == ENDED.keys()
 
 
-# What a schema has, and what a message has, as paths such as `.select.within.x` and `.mode=free`.
+# The fields of a schema, and of a message, as paths such as `.select.within.x` and `.mode=free`.
 
 
 def _paths(

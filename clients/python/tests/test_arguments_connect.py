@@ -1,4 +1,4 @@
-"""Every argument of what connects arrives, at the daemon or on the command line of one."""
+"""Every argument of calls that connect is sent to the daemon or on its command line."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ import rows_of_connections as table
 from conftest import find_free_endpoint
 from jostle import aio, env
 from recorder import TOKEN, Recorder, Sent, credentials, fake_jostled
-from rows import File, Row, Take
+from rows import Arguments, File, Row, parameters
 
 FORMS = pytest.mark.parametrize("form", ["blocking", "awaited"])
 
 
 @pytest.fixture(scope="module")
 def unknown() -> Iterator[Recorder]:
-    """A recorder that lets anybody in."""
+    """A recorder without authentication."""
     recorder = Recorder(find_free_endpoint())
     yield recorder
     recorder.close()
@@ -31,7 +31,7 @@ def unknown() -> Iterator[Recorder]:
 
 @pytest.fixture(scope="module")
 def known(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Recorder]:
-    """A recorder that lets in who has credentials."""
+    """A recorder that requires credentials."""
     recorder = Recorder(find_free_endpoint(), tmp_path_factory.mktemp("known") / "passwords")
     yield recorder
     recorder.close()
@@ -43,18 +43,18 @@ def _nobody(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.delenv(name, raising=False)
 
 
-def _filled(taken: Take, folder: Path, stands: dict[str, Any]) -> Take:
+def _filled(taken: Arguments, folder: Path, stands: dict[str, Any]) -> Arguments:
     def fill(value: Any) -> Any:
         if isinstance(value, table.Stand):
             return stands[value.name]
         return value.make(folder) if isinstance(value, File) else value
 
     kwargs = {name: fill(it) for name, it in taken.kwargs.items()}
-    return Take(tuple(map(fill, taken.args)), kwargs)
+    return Arguments(tuple(map(fill, taken.args)), kwargs)
 
 
-def _pause(form: str, call: str, taken: Take) -> None:
-    """Connects, and pauses a swarm."""
+def _pause(form: str, call: str, taken: Arguments) -> None:
+    """Connects and pauses a swarm."""
     if form == "blocking":
         with getattr(jostle, call)(*taken.args, **taken.kwargs) as client:
             client.swarm("school").pause()
@@ -67,24 +67,20 @@ def _pause(form: str, call: str, taken: Take) -> None:
     asyncio.run(main())
 
 
-def _named(rows: list[Row]) -> list[Any]:
-    return [pytest.param(row, id=f"{row.call}-{index}") for index, row in enumerate(rows)]
-
-
 @FORMS
-@pytest.mark.parametrize("row", _named(table.CONNECTS))
-def test_connecting_sends_what_its_row_says(
+@pytest.mark.parametrize("row", parameters(table.CONNECTS))
+def test_connecting_sends_what_its_row_contains(
     row: Row, form: str, known: Recorder, unknown: Recorder, tmp_path: Path
 ) -> None:
     recorder = known if row.sent[0].attachment == TOKEN else unknown
     recorder.clear()
     stands = {"endpoint": recorder.endpoint, "credentials": credentials(tmp_path / "ada")}
-    _pause(form, row.call, _filled(row.take, tmp_path, stands))
+    _pause(form, row.call, _filled(row.arguments, tmp_path, stands))
     assert recorder.sent() == row.sent
 
 
 @FORMS
-def test_the_environment_says_where_and_who(
+def test_environment_variables_set_endpoint_and_credentials(
     form: str,
     known: Recorder,
     unknown: Recorder,
@@ -95,52 +91,52 @@ def test_the_environment_says_where_and_who(
     for recorder in (known, unknown):
         recorder.clear()
     monkeypatch.setenv("JOSTLE_ENDPOINT", unknown.endpoint)
-    _pause(form, "connect", Take((), {}))
+    _pause(form, "connect", Arguments((), {}))
     assert unknown.sent() == plain
     monkeypatch.setenv("JOSTLE_ENDPOINT", known.endpoint)
     monkeypatch.setenv("JOSTLE_CREDENTIALS", str(credentials(tmp_path / "ada")))
-    _pause(form, "connect", Take((), {}))
+    _pause(form, "connect", Arguments((), {}))
     assert known.sent() == proven
-    # What is given counts before the environment, and that before the credentials.
+    # Arguments precede the environment, and that precedes the credentials.
     monkeypatch.setenv("JOSTLE_ENDPOINT", "tcp/127.0.0.1:1")
-    _pause(form, "connect", Take((known.endpoint,), {}))
+    _pause(form, "connect", Arguments((known.endpoint,), {}))
     monkeypatch.delenv("JOSTLE_ENDPOINT")
     there = credentials(tmp_path / "there", known.endpoint)
-    _pause(form, "connect", Take((), {"credentials": there}))
+    _pause(form, "connect", Arguments((), {"credentials": there}))
     assert known.sent() == 3 * proven
 
 
 def _arguments(folder: Path) -> Sent:
-    told = (folder / "arguments").read_text(encoding="utf-8").splitlines()
-    data = Path(told[4])
-    told[4] = data.name if data.parent == folder.resolve() else "(temporary)"
-    return Sent("jostled", told, None)
+    line = (folder / "arguments").read_text(encoding="utf-8").splitlines()
+    data = Path(line[4])
+    line[4] = data.name if data.parent == folder.resolve() else "(temporary)"
+    return Sent("jostled", line, None)
 
 
 @FORMS
-@pytest.mark.parametrize("row", _named(table.LOCALS))
-def test_a_local_daemon_is_started_as_its_row_says(
+@pytest.mark.parametrize("row", parameters(table.LOCALS))
+def test_a_local_daemon_is_started_with_the_arguments_of_its_row(
     row: Row, form: str, unknown: Recorder, tmp_path: Path
 ) -> None:
     unknown.clear()
     stands = {"program": fake_jostled(tmp_path, unknown.endpoint)}
-    _pause(form, row.call, _filled(row.take, tmp_path, stands))
+    _pause(form, row.call, _filled(row.arguments, tmp_path, stands))
     assert [_arguments(tmp_path), *unknown.sent()] == row.sent
 
 
 @FORMS
-def test_a_local_daemon_shows_that_it_starts_if_it_is_wanted(
+def test_a_local_daemon_shows_that_it_starts_if_it_is_requested(
     form: str, unknown: Recorder, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     program = fake_jostled(tmp_path, unknown.endpoint)
     for show in (True, False):
-        _pause(form, "local", Take((), {"jostled": program, "show": show}))
+        _pause(form, "local", Arguments((), {"jostled": program, "show": show}))
         assert bool(capsys.readouterr().err) == show
 
 
 @FORMS
-@pytest.mark.parametrize("row", _named(table.EXPERIMENTS))
-def test_an_experiment_is_submitted_as_its_row_says(
+@pytest.mark.parametrize("row", parameters(table.EXPERIMENTS))
+def test_an_experiment_is_submitted_as_its_row_contains(
     row: Row, form: str, unknown: Recorder, tmp_path: Path
 ) -> None:
     stands = {"endpoint": unknown.endpoint}
@@ -148,14 +144,14 @@ def test_an_experiment_is_submitted_as_its_row_says(
     if form == "blocking":
         with jostle.connect(unknown.endpoint, **settings) as client:
             unknown.clear()
-            taken = _filled(row.take, tmp_path, {**stands, "client": client})
+            taken = _filled(row.arguments, tmp_path, {**stands, "client": client})
             jostle.experiment(*taken.args, **taken.kwargs)
     else:
 
         async def main() -> None:
             async with aio.connect(unknown.endpoint, **settings) as client:
                 unknown.clear()
-                taken = _filled(row.take, tmp_path, {**stands, "client": client})
+                taken = _filled(row.arguments, tmp_path, {**stands, "client": client})
                 await aio.experiment(*taken.args, **taken.kwargs)
 
         asyncio.run(main())
@@ -163,7 +159,7 @@ def test_an_experiment_is_submitted_as_its_row_says(
 
 
 def _without_name(sent: Sent) -> Sent:
-    """The message without the name that an environment makes up for its swarm."""
+    """The message without the swarm name that an environment generates."""
     own = re.compile(r"env-[0-9a-f]{32}")
     body = sent.body
     if body is not None and own.fullmatch(str(body["args"].get("name"))):
@@ -172,15 +168,15 @@ def _without_name(sent: Sent) -> Sent:
 
 
 @pytest.mark.parametrize("name", table.ENVS)
-def test_an_environment_sends_what_its_rows_say(
+def test_an_environment_sends_what_its_rows_contain(
     name: str, unknown: Recorder, tmp_path: Path
 ) -> None:
     unknown.clear()
     unknown.controller = "env"
     made, *calls = table.ENVS[name]
-    taken = _filled(made.take, tmp_path, {"endpoint": unknown.endpoint})
+    taken = _filled(made.arguments, tmp_path, {"endpoint": unknown.endpoint})
     world = getattr(env, name)(*taken.args, **taken.kwargs)
     for row in calls:
-        getattr(world, row.call.split(".")[2])(*row.take.args, **row.take.kwargs)
+        getattr(world, row.call.split(".")[2])(*row.arguments.args, **row.arguments.kwargs)
     expected = [sent for row in table.ENVS[name] for sent in row.sent]
     assert [_without_name(it) for it in unknown.sent()] == expected

@@ -1,4 +1,4 @@
-"""Commands at a step of their own, several at one step, and what was done looked up again."""
+"""Scheduled commands, batches, and the history."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 
 import jostle
-from conftest import PATIENCE_SECS
+from conftest import MAX_WAIT_SECS
 
 Create = Callable[..., jostle.Swarm]
 
 
-def test_a_command_at_a_step_ahead_waits_and_is_carried_out_there(create: Create) -> None:
+def test_a_command_for_a_later_step_is_scheduled_and_executed_there(create: Create) -> None:
     swarm = create(n=5)
-    later = swarm.set(pi3=2.0, at_step=np.int64(10), request_id="later")
+    later = swarm.at(np.int64(10)).set(pi3=2.0, request_id="later")
     assert isinstance(later, jostle.Scheduled)
     assert (later.applies_at_step, later.step, later.seq) == (10, 0, 0)
     assert swarm.status().scheduled == 1
@@ -27,56 +27,62 @@ def test_a_command_at_a_step_ahead_waits_and_is_carried_out_there(create: Create
     assert swarm.step().step == 10
     status = swarm.status()
     assert (status.parameters.pi3, status.scheduled) == (2.0, 0)
-    told = [event for event in swarm.history() if event.request_id == "later"]
-    assert [(event.kind, event.step) for event in told] == [("scheduled", 0), ("command", 10)]
-    assert told[0].applies_at_step == 10
+    events = [event for event in swarm.history() if event.request_id == "later"]
+    assert [(event.kind, event.step) for event in events] == [("scheduled", 0), ("command", 10)]
+    assert events[0].applies_at_step == 10
 
 
-def test_a_command_at_this_step_is_carried_out_at_once(create: Create) -> None:
+def test_a_command_for_the_current_step_is_executed_at_once(create: Create) -> None:
     swarm = create(n=5)
     swarm.step(3)
-    result = swarm.inform(jostle.ids([1]), 0.0, at_step=3)
-    assert isinstance(result, jostle.IdsResult)
-    assert result.ids == [1]
-    state = swarm.step(2, state=True, at_step=3)
+    informed = swarm.at(3).inform(jostle.ids([1]), 0.0)
+    assert (informed.applies_at_step, informed.step, informed.seq) == (3, 3, 2)
+    assert isinstance(informed.outcome, jostle.IdsResult)
+    assert informed.outcome.ids == [1]
+    changed = swarm.at(3).set(pi1=5.0)
+    assert isinstance(changed.outcome, jostle.SetResult)
+    assert swarm.state().pi1 == 5.0
+    state = swarm.at(3).step(2, state=True).outcome
     assert isinstance(state, jostle.State)
     assert (state.step, len(state.state_hash or "")) == (5, 64)
 
 
-def test_a_step_behind_is_a_conflict_and_changes_nothing(create: Create) -> None:
+def test_an_earlier_step_is_a_conflict_and_changes_nothing(create: Create) -> None:
     swarm = create(n=5)
     swarm.step(3)
     with pytest.raises(jostle.Conflict) as caught:
-        swarm.set(pi3=2.0, at_step=2)
+        swarm.at(2).set(pi3=2.0)
     assert caught.value.details == {"field": "at_step", "at_step": 2, "step": 3}
     assert swarm.status().seq == 1
     for wrong in (-1, 1.5, "soon", 2**60):
         with pytest.raises(jostle.InvalidArgument):
-            swarm.pause(at_step=wrong)  # type: ignore[arg-type]
+            swarm.at(wrong).pause()  # type: ignore[arg-type]
 
 
-def test_every_command_may_wait_for_its_step(create: Create) -> None:
+def test_every_command_can_be_scheduled(create: Create) -> None:
     swarm = create(n=5)
     one = jostle.ids([1])
     answers: list[object] = [
-        swarm.set(pi3=2.0, at_step=5),
-        swarm.inform(one, 0.0, at_step=5),
-        swarm.uninform(one, at_step=5),
-        swarm.inject(1, at_step=5),
-        swarm.remove(one, at_step=5),
-        swarm.batch([jostle.Set(pi3=3.0)], at_step=5),
-        swarm.annotate("note", at_step=5),
-        swarm.step(3, at_step=5),
-        swarm.step(3, state=True, at_step=5),
-        swarm.run(until_step=9, at_step=5),
-        swarm.pause(at_step=5),
-        swarm.reset(at_step=6),
-        swarm.delete(at_step=7),
+        swarm.at(5).set(pi3=2.0),
+        swarm.at(5).inform(one, 0.0),
+        swarm.at(5).uninform(one),
+        swarm.at(5).inject(1),
+        swarm.at(5).remove(one),
+        swarm.at(5).batch([jostle.Set(pi3=3.0)]),
+        swarm.at(5).annotate("note"),
+        swarm.at(5).step(3),
+        swarm.at(5).step(3, state=True),
+        swarm.at(5).run(until_step=9),
+        swarm.at(5).pause(),
+        swarm.at(6).reset(),
+        swarm.at(7).delete(),
     ]
     assert all(isinstance(answer, jostle.Scheduled) for answer in answers)
     assert swarm.status().scheduled == len(answers)
-    with pytest.raises(jostle.InvalidArgument):
-        swarm.run(until_step=9, wait=True, at_step=8)  # type: ignore[call-overload]
+    with pytest.raises(TypeError, match="wait"):
+        swarm.at(8).run(until_step=9, wait=True)  # type: ignore[call-arg]
+    with pytest.raises(TypeError, match=r"use at\(step\)\.pause"):
+        swarm.pause(at_step=8)  # type: ignore[call-arg]
     swarm.reset()
     assert swarm.status().scheduled == 0
     refused = [event for event in swarm.history() if event.kind == "refused"]
@@ -87,9 +93,9 @@ def test_every_command_may_wait_for_its_step(create: Create) -> None:
         assert (event.error.code, event.error.step) == ("conflict", 0)
 
 
-def test_what_fails_at_its_step_is_told_as_an_event(create: Create) -> None:
+def test_a_scheduled_command_that_fails_is_an_event(create: Create) -> None:
     swarm = create(n=3)
-    swarm.remove(jostle.ids([2]), at_step=5, request_id="too late")
+    swarm.at(5).remove(jostle.ids([2]), request_id="too late")
     swarm.remove(jostle.ids([2]))
     swarm.step(5)
     (event,) = [event for event in swarm.history() if event.kind == "refused"]
@@ -98,12 +104,12 @@ def test_what_fails_at_its_step_is_told_as_an_event(create: Create) -> None:
     assert event.error.code == "invalid_argument"
 
 
-def test_no_more_may_wait_than_the_daemon_remembers(create: Create) -> None:
+def test_scheduled_commands_are_limited(create: Create) -> None:
     swarm = create(n=2)
     for number in range(1024):
-        swarm.pause(at_step=10 + number)
+        swarm.at(10 + number).pause()
     with pytest.raises(jostle.ResourceExhausted):
-        swarm.pause(at_step=10)
+        swarm.at(10).pause()
     assert swarm.status().scheduled == 1024
 
 
@@ -111,9 +117,9 @@ def test_an_experiment_on_a_running_swarm_is_repeatable(create: Create) -> None:
     def run() -> str:
         swarm = create(n=20, seed=7, rate=5.0)
         swarm.run()
-        swarm.batch([jostle.Set(pi3=2.0), jostle.Inform(jostle.fraction(0.2), 0.5)], at_step=1000)
-        swarm.uninform(jostle.fraction(1.0), at_step=1500)
-        swarm.pause(at_step=2000)
+        swarm.at(1000).batch([jostle.Set(pi3=2.0), jostle.Inform(jostle.fraction(0.2), 0.5)])
+        swarm.at(1500).uninform(jostle.fraction(1.0))
+        swarm.at(2000).pause()
         swarm.run(rate=None)
         assert swarm.wait(phase="paused").step == 2000
         return swarm.status().state_hash
@@ -175,7 +181,7 @@ def test_a_batch_is_applied_as_a_whole_or_not_at_all(create: Create) -> None:
     assert swarm.batch(itertools.repeat(jostle.Set(pi3=2.0), 256)).seq == 256
 
 
-def test_parameters_tell_all_that_a_form_needs(create: Create) -> None:
+def test_parameters_have_all_that_a_form_needs(create: Create) -> None:
     swarm = create(n=5, rate=None)
     swarm.set(pi3=1.25)
     parameters = swarm.parameters()
@@ -211,8 +217,8 @@ def test_the_journal_is_what_was_applied_and_leads_to_the_same_state(create: Cre
     for record in (*entries, *swarm.history()):
         assert record.when is not None
         assert record.unix_secs == record.when.timestamp()
-        assert abs(now - record.when) < timedelta(seconds=PATIENCE_SECS)
-    # A notebook shows the time in words.
+        assert abs(now - record.when) < timedelta(seconds=MAX_WAIT_SECS)
+    # A notebook shows the time as text.
     assert entries[0].when is not None
     shown = entries._repr_html_()
     assert entries[0].when.strftime("%Y-%m-%d %H:%M:%S.") in shown
@@ -232,7 +238,7 @@ def test_the_journal_is_what_was_applied_and_leads_to_the_same_state(create: Cre
     assert again.status().state_hash == swarm.status().state_hash
 
 
-def test_history_and_journal_go_on_over_pages(create: Create) -> None:
+def test_history_and_journal_read_several_pages(create: Create) -> None:
     swarm = create(n=2)
     for number in range(1100):
         swarm.set(pi3=1.0 + number / 1024)
@@ -240,19 +246,19 @@ def test_history_and_journal_go_on_over_pages(create: Create) -> None:
     assert [entry.seq for entry in journal] == list(range(1, 1101))
     assert journal[-1].args == {"pi3": 1.0 + 1099 / 1024}
     history = swarm.history()
-    # The daemon has forgotten the first of them, and that shows.
+    # The daemon has dropped the first of them, which the reply shows.
     assert history[-1].number == 1101
     assert history[0].skipped == history[0].number - 1
     assert [event.number for event in history] == list(range(history[0].number, 1102))
     assert [event.number for event in swarm.history(after=1099)] == [1100, 1101]
     assert swarm.history(after=1099)[0].skipped == 0
     assert swarm.history(after=5000) == []
-    for ask in (swarm.history, swarm.journal):
+    for read in (swarm.history, swarm.journal):
         with pytest.raises(jostle.InvalidArgument):
-            ask(after=-1)
+            read(after=-1)
 
 
-def test_commands_that_the_daemon_has_forgotten_are_counted(create: Create) -> None:
+def test_commands_dropped_from_the_journal_are_counted(create: Create) -> None:
     swarm = create(n=1, pi1=1.0)
     far = np.column_stack([np.arange(900) * 3.0 + 10.123456789, np.zeros((900, 2))])
     for number in range(6):
@@ -265,10 +271,10 @@ def test_commands_that_the_daemon_has_forgotten_are_counted(create: Create) -> N
     assert {entry.skipped for entry in entries[1:]} == {0}
 
 
-def test_a_schedule_can_be_followed_to_what_came_of_it(create: Create) -> None:
+def test_a_scheduled_command_can_be_followed_to_its_result(create: Create) -> None:
     swarm = create(n=3, rate=None)
-    with swarm.events(timeout=PATIENCE_SECS) as events:
-        later = swarm.set(pi3=2.0, at_step=50, request_id="mine")
+    with swarm.events(timeout=MAX_WAIT_SECS) as events:
+        later = swarm.at(50).set(pi3=2.0, request_id="mine")
         assert isinstance(later, jostle.Scheduled)
         swarm.run(until_step=100)
         came = next(e for e in events if e.request_id == "mine" and e.kind != "scheduled")

@@ -1,4 +1,4 @@
-"""Every command and every question, as a user calls them."""
+"""Every command and every query, as a user calls them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import jostle
 Create = Callable[..., jostle.Swarm]
 
 
-def test_hello_and_status_tell_who_the_daemon_is(client: jostle.Client, create: Create) -> None:
+def test_hello_and_status_identify_the_daemon(client: jostle.Client, create: Create) -> None:
     hello = client.hello()
     assert hello.node == client.node
     assert hello.wire_version == 1
@@ -27,7 +27,7 @@ def test_hello_and_status_tell_who_the_daemon_is(client: jostle.Client, create: 
     assert after.uptime_secs >= before.uptime_secs
 
 
-def test_defaults_here_are_the_daemons(client: jostle.Client, create: Create) -> None:
+def test_defaults_are_those_of_the_daemon(client: jostle.Client, create: Create) -> None:
     assert create(n=3).spec() == jostle.Spec(n=3)
     named = jostle.Spec(n=4, pi1=2.0, seed=9, dt=0.01, rate=None, start=jostle.disc(5.0))
     swarm = client.create("spec", named)
@@ -49,7 +49,7 @@ def test_a_created_swarm_is_listed_and_paused(client: jostle.Client, create: Cre
     assert [s.swarm for s in client.swarms()] == sorted(s.swarm for s in client.swarms())
 
 
-def test_create_takes_an_equal_swarm_as_it_is_if_told_so(client: jostle.Client) -> None:
+def test_create_accepts_an_equal_swarm_with_exist_ok(client: jostle.Client) -> None:
     spec = jostle.Spec(n=3, seed=1)
     swarm = client.create("equal", spec)
     try:
@@ -63,7 +63,7 @@ def test_create_takes_an_equal_swarm_as_it_is_if_told_so(client: jostle.Client) 
         swarm.delete()
 
 
-def test_step_arrives_where_it_says(create: Create) -> None:
+def test_step_returns_the_step_reached(create: Create) -> None:
     swarm = create(n=5)
     result = swarm.step(10)
     assert (result.step, result.steps, result.phase) == (10, 10, "paused")
@@ -81,7 +81,7 @@ def test_run_until_waits_for_the_end(create: Create) -> None:
     assert (result.until_step, result.rate) == (20, None)
     assert swarm.wait(step=20).step == 20
     assert swarm.wait(phase="paused").reason == "finished"
-    # The time is reached at the first step at or after it.
+    # A time is reached at the first step at or after it.
     assert swarm.run(until=0.61, wait=True).step == 31
 
 
@@ -95,7 +95,7 @@ def test_rate_left_out_is_unchanged_and_none_is_as_fast_as_possible(create: Crea
     assert swarm.pause().phase == "paused"
 
 
-def test_set_changes_what_is_named(create: Create) -> None:
+def test_set_changes_only_the_given_parameters(create: Create) -> None:
     swarm = create(n=5)
     result = swarm.set(pi3=1.25, publish_every=np.int32(2))
     assert (result.before.pi3, result.now.pi3) == (1.0, 1.25)
@@ -136,7 +136,7 @@ def test_a_note_is_in_journal_and_events_and_changes_nothing(create: Create) -> 
     assert swarm.status().seq == reply.seq
 
 
-def test_longer_bodies_are_let_in_with_make_room(create: Create) -> None:
+def test_longer_bodies_need_make_room(create: Create) -> None:
     swarm = create(n=20, pi1=1.0)
     swarm.step(500)
     result = swarm.set(pi1=8.0, make_room=True)
@@ -144,7 +144,7 @@ def test_longer_bodies_are_let_in_with_make_room(create: Create) -> None:
     assert result.scaled_by >= 1.0
 
 
-def test_inform_and_uninform_every_way_of_selecting(create: Create) -> None:
+def test_inform_and_uninform_with_every_selection(create: Create) -> None:
     swarm = create(n=10, seed=3)
     assert swarm.inform(jostle.ids(np.array([4, 2])), np.pi / 2, weight=0.75).ids == [2, 4]
     state = swarm.state()
@@ -163,7 +163,7 @@ def test_inform_and_uninform_every_way_of_selecting(create: Create) -> None:
     assert swarm.status().informed == 0
 
 
-def test_informed_for_a_time_lapses(create: Create) -> None:
+def test_informed_for_a_time_expires(create: Create) -> None:
     swarm = create(n=3)
     swarm.inform(jostle.ids([1]), 0.0, for_time=0.1)
     assert swarm.step(4, state=True).informed.tolist() == [False, True, False]
@@ -224,7 +224,7 @@ def test_wait_returns_when_the_step_is_reached_and_in_the_phase(create: Create) 
     assert swarm.wait(step=40, timeout=20.0).step >= 40
 
 
-def test_wait_says_why_a_step_will_not_be_reached(create: Create) -> None:
+def test_wait_gives_the_reason_why_a_step_will_not_be_reached(create: Create) -> None:
     swarm = create(n=3)
     with pytest.raises(jostle.IncorrectState, match="step 0") as caught:
         swarm.wait(step=10)
@@ -237,7 +237,7 @@ def test_wait_says_why_a_step_will_not_be_reached(create: Create) -> None:
         swarm.run(wait=True)
 
 
-def test_a_given_start_is_taken_to_the_bit(client: jostle.Client) -> None:
+def test_a_given_start_is_exact_to_the_bit(client: jostle.Client) -> None:
     x = np.array([0.1, -7.0000000000000009, 20 / 3])
     y = np.array([1e-300, np.nextafter(3.0, 4.0), -0.0])
     alpha = np.array([-270.02419291642303, 5e-324, np.pi])
@@ -254,7 +254,7 @@ def test_a_given_start_is_taken_to_the_bit(client: jostle.Client) -> None:
         swarm.delete()
 
 
-def test_one_individual_alone_is_a_swarm(create: Create) -> None:
+def test_a_swarm_can_have_one_individual(create: Create) -> None:
     swarm = create(n=1)
     swarm.inform(jostle.count(1), 0.0)
     state = swarm.step(1500, state=True)
@@ -279,7 +279,7 @@ def test_the_same_commands_lead_to_the_same_hash(create: Create) -> None:
     assert run() == run()
 
 
-def test_every_command_is_told_as_an_event_with_who_sent_it(create: Create) -> None:
+def test_every_command_is_an_event_with_its_client(create: Create) -> None:
     swarm = create(n=3)
     with swarm.events(timeout=20.0) as events:
         swarm.set(pi3=2.0)

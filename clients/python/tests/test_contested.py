@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import socket
 import subprocess
 import sys
 import threading
@@ -15,7 +14,14 @@ from pathlib import Path
 import pytest
 
 import jostle
-from conftest import PATIENCE_SECS, Daemon, Wire, zenoh_session
+from conftest import (
+    MAX_WAIT_SECS,
+    Daemon,
+    Wire,
+    eventually,
+    find_free_endpoint,
+    zenoh_session,
+)
 
 ROUTER = """
 import json, sys, zenoh
@@ -28,17 +34,11 @@ sys.stdin.read()
 """
 
 
-def free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-        port: int = listener.getsockname()[1]
-        return port
-
-
 class Router:
-    """A zenoh router in a process of its own, which connects to endpoints again and again."""
+    """A zenoh router in a separate process, which retries its connections."""
 
     def __init__(self, *endpoints: str) -> None:
-        self.endpoint = f"tcp/127.0.0.1:{free_port()}"
+        self.endpoint = find_free_endpoint()
         config = {
             "mode": "router",
             "listen/endpoints": [self.endpoint],
@@ -60,7 +60,7 @@ class Router:
         assert self.process.stdout.readline() == b"there\n"
 
     def close(self) -> None:
-        """Ends it."""
+        """Ends the process."""
         self.process.kill()
         self.process.communicate()
 
@@ -72,10 +72,10 @@ class Fleet:
         self.folders = {node: folder / node for node in ("a", "b")}
         for each in self.folders.values():
             each.mkdir()
-        self.endpoints = {node: f"tcp/127.0.0.1:{free_port()}" for node in self.folders}
+        self.endpoints = {node: find_free_endpoint() for node in self.folders}
         self.daemons: dict[str, Daemon] = {}
         self.wire = Wire(self.endpoints["a"])
-        # The second daemon has had a swarm of the same name before.
+        # The second daemon had a swarm of the same name before.
         self.start("b")
         with jostle.connect(self.endpoints["b"]) as client:
             client.create("school", jostle.Spec(n=4, seed=1, rate=None))
@@ -84,13 +84,13 @@ class Fleet:
         self.router = Router(self.wire.endpoint, self.endpoints["b"])
 
     def start(self, node: str) -> Daemon:
-        """Starts a daemon on what its last run left."""
+        """Starts a daemon on the data of its last run."""
         self.daemons[node] = Daemon(self.folders[node], self.endpoints[node], node=node)
         return self.daemons[node]
 
     def connect(self, node: str) -> jostle.Client:
         """A client of one daemon, by the router."""
-        deadline = time.monotonic() + PATIENCE_SECS
+        deadline = time.monotonic() + MAX_WAIT_SECS
         while True:
             try:
                 return jostle.connect(self.router.endpoint, node=node, timeout=10.0)
@@ -114,13 +114,6 @@ def fleet(tmp_path: Path) -> Iterator[Fleet]:
     fleet.close()
 
 
-def until(what: str, holds: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + PATIENCE_SECS
-    while not holds():
-        assert time.monotonic() < deadline, what
-        time.sleep(0.02)
-
-
 def is_contested(client: jostle.Client) -> bool:
     try:
         return client.metrics().contested > 0
@@ -129,7 +122,7 @@ def is_contested(client: jostle.Client) -> bool:
 
 
 def executed(endpoint: str, ids: list[str]) -> list[int]:
-    """How often each request is in the journal of the swarm there."""
+    """How often each request is in the journal of the swarm."""
     with jostle.connect(endpoint) as client:
         journal = client.swarm("school").journal()
         seen = [entry.request_id for entry in journal]
@@ -147,7 +140,7 @@ def test_no_command_is_executed_twice_while_a_second_daemon_comes_and_goes(fleet
             for end in (Daemon.stop, Daemon.kill, Daemon.stop):
                 daemon = fleet.start("b")
                 with fleet.connect("b") as second:
-                    until("it is contested", partial(is_contested, second))
+                    eventually("it is contested", partial(is_contested, second))
                 end(daemon)
                 ends.append(end)
         finally:
@@ -174,7 +167,7 @@ def test_contested_names_both_daemons_and_discard_ends_it(fleet: Fleet) -> None:
     school = first.create("school", jostle.Spec(n=4, seed=1, rate=None))
     fleet.start("b")
     second = fleet.connect("b")
-    until("it is contested", lambda: is_contested(second))
+    eventually("it is contested", lambda: is_contested(second))
     assert [it.contested_by for it in second.swarms()] == ["a"]
     # The second daemon, queried directly, names the daemon that serves the swarm.
     with jostle.connect(fleet.endpoints["b"]) as direct:
@@ -192,14 +185,14 @@ def test_contested_names_both_daemons_and_discard_ends_it(fleet: Fleet) -> None:
         except jostle.JostleError:
             return False
 
-    until("the second serves", is_served_there)
+    eventually("the second serves", is_served_there)
     fleet.wire.plug()
-    until("both noticed", lambda: is_contested(second) and is_contested(first))
+    eventually("both noticed", lambda: is_contested(second) and is_contested(first))
     # A client that connects now checks the claims first; the daemons reply with the same error.
     with fleet.connect("a") as late:
-        for ask in (late.swarm("school").status, late.swarm("school").pause):
+        for call in (late.swarm("school").status, late.swarm("school").pause):
             with pytest.raises(jostle.Contested) as caught:
-                ask()
+                call()
             assert sorted(caught.value.details["nodes"]) == ["a", "b"]
     with pytest.raises(jostle.Contested):
         school.pause()
@@ -213,12 +206,12 @@ def test_contested_names_both_daemons_and_discard_ends_it(fleet: Fleet) -> None:
         except jostle.Contested:
             return False
 
-    until("the first serves again", is_served_again)
+    eventually("the first serves again", is_served_again)
     first.close()
     second.close()
 
 
-def test_two_daemons_have_a_moment_to_settle_who_serves(own_daemon: Daemon) -> None:
+def test_two_daemons_settle_their_claims_within_a_moment(own_daemon: Daemon) -> None:
     with jostle.connect(own_daemon.endpoint) as client:
         client.create("school", jostle.Spec(n=4, seed=1, rate=None))
     # The claim of another daemon that has not yet read this one's.

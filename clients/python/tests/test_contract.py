@@ -15,8 +15,8 @@ import pytest
 import contract
 import jostle
 from contract import OF_CONTROLLERS
-from jostle._link import Link
-from jostle._replay import send as send_replay
+from jostle._replay import ReplayResult
+from jostle._session import Session
 
 SCHEMAS = contract.schemas()
 
@@ -45,26 +45,26 @@ def test_the_check_notices_what_differs() -> None:
     assert len(checker.problems) == 3
 
 
-# The arguments of a command that are not called what the wire calls them, and why.
+# The arguments of a command with another name than on the wire, and why.
 RENAMED = {
-    "until_time": "until",  # The one most often given, so it comes first.
-    "return": "state",  # `return` is a keyword of Python, and a state all that can be returned.
-    "commands": "changes",  # Not every command may be in a batch.
+    "until_time": "until",  # The most common one, so it has the short name.
+    "return": "state",  # `return` is a keyword of Python, and only a state can be returned.
+    "commands": "changes",  # A batch cannot contain every command.
     "deadline_secs": "deadline",  # As `timeout_secs` is `timeout`.
 }
-# The verbs that a daemon executes, and no swarm.
+# The verbs that the daemon executes, not a swarm.
 OF_CLIENTS = {"create", "restore", "discard"}
-# One of several things to be done, each a method of its own.
+# One verb with several actions, each with its own method.
 OF_EXPERIMENTS = {"experiment", "replay"}
 OF_RECORDINGS = {"begin": "record", "stop": "stop_recording", "delete": "delete_recording"}
 OF_SEVERAL = OF_EXPERIMENTS | {"record"}
-OPTIONS = {"expect_step", "expect_epoch", "request_id", "timeout", "at_step", "options"}
+OPTIONS = {"expect_step", "expect_epoch", "request_id", "timeout", "options"}
 
 
 def test_every_message_of_the_contract_has_its_type() -> None:
     verbs = {name.removesuffix(".args") for name in SCHEMAS if name.endswith(".args")}
-    asked = {f"{verb}.args" for verb in verbs} | {"request"}
-    assert SCHEMAS.keys() == contract.READ.keys() | contract.OPAQUE | asked
+    expected = {f"{verb}.args" for verb in verbs} | {"request"}
+    assert SCHEMAS.keys() == contract.READ.keys() | contract.OPAQUE | expected
     of_others = OF_CLIENTS | OF_SEVERAL | OF_CONTROLLERS.keys()
     assert all(callable(getattr(jostle.Swarm, verb)) for verb in verbs - of_others)
     assert all(callable(getattr(jostle.Controller, it)) for it in OF_CONTROLLERS.values())
@@ -89,14 +89,14 @@ def test_every_command_takes_the_arguments_of_its_schema(name: str) -> None:
     owner = jostle.Controller if verb in OF_CONTROLLERS else owner
     method = getattr(owner, OF_CONTROLLERS.get(verb, verb))
     mine = dict(inspect.signature(method).parameters)
-    asked = {RENAMED.get(key, key) for key in SCHEMAS[name].get("properties", {})}
+    expected = {RENAMED.get(key, key) for key in SCHEMAS[name].get("properties", {})}
     if verb in OF_CONTROLLERS:
-        # Its name it has, what a put is numbered by it counts itself, and it has one epoch.
-        asked -= {"controller", "sequence", "epoch"}
-        if "set" in asked:
-            asked = asked - {"set"} | set(SCHEMAS[name]["$defs"]["SetPoints"]["properties"])
+        # The controller knows its name and epoch, and counts its puts itself.
+        expected -= {"controller", "sequence", "epoch"}
+        if "set" in expected:
+            expected = expected - {"set"} | set(SCHEMAS[name]["$defs"]["SetPoints"]["properties"])
     own = {"run": {"wait", "show"}}.get(verb, set[str]())
-    assert mine.keys() - {"self"} - OPTIONS - own == asked
+    assert mine.keys() - {"self"} - OPTIONS - own == expected
     for key in SCHEMAS[name].get("required", []):
         if verb not in OF_CONTROLLERS:
             assert mine[RENAMED.get(key, key)].default is inspect.Parameter.empty
@@ -123,14 +123,14 @@ class Sent(Exception):
 
 
 class Token:
-    """A liveliness token of nobody."""
+    """A placeholder for a liveliness token."""
 
     def undeclare(self) -> None:
         """Does nothing."""
 
 
-class Recorder(Link):
-    """A link with nobody that raises `Sent` instead of sending, but lets controllers join."""
+class Recorder(Session):
+    """A session without a daemon: raises `Sent` instead of sending, but lets controllers join."""
 
     def __init__(self, joined: bytes | None = None) -> None:
         self.joined = joined
@@ -143,7 +143,7 @@ class Recorder(Link):
         self.controllers = weakref.WeakSet()
 
     def declare_token(self, key: str) -> Any:
-        """Stands for nobody."""
+        """Returns a placeholder for a token."""
         return Token()
 
     def put(self, key: str, payload: bytes) -> None:
@@ -151,17 +151,17 @@ class Recorder(Link):
         raise Sent(payload)
 
     def connected(self) -> frozenset[str]:
-        """Says that somebody is there."""
-        return frozenset({"nobody"})
+        """Returns one token."""
+        return frozenset({"token"})
 
-    def _ask(self, selector: str, swarm: Any, timeout: Any, payload: Any, before: Any) -> bytes:
+    def _query(self, selector: str, swarm: Any, timeout: Any, payload: Any, before: Any) -> bytes:
         if self.joined is not None and selector.endswith("/join"):
             return self.joined
         raise Sent(payload)
 
 
 def call(verb: str, args: Mapping[str, Any], **options: Any) -> dict[str, Any]:
-    """What the method of a verb sends when it is given these arguments."""
+    """What the method of a verb sends with these arguments."""
     if verb == "replay":
         ((what, of),) = args.items()
         client = jostle.Client(Recorder(), "main")
@@ -170,7 +170,7 @@ def call(verb: str, args: Mapping[str, Any], **options: Any) -> dict[str, Any]:
                 client.replay(name=of["name"], recording=of["recording"])
         else:
             with pytest.raises(Sent) as caught:
-                send_replay(Recorder(), "main", dict(args))
+                Recorder().node_command("main", "replay", dict(args), ReplayResult)
         return caught.value.message
     if verb == "record":
         ((what, of),) = args.items()
@@ -190,19 +190,26 @@ def call(verb: str, args: Mapping[str, Any], **options: Any) -> dict[str, Any]:
         return caught.value.message
     if verb in OF_CONTROLLERS:
         joined = (contract.PROTO / "fixtures" / "join.reply.json").read_bytes()
-        controller = jostle.Swarm(Recorder(joined), "school").join(args.get("controller", "ada"))
+        name = OF_CONTROLLERS[verb]
+        controller = jostle.Swarm(Recorder(joined), "school").join(
+            args.get("controller", "ada"),
+            mode="free_running" if name == "put" else "lockstep",
+        )
         options |= args.get("set", {}) | {k: args[k] for k in ("steps",) if k in args}
         if args.get("return") == "state":
             options["state"] = True
         with pytest.raises(Sent) as caught:
-            getattr(controller, OF_CONTROLLERS[verb])(**options)
+            getattr(controller, name)(**options)
         return caught.value.message
     arguments = {RENAMED.get(name, name): value for name, value in args.items()}
     method: Callable[..., object]
     if verb in OF_CLIENTS:
         method = getattr(jostle.Client(Recorder(), "main"), verb)
     else:
-        method = getattr(jostle.Swarm(Recorder(), "school"), verb)
+        swarm: Any = jostle.Swarm(Recorder(), "school")
+        if "at_step" in options:
+            swarm = swarm.at(options.pop("at_step"))
+        method = getattr(swarm, verb)
     if verb == "restore":
         arguments["snapshot"] = base64.b64decode(arguments["snapshot"])
     if verb == "step" and "state" in arguments:
@@ -231,10 +238,10 @@ def args_fixtures() -> Iterator[Any]:
 
 
 @pytest.mark.parametrize(("name", "args"), list(args_fixtures()))
-def test_commands_send_what_the_fixtures_say(name: str, args: dict[str, Any]) -> None:
+def test_commands_send_what_the_fixtures_contain(name: str, args: dict[str, Any]) -> None:
     sent = call(name.removesuffix(".args"), args)
     if name == "control.args":
-        # No command, so without an envelope; it counts what it sends itself.
+        # Not a command, so it has no envelope; the controller numbers it.
         assert sent.keys() == {"sequence", "set"}
         assert sent["set"] == args["set"]
         return
@@ -256,7 +263,7 @@ def test_the_envelope_is_the_one_of_the_fixture() -> None:
     assert sent == fixture
 
 
-def test_a_request_left_to_itself_has_an_id_of_its_own_and_no_more_than_needed() -> None:
+def test_a_request_without_options_has_an_id_and_no_other_fields() -> None:
     first, second = call("pause", {}), call("pause", {})
     assert first.keys() == {"request_id", "client", "timeout_secs", "args"}
     assert first["request_id"] != second["request_id"]
@@ -264,6 +271,6 @@ def test_a_request_left_to_itself_has_an_id_of_its_own_and_no_more_than_needed()
 
 
 def test_the_daemon_serves_the_same_schemas(client: jostle.Client) -> None:
-    told = client.schema()
-    assert (told.node, told.wire_version) == (client.node, client.hello().wire_version)
-    assert told.schemas == SCHEMAS
+    served = client.schema()
+    assert (served.node, served.wire_version) == (client.node, client.hello().wire_version)
+    assert served.schemas == SCHEMAS

@@ -1,4 +1,4 @@
-"""Copies of swarms, and pasts told again."""
+"""Copies of swarms, and `verify`."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ Create = Callable[..., jostle.Swarm]
 
 @pytest.fixture
 def copies(client: jostle.Client) -> Iterator[list[str]]:
-    """The names of copies, which are deleted after the test."""
+    """Names of copies, which are deleted after the test."""
     names = ["copy-1", "copy-2"]
     yield names
     for name in {swarm.swarm for swarm in client.swarms()} & set(names):
         client.swarm(name).delete()
 
 
-def test_a_fork_has_the_same_future_until_it_is_treated_differently(
+def test_a_fork_has_the_same_future_until_it_gets_other_commands(
     create: Create, copies: list[str]
 ) -> None:
     swarm = create(n=30, seed=4, start={"kind": "disc", "radius": 5})
@@ -90,7 +90,7 @@ def test_a_snapshot_is_restored_from_its_object_its_bytes_and_its_file(
     ],
     ids=lambda rubbish: repr(rubbish)[:20],
 )
-def test_rubbish_is_not_a_snapshot(client: jostle.Client, tmp_path: Path, rubbish: Any) -> None:
+def test_other_data_is_not_a_snapshot(client: jostle.Client, tmp_path: Path, rubbish: Any) -> None:
     with pytest.raises(jostle.InvalidArgument, match="not a snapshot") as raised:
         client.restore(rubbish, "rubbish")
     assert "daemon" not in str(raised.value)
@@ -105,7 +105,7 @@ def test_rubbish_is_not_a_snapshot(client: jostle.Client, tmp_path: Path, rubbis
     assert "rubbish" not in [summary.swarm for summary in client.swarms()]
 
 
-def test_a_past_is_verified(create: Create) -> None:
+def test_a_history_is_verified(create: Create) -> None:
     swarm = create(n=5)
     swarm.step(20_000)
     verified = swarm.verify()
@@ -115,16 +115,16 @@ def test_a_past_is_verified(create: Create) -> None:
     assert swarm.status().history_from == jostle.HistoryFrom(epoch=1, step=0)
 
 
-def test_a_step_is_durable_soon(create: Create) -> None:
+def test_a_step_becomes_durable(create: Create) -> None:
     swarm = create(n=5)
     result = swarm.step(10)
     assert 0 <= result.durable_step <= result.step
-    # A command is durable when it is answered, and all before it.
+    # A command and all before it are durable when its reply arrives.
     swarm.set(pi3=1.5)
     eventually("the step before it is durable", lambda: swarm.step().durable_step >= 10)
 
 
-def test_a_swarm_is_there_again_when_its_daemon_was_killed(tmp_path: Path) -> None:
+def test_a_swarm_is_recovered_after_its_daemon_was_killed(tmp_path: Path) -> None:
     first = Daemon(tmp_path)
     with jostle.connect(first.endpoint) as client:
         swarm = client.create("school", jostle.Spec(n=10, seed=2))

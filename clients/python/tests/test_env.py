@@ -24,7 +24,7 @@ from pettingzoo.test.seed_test import parallel_seed_test
 
 import jostle
 import jostle.env
-from conftest import JOSTLED, PATIENCE_SECS, Daemon
+from conftest import JOSTLED, MAX_WAIT_SECS, Daemon
 from jostle.env import ParallelEnv, ShepherdEnv
 from test_local import is_running
 
@@ -43,7 +43,7 @@ def _jostled(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 @pytest.fixture(params=KINDS)
 def make(request: pytest.FixtureRequest, daemon: Daemon) -> Iterator[Callable[..., Env]]:
-    """Makes environments on the shared daemon, and closes them after the test."""
+    """Creates environments on the shared daemon, and closes them after the test."""
     made: list[Env] = []
 
     def make(n: int = 8, informed: int = 2, **arguments: Any) -> Env:
@@ -57,39 +57,39 @@ def make(request: pytest.FixtureRequest, daemon: Daemon) -> Iterator[Callable[..
 
 
 def act(env: Env, number: float) -> Any:
-    """An action that is the same for every agent, made from a number."""
+    """An action from a number, the same for every agent."""
     if isinstance(env, ParallelEnv):
         vector = np.array([np.cos(number), np.sin(number)], np.float32)
         return dict.fromkeys(env.agents, vector)
     return np.array([np.sin(number), 0.3, np.cos(number), -0.5], np.float32)
 
 
-def tell(env: Env, told: Any) -> Any:
-    """Of what is told of each agent, the first one's."""
-    return told["informed_0"] if isinstance(env, ParallelEnv) else told
+def of_first(env: Env, observed: Any) -> Any:
+    """The value of the first agent."""
+    return observed["informed_0"] if isinstance(env, ParallelEnv) else observed
 
 
 def hashes(env: Env, seed: int | None, actions: int = 5) -> list[str]:
     """The hashes of an episode's states."""
     _, info = env.reset(seed=seed)
-    seen = [tell(env, info)["state_hash"]]
+    seen = [of_first(env, info)["state_hash"]]
     for number in range(actions):
         *_, info = env.step(act(env, number))
-        seen.append(tell(env, info)["state_hash"])
+        seen.append(of_first(env, info)["state_hash"])
     return seen
 
 
-def test_the_parallel_environment_is_one_to_pettingzoo() -> None:
+def test_the_parallel_environment_passes_the_check_of_pettingzoo() -> None:
     with ParallelEnv(n=8, informed=3, max_steps=20, steps_per_action=5) as env:
         parallel_api_test(env, num_cycles=50)
 
 
-def test_seeds_of_the_parallel_environment_are_such_to_pettingzoo() -> None:
+def test_seeds_of_the_parallel_environment_pass_the_check_of_pettingzoo() -> None:
     parallel_seed_test(lambda: ParallelEnv(n=8, informed=3), num_cycles=20)  # type: ignore[no-untyped-call]
 
 
 @pytest.mark.parametrize("n", [1, 20])
-def test_the_shepherd_is_an_environment_to_gymnasium(n: int) -> None:
+def test_the_shepherd_passes_the_check_of_gymnasium(n: int) -> None:
     env = gymnasium.make("jostle/Shepherd-v0", n=n, informed=1)
     assert isinstance(env.unwrapped, ShepherdEnv)
     check_env(env.unwrapped)
@@ -99,7 +99,7 @@ def test_the_shepherd_is_an_environment_to_gymnasium(n: int) -> None:
 def test_the_same_seed_and_actions_are_the_same_bytes(make: Callable[..., Env]) -> None:
     one, two = make(noise=0.05), make(noise=0.05)
     first = hashes(one, 7)
-    # It does not matter what was before, nor which environment it is.
+    # Earlier episodes and the choice of the environment do not matter.
     assert hashes(one, None) != first
     assert hashes(one, 7) == first
     assert hashes(two, 7) == first
@@ -108,16 +108,16 @@ def test_the_same_seed_and_actions_are_the_same_bytes(make: Callable[..., Env]) 
     assert len(set(first)) == len(first)
 
 
-def test_two_at_once_know_nothing_of_each_other(make: Callable[..., Env]) -> None:
+def test_two_environments_are_independent(make: Callable[..., Env]) -> None:
     one, two = make(), make()
     alone = [hashes(one, 1), hashes(two, 2)]
-    told: list[list[str]] = [[], []]
-    for env, seed, seen in ((one, 1, told[0]), (two, 2, told[1])):
-        seen.append(tell(env, env.reset(seed=seed)[1])["state_hash"])
+    observed: list[list[str]] = [[], []]
+    for env, seed, seen in ((one, 1, observed[0]), (two, 2, observed[1])):
+        seen.append(of_first(env, env.reset(seed=seed)[1])["state_hash"])
     for number in range(5):
-        for env, seen in zip((one, two), told, strict=True):
-            seen.append(tell(env, env.step(act(env, number))[-1])["state_hash"])
-    assert told == alone
+        for env, seen in zip((one, two), observed, strict=True):
+            seen.append(of_first(env, env.step(act(env, number))[-1])["state_hash"])
+    assert observed == alone
 
 
 def in_another_process(kind: type[Env]) -> list[str]:
@@ -135,14 +135,14 @@ def test_two_processes_have_daemons_of_their_own(make: Callable[..., Env]) -> No
 
 
 def test_vectors_of_environments_work_in_processes_that_were_forked() -> None:
-    # Nothing is connected before the first reset, so that what is made here lives there.
+    # An environment connects at the first reset, so it can be created before the fork.
     code = (
         "import gymnasium, jostle.env\n"
         "make = lambda: gymnasium.make('jostle/Shepherd-v0', n=6, informed=1)\n"
         "env = gymnasium.vector.AsyncVectorEnv([make, make], context='fork')\n"
-        "told, _ = env.reset(seed=[3, 3])\n"
-        "told, *_ = env.step(env.action_space.sample() * 0.0)\n"
-        "print((told[0] == told[1]).all())\n"
+        "observed, _ = env.reset(seed=[3, 3])\n"
+        "observed, *_ = env.step(env.action_space.sample() * 0.0)\n"
+        "print((observed[0] == observed[1]).all())\n"
         "env.close()\n"
     )
     ran = subprocess.run(
@@ -165,15 +165,15 @@ def test_the_reward_is_the_drift(make: Callable[..., Env], client: jostle.Client
         moved = after.position.mean(axis=0) - before.position.mean(axis=0)
         assert after.step - before.step == 25
         along = moved @ (np.cos(goal), np.sin(goal))
-        rewards.append(tell(env, reward))
+        rewards.append(of_first(env, reward))
         assert rewards[-1] == pytest.approx(along / (after.time - before.time))
-        assert tell(env, terminated) is False
-        assert tell(env, truncated) is (number == 3)
-        assert tell(env, info)["state_hash"] == swarm.status().state_hash
-        assert tell(env, info)["drift"] == pytest.approx(np.mean(rewards))
+        assert of_first(env, terminated) is False
+        assert of_first(env, truncated) is (number == 3)
+        assert of_first(env, info)["state_hash"] == swarm.status().state_hash
+        assert of_first(env, info)["drift"] == pytest.approx(np.mean(rewards))
         assert (after.step - start.step, after.time) == (
-            tell(env, info)["step"],
-            tell(env, info)["time"],
+            of_first(env, info)["step"],
+            of_first(env, info)["time"],
         )
     with pytest.raises(jostle.IncorrectState, match="reset"):
         env.step(act(env, 0.0))
@@ -195,7 +195,7 @@ def test_actions_are_preferences_in_the_frame_of_the_goal(
     assert state.direction[:2] == pytest.approx([1.0 + np.pi / 2, 1.0])
 
 
-def test_the_shepherd_informs_those_at_a_place_and_nobody_else(
+def test_the_shepherd_informs_only_individuals_at_its_place(
     daemon: Daemon, client: jostle.Client
 ) -> None:
     with ShepherdEnv(12, 3, goal=1.0, max_weight=4.0, endpoint=daemon.endpoint) as env:
@@ -207,7 +207,7 @@ def test_the_shepherd_informs_those_at_a_place_and_nobody_else(
             after = swarm.state()
             along = before.position @ (np.cos(1.0), np.sin(1.0))
             assert after.informed.sum() == 3
-            # Those behind or ahead of the middle.
+            # The individuals behind or ahead of the centre.
             assert (sign * (along - along.mean())[after.informed] > 0.0).all()
             assert after.weight[after.informed] == pytest.approx(4.0)
             assert after.direction[after.informed] == pytest.approx(1.0 + np.pi)
@@ -215,55 +215,55 @@ def test_the_shepherd_informs_those_at_a_place_and_nobody_else(
         assert not swarm.state().informed.any()
 
 
-def test_what_is_perceived_is_what_is_so(daemon: Daemon) -> None:
+def test_local_observations_are_correct(daemon: Daemon) -> None:
     start = jostle.given([0.0, 0.0, 2.0, -9.0], [0.0, 2.0, 0.0, 0.0], [0.0, 1.0, np.pi, -np.pi / 2])
     goal = np.pi / 2
     env = ParallelEnv(4, 2, goal=goal, neighbours=3, endpoint=daemon.endpoint, start=start)
-    told, _ = env.reset(seed=1)
+    observed, _ = env.reset(seed=1)
     env.close()
     # Along the goal is up, to its left is -x.
-    first = told["informed_0"]
+    first = observed["informed_0"]
     assert first[:2] == pytest.approx([0.0, -1.0], abs=1e-6)
     centre = np.array([0.5, 1.75])
     assert first[2:4] == pytest.approx(centre / (2.0 + np.hypot(*centre)), abs=1e-6)
     assert first[6:8] == pytest.approx([1 / 3, 0.0], abs=1e-6)
     assert first[8] == 0.0
-    # Two are in sight, as far away; the one of the lower number first.
+    # Two neighbours at equal distances; the one with the lower id comes first.
     assert first[9:13] == pytest.approx([2 / 3, 0.0, np.sin(1.0), -np.cos(1.0)], abs=1e-6)
     assert first[13:17] == pytest.approx([0.0, -2 / 3, 0.0, 1.0], abs=1e-6)
     assert not first[17:].any()
 
 
-def test_what_is_seen_from_above_is_what_is_so(daemon: Daemon) -> None:
+def test_observations_from_above_are_correct(daemon: Daemon) -> None:
     start = jostle.given([-3.0, 3.0, 3.0, -3.0], [1.0, 1.0, -1.0, -1.0], [0.0, 0.0, 0.0, np.pi])
     env = ShepherdEnv(4, 1, endpoint=daemon.endpoint, start=start)
-    told, _ = env.reset(seed=1)
+    observed, _ = env.reset(seed=1)
     env.close()
     spread = np.sqrt(10.0)
-    assert told[:5] == pytest.approx([0.5, 0.0, spread / (2.0 + spread), 0.8, 0.0], abs=1e-6)
-    grid = told[7:].reshape(5, 5, 3)
+    assert observed[:5] == pytest.approx([0.5, 0.0, spread / (2.0 + spread), 0.8, 0.0], abs=1e-6)
+    grid = observed[7:].reshape(5, 5, 3)
     assert grid[..., 0].sum() == pytest.approx(1.0)
-    # A row is 4/5 of the spread, so that all are in the middle one.
+    # A row is 4/5 of the spread, so all are in the middle row.
     assert grid[2, 1] == pytest.approx([0.5, 0.0, 0.0], abs=1e-6)
     assert grid[2, 3] == pytest.approx([0.5, 1.0, 0.0], abs=1e-6)
 
 
-def test_goals_are_as_good_as_each_other(make: Callable[..., Env]) -> None:
+def test_all_goals_are_equivalent(make: Callable[..., Env]) -> None:
     x, y, alpha = np.array([0.0, 1.0, 0.0, 3.0]), np.array([0.0, 1.5, 2.5, 1.0]), np.arange(4.0)
     turn = 1.1
     c, s = np.cos(turn), np.sin(turn)
-    told = []
+    observed = []
     for goal, start in (
         (0.0, jostle.given(x, y, alpha)),
         (turn, jostle.given(c * x - s * y, s * x + c * y, alpha + turn)),
     ):
         env = make(n=4, goal=goal, start=start)
-        seen = [tell(env, env.reset(seed=1)[0])]
+        seen = [of_first(env, env.reset(seed=1)[0])]
         for number in range(3):
             observation, reward, *_ = env.step(act(env, number))
-            seen += [tell(env, observation), [tell(env, reward)]]
-        told.append(np.concatenate(seen))
-    assert told[0] == pytest.approx(told[1], abs=1e-5)
+            seen += [of_first(env, observation), [of_first(env, reward)]]
+        observed.append(np.concatenate(seen))
+    assert observed[0] == pytest.approx(observed[1], abs=1e-5)
 
 
 @pytest.mark.parametrize("n", [1, 2, 30])
@@ -274,12 +274,12 @@ def test_observations_are_within_their_space(make: Callable[..., Env], n: int) -
         if isinstance(env, ParallelEnv)
         else env.observation_space
     )
-    told = [tell(env, env.reset(seed=1)[0])]
+    observed = [of_first(env, env.reset(seed=1)[0])]
     for number in range(3):
-        told.append(tell(env, env.step(act(env, number))[0]))
-    assert all(one in space for one in told)
-    # Whoever keeps what it was told keeps it as it was.
-    assert not any(np.shares_memory(a, b) for a, b in itertools.pairwise(told))
+        observed.append(of_first(env, env.step(act(env, number))[0]))
+    assert all(one in space for one in observed)
+    # Observations do not share memory, so a stored one never changes.
+    assert not any(np.shares_memory(a, b) for a, b in itertools.pairwise(observed))
 
 
 def test_a_picture_shows_the_group(make: Callable[..., Env]) -> None:
@@ -297,7 +297,7 @@ def test_a_picture_shows_the_group(make: Callable[..., Env]) -> None:
     assert quiet.render() is None
 
 
-def test_closing_ends_the_private_daemon_and_is_harmless_again() -> None:
+def test_closing_ends_the_private_daemon_and_can_be_repeated() -> None:
     for kind in KINDS:
         env = kind(n=3, informed=1)
         env.close()
@@ -315,7 +315,7 @@ def test_closing_ends_the_private_daemon_and_is_harmless_again() -> None:
             env.step(act(env, 0.0))
 
 
-def test_closing_leaves_a_daemon_of_others_and_takes_the_swarm(
+def test_closing_deletes_the_swarm_and_leaves_a_shared_daemon(
     make: Callable[..., Env], client: jostle.Client
 ) -> None:
     before = {it.swarm for it in client.swarms()}
@@ -326,7 +326,7 @@ def test_closing_leaves_a_daemon_of_others_and_takes_the_swarm(
     assert {it.swarm for it in client.swarms()} == before
 
 
-def test_a_daemon_that_dies_is_an_error_and_no_waiting() -> None:
+def test_a_killed_daemon_is_an_error_without_a_wait() -> None:
     env = ShepherdEnv(n=3, informed=1)
     env.reset(seed=1)
     client = env._world._client
@@ -337,7 +337,7 @@ def test_a_daemon_that_dies_is_an_error_and_no_waiting() -> None:
         env.step(act(env, 0.0))
     with pytest.raises(jostle.IncorrectState, match="reset"):
         env.step(act(env, 0.0))
-    assert time.monotonic() - began < PATIENCE_SECS
+    assert time.monotonic() - began < MAX_WAIT_SECS
     env.reset(seed=1)
     another = env._world._client
     assert isinstance(another, jostle.Local)
@@ -346,7 +346,7 @@ def test_a_daemon_that_dies_is_an_error_and_no_waiting() -> None:
     env.close()
 
 
-def test_what_somebody_else_does_to_the_swarm_is_told(
+def test_a_change_of_the_swarm_by_another_client_is_an_error(
     make: Callable[..., Env], client: jostle.Client
 ) -> None:
     env = make()
@@ -384,7 +384,7 @@ def test_a_wrong_argument_is_named(
         make(**arguments)
 
 
-def test_what_the_daemon_refuses_is_told(make: Callable[..., Env]) -> None:
+def test_an_error_of_the_daemon_is_raised(make: Callable[..., Env]) -> None:
     with pytest.raises(jostle.InvalidArgument, match="pi1"):
         make(pi1=0.5).reset(seed=1)
     env = make(max_weight=1e5)
@@ -393,23 +393,23 @@ def test_what_the_daemon_refuses_is_told(make: Callable[..., Env]) -> None:
         env.step(act(env, 0.0))
 
 
-def test_a_wrong_action_is_refused(daemon: Daemon) -> None:
+def test_a_wrong_action_is_rejected(daemon: Daemon) -> None:
     env = ParallelEnv(4, 2, endpoint=daemon.endpoint)
     env.reset(seed=1)
     good = np.zeros(2)
-    for actions, said in (
+    for actions, reason in (
         ({"informed_0": good}, "informed_1"),
         ({"informed_0": good, "informed_1": np.zeros(3)}, "informed_1"),
         ({"informed_0": good, "informed_1": np.array([np.nan, 0.0])}, "informed_1"),
     ):
-        with pytest.raises(jostle.InvalidArgument, match=said):
+        with pytest.raises(jostle.InvalidArgument, match=reason):
             env.step(actions)
-    # It has changed nothing.
+    # The action has changed nothing.
     env.step(dict.fromkeys(env.agents, good))
     env.close()
 
 
-def test_without_the_extra_it_is_said_what_brings_it() -> None:
+def test_without_the_extra_the_error_names_it() -> None:
     for missing in ("gymnasium", "pettingzoo"):
         code = (
             f"import sys\nsys.modules[{missing!r}] = None\nimport jostle\n"

@@ -1,4 +1,4 @@
-"""Each error as a user meets it."""
+"""Each error as a user sees it."""
 
 from __future__ import annotations
 
@@ -11,44 +11,102 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 import zenoh
 
 import jostle
-from conftest import PATIENCE_SECS, Daemon, eventually, zenoh_session
+from conftest import MAX_WAIT_SECS, Daemon, eventually, zenoh_session
 from jostle._errors import read_error
 from recorder import Recorder
 
 Create = Callable[..., jostle.Swarm]
 
 
-def test_no_daemon_is_told_at_once_with_a_remedy() -> None:
+def test_without_a_daemon_the_error_comes_at_once_with_a_remedy() -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         endpoint = f"tcp/127.0.0.1:{taken.getsockname()[1]}"
         began = time.monotonic()
         with pytest.raises(jostle.Unavailable, match="jostled serve") as caught:
-            jostle.connect(endpoint, timeout=10 * PATIENCE_SECS)
+            jostle.connect(endpoint, timeout=10 * MAX_WAIT_SECS)
     assert endpoint in caught.value.message
-    assert time.monotonic() - began < PATIENCE_SECS
+    assert time.monotonic() - began < MAX_WAIT_SECS
 
 
-def test_something_else_that_listens_does_not_hold_the_caller_up() -> None:
+def test_another_program_that_listens_does_not_block_the_caller() -> None:
     with socket.socket() as mute:
         mute.bind(("127.0.0.1", 0))
         mute.listen()
         began = time.monotonic()
-        with pytest.raises(jostle.Unavailable):
+        with pytest.raises(jostle.Unavailable, match="may hang"):
             jostle.connect(f"tcp/127.0.0.1:{mute.getsockname()[1]}", timeout=0.3)
-    # By itself zenoh waits for 10 s.
+    # zenoh alone waits for 10 s.
     assert time.monotonic() - began < 8.0
 
 
-def test_the_endpoint_is_the_environments(daemon: Daemon, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_host_without_an_address_is_named() -> None:
+    with pytest.raises(jostle.Unavailable, match=r"the host 'no-such-host\.invalid'"):
+        jostle.connect("tcp/no-such-host.invalid:7447", timeout=0.3)
+
+
+def test_a_missed_timeout_is_that_of_the_caller_with_the_words_of_this_package(
+    create: Create,
+) -> None:
+    swarm = create(n=50)
+    for seconds in (0.2, 1.2):
+        with pytest.raises(jostle.DeadlineExceeded) as caught:
+            swarm.step(10**8, timeout=seconds)
+        assert caught.value.message.startswith(f"not done within {seconds} s: ")
+        assert "timeout=" in caught.value.message
+        assert "timeout_secs" not in caught.value.message
+        assert caught.value.details["after_secs"] == seconds
+        swarm.pause()
+    with pytest.raises(jostle.DeadlineExceeded, match=r"phase=running .*within 0\.3 s: .*timeout="):
+        swarm.wait(phase="running", timeout=0.3)
+
+
+def test_a_run_that_is_waited_for_ends_within_its_timeout(create: Create) -> None:
+    swarm = create(n=5)
+    began = time.monotonic()
+    with pytest.raises(jostle.DeadlineExceeded, match=r"runs on; `pause\(\)` pauses it") as caught:
+        swarm.run(until=1e6, wait=True, timeout=0.5)
+    assert 0.5 <= time.monotonic() - began < MAX_WAIT_SECS
+    assert "within 0.5 s" in caught.value.message
+    assert swarm.status().phase == "running"
+    swarm.pause()
+    assert swarm.run(until_step=swarm.status().step + 5, rate=None, wait=True).phase == "paused"
+
+
+def test_remedies_of_the_wire_are_in_the_words_of_this_package() -> None:
+    for message, expected in [
+        (
+            'there is no swarm "a": the node\'s get/swarms lists what there is',
+            'there is no swarm "a": `client.swarms()` lists them',
+        ),
+        (
+            "an equal swarm of this name exists: set exist_ok to use it",
+            "an equal swarm of this name exists: pass `exist_ok=True` to use it",
+        ),
+        (
+            "until_step 5 is in the past, the swarm is at step 6: name a later one",
+            "the end, step 5, is in the past, the swarm is at step 6: name a later one",
+        ),
+    ]:
+        sent = {"code": "not_found", "message": message, "details": {}}
+        error = read_error(msgspec.json.encode(sent))
+        assert error is not None
+        assert error.message == expected
+
+
+def test_the_endpoint_is_read_from_the_environment(
+    daemon: Daemon, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("JOSTLE_ENDPOINT", daemon.endpoint)
     with jostle.connect() as client:
         assert client.endpoint == daemon.endpoint
@@ -71,20 +129,20 @@ def test_the_endpoint_is_the_environments(daemon: Daemon, monkeypatch: pytest.Mo
         {"timeout": "5"},
     ],
 )
-def test_what_cannot_be_connected_to_is_refused(arguments: dict[str, Any]) -> None:
+def test_invalid_endpoints_are_rejected(arguments: dict[str, Any]) -> None:
     with pytest.raises(jostle.InvalidArgument):
         jostle.connect(**arguments)
 
 
-def test_another_node_or_prefix_is_nobody(daemon: Daemon) -> None:
-    with pytest.raises(jostle.Unavailable, match="nobody-of-this-name"):
-        jostle.connect(daemon.endpoint, node="nobody-of-this-name")
+def test_an_unknown_node_or_prefix_is_unavailable(daemon: Daemon) -> None:
+    with pytest.raises(jostle.Unavailable, match="unknown-node"):
+        jostle.connect(daemon.endpoint, node="unknown-node")
     with pytest.raises(jostle.Unavailable, match="prefix"):
         jostle.connect(daemon.endpoint, prefix="elsewhere")
 
 
-def test_not_found_is_told_for_every_call(client: jostle.Client) -> None:
-    swarm = client.swarm("nobody")
+def test_every_call_raises_not_found(client: jostle.Client) -> None:
+    swarm = client.swarm("unknown")
     calls: list[Callable[[], object]] = [
         swarm.status,
         swarm.state,
@@ -98,7 +156,7 @@ def test_not_found_is_told_for_every_call(client: jostle.Client) -> None:
         lambda: swarm.wait(step=1),
     ]
     for call in calls:
-        with pytest.raises(jostle.NotFound, match="nobody"):
+        with pytest.raises(jostle.NotFound, match="unknown"):
             call()
 
 
@@ -107,7 +165,7 @@ def test_invalid_arguments_name_the_field(client: jostle.Client, create: Create)
     calls: list[tuple[str, Callable[[], object]]] = [
         ("steps", lambda: swarm.step(0)),
         ("steps", lambda: swarm.step(1.5)),  # type: ignore[call-overload]
-        ("direction", lambda: swarm.inform(jostle.count(1), "east")),  # type: ignore[call-overload]
+        ("direction", lambda: swarm.inform(jostle.count(1), "east")),  # type: ignore[arg-type]
         ("direction", lambda: swarm.inform(jostle.count(1), np.nan)),
         ("pi1", lambda: swarm.set(pi1=0.5)),
         ("ids", lambda: swarm.inform(jostle.ids([99]), 0.0)),
@@ -156,7 +214,7 @@ def test_none_is_called_none(client: jostle.Client, create: Create) -> None:
         assert "null" not in f"{raised.value} {raised.value.details}"
     with pytest.raises(TypeError, match="unexpected keyword argument 'x'"):
         swarm.set(x=None)
-    # What a caller called null is still called so.
+    # A value of the caller named null keeps its name.
     with pytest.raises(jostle.NotFound, match="null"):
         client.swarm("null").status()
     error = read_error(
@@ -176,7 +234,7 @@ def test_a_step_of_a_running_swarm_is_an_incorrect_state(create: Create) -> None
     assert caught.value.step is not None
 
 
-def test_limits_of_the_daemon_are_told(client: jostle.Client) -> None:
+def test_limits_of_the_daemon_are_errors(client: jostle.Client) -> None:
     with pytest.raises(jostle.ResourceExhausted):
         client.create("crowd", jostle.Spec(n=50, start=jostle.disc(0.5)))
     numbers = np.full(60_000, 0.1234567890123456)
@@ -187,7 +245,7 @@ def test_limits_of_the_daemon_are_told(client: jostle.Client) -> None:
     assert caught.value.details["got"] > caught.value.details["max"]
 
 
-def test_the_longest_request_taken_here_arrives_there(client: jostle.Client) -> None:
+def test_the_longest_request_allowed_reaches_the_daemon(client: jostle.Client) -> None:
     limit = client.hello().limits.max_message_bytes
     with pytest.raises(jostle.InvalidArgument):
         client.create("padded", {"n": 1, "contacts": "x" * (limit - 400)})
@@ -195,7 +253,7 @@ def test_the_longest_request_taken_here_arrives_there(client: jostle.Client) -> 
         client.create("padded", {"n": 1, "contacts": "x" * limit})
 
 
-def test_an_expected_step_or_epoch_that_is_not_is_a_conflict(create: Create) -> None:
+def test_another_step_or_epoch_than_expected_is_a_conflict(create: Create) -> None:
     swarm = create(n=2)
     swarm.step(3, expect_step=0)
     with pytest.raises(jostle.Conflict) as caught:
@@ -210,24 +268,24 @@ def test_an_expected_step_or_epoch_that_is_not_is_a_conflict(create: Create) -> 
         swarm.run(until_step=1)
 
 
-def test_a_deadline_is_told_and_the_work_goes_on(create: Create) -> None:
+def test_a_deadline_is_an_error_and_the_work_continues(create: Create) -> None:
     swarm = create(n=100)
     with pytest.raises(jostle.DeadlineExceeded):
         swarm.step(2000, timeout=0.05)
     assert swarm.wait(phase="paused").step == 2000
 
 
-def test_a_wait_that_gives_way_to_others_is_asked_again(
+def test_a_wait_that_the_daemon_ends_early_is_sent_again(
     daemon: Daemon, create: Create, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     swarm = create(n=2)
-    link = swarm._link
+    link = swarm._session
     get = link.get
-    asked: list[str] = []
+    sent: list[str] = []
 
     def spy(selector: str, *, swarm: str | None, timeout: float | None = None) -> bytes:
         if "/get/wait?" in selector:
-            asked.append(selector)
+            sent.append(selector)
         return get(selector, swarm=swarm, timeout=timeout)
 
     monkeypatch.setattr(link, "get", spy)
@@ -235,21 +293,21 @@ def test_a_wait_that_gives_way_to_others_is_asked_again(
     with zenoh_session(daemon.endpoint) as session, ThreadPoolExecutor(1) as pool:
         held: list[zenoh.Handler[zenoh.Reply]] = []
 
-        def is_asked_again() -> bool:
+        def is_sent_again() -> bool:
             held.extend(session.get(selector) for _ in range(100))
             swarm.status()
-            return len(asked) >= 2
+            return len(sent) >= 2
 
-        # It could wait for longer than this test may take: it was answered early.
-        waiting = pool.submit(swarm.wait, phase="running", timeout=10 * PATIENCE_SECS)
-        eventually("the wait gives way and is asked again", is_asked_again)
-        assert len(held) > 1024, "more wait than may"
+        # The wait could last longer than this test: the daemon replied early.
+        waiting = pool.submit(swarm.wait, phase="running", timeout=10 * MAX_WAIT_SECS)
+        eventually("the daemon ends the wait early and the client sends it again", is_sent_again)
+        assert len(held) > 1024, "more requests wait than the limit"
         swarm.run()
-        assert waiting.result(PATIENCE_SECS).phase == "running"
+        assert waiting.result(MAX_WAIT_SECS).phase == "running"
 
 
-def test_a_fault_is_told_and_reset_goes_on(create: Create) -> None:
-    # Steps so long that bodies are carried across one another.
+def test_a_fault_is_an_error_and_reset_clears_it(create: Create) -> None:
+    # Steps so long that bodies pass through each other.
     for seed in range(20):
         swarm = create(n=100, pi1=2.0, pi2=0.0, pi4=1000.0, dt=0.5, seed=seed, rate=None)
         try:
@@ -274,7 +332,7 @@ def test_a_fault_is_told_and_reset_goes_on(create: Create) -> None:
 
 
 def test_a_defect_of_the_daemon_is_internal_and_changes_nothing(tmp_path: Path) -> None:
-    # The second command that changes something meets a defect.
+    # The second command that changes something triggers a defect.
     daemon = Daemon(tmp_path, failing="command=1*off->1*panic->off")
     try:
         with jostle.connect(daemon.endpoint) as client:
@@ -290,7 +348,7 @@ def test_a_defect_of_the_daemon_is_internal_and_changes_nothing(tmp_path: Path) 
         daemon.kill()
 
 
-def test_a_fault_is_told_again_when_its_step_is_sent_again(tmp_path: Path) -> None:
+def test_a_step_that_faulted_gets_the_same_error_when_sent_again(tmp_path: Path) -> None:
     daemon = Daemon(tmp_path, failing="step=3*off->panic")
     try:
         with jostle.connect(daemon.endpoint) as client:
@@ -307,7 +365,7 @@ def test_a_fault_is_told_again_when_its_step_is_sent_again(tmp_path: Path) -> No
 
 
 def test_alive_but_silent_is_not_permitted(free_endpoint: str) -> None:
-    # A daemon whose access control swallows queries looks like this from outside.
+    # A daemon whose access control drops queries looks like this to a client.
     with zenoh_session(free_endpoint, "listen") as silent:
         token = silent.liveliness().declare_token("jostle/@node/silent/alive")
         with pytest.raises(jostle.PermissionDenied, match="silent"):
@@ -315,7 +373,7 @@ def test_alive_but_silent_is_not_permitted(free_endpoint: str) -> None:
         token.undeclare()
 
 
-def test_a_killed_daemon_is_unavailable_and_found_again(own_daemon: Daemon) -> None:
+def test_a_killed_daemon_is_unavailable_until_it_is_restarted(own_daemon: Daemon) -> None:
     folder = own_daemon.log.parent
     with jostle.connect(own_daemon.endpoint) as client:
         swarm = client.create("lost", jostle.Spec(n=2))
@@ -347,7 +405,7 @@ def test_a_daemon_killed_while_it_works_is_unavailable(own_daemon: Daemon) -> No
         swarm.wait(phase="running")
         own_daemon.kill()
         with pytest.raises(jostle.Unavailable):
-            work.result(PATIENCE_SECS)
+            work.result(MAX_WAIT_SECS)
 
 
 def test_a_frozen_daemon_is_unavailable_after_the_deadline(own_daemon: Daemon) -> None:
@@ -362,7 +420,36 @@ def test_a_frozen_daemon_is_unavailable_after_the_deadline(own_daemon: Daemon) -
         eventually("the client finds the daemon again", lambda: answers(client))
 
 
-def test_a_closed_client_says_so(daemon: Daemon) -> None:
+def test_a_suspended_daemon_is_not_one_without_swarms(own_daemon: Daemon) -> None:
+    with jostle.connect(own_daemon.endpoint) as client:
+        client.create("suspended", jostle.Spec(n=2))
+        session = client._session
+        key = session.swarm_key("suspended", "alive/*")
+        assert len(session.alive(key)) == 1
+        own_daemon.freeze()
+        with pytest.raises(jostle.Unavailable, match="no reply"):
+            session.alive(key)
+        own_daemon.thaw()
+
+
+def test_a_query_that_ends_at_its_timeout_without_an_error_is_late(free_endpoint: str) -> None:
+    with (
+        closing(Recorder(free_endpoint)) as recorder,
+        jostle.connect(free_endpoint) as client,
+        ThreadPoolExecutor(1) as pool,
+    ):
+        recorder.is_mute = lambda key: key.endswith("/cmd/pause")
+        reply = pool.submit(client.swarm("school").pause, timeout=1.3)
+        assert recorder.holds(1)
+        # The first query has a timeout of 1 s, which zenoh applies on both sides.
+        time.sleep(0.95)
+        recorder.release()
+        reply.result(MAX_WAIT_SECS)
+        # Sent again with the rest of the timeout, not as if the daemon had rejected it.
+        assert 0 < recorder.repeats[0].body["timeout_secs"] < 0.5
+
+
+def test_a_closed_client_raises_an_error(daemon: Daemon) -> None:
     client = jostle.connect(daemon.endpoint)
     client.close()
     client.close()
@@ -384,15 +471,15 @@ def test_ctrl_c_interrupts_a_wait(free_endpoint: str) -> None:
         [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
     try:
-        # Only then it waits for the daemon, and for nothing else.
+        # From then on it waits for the daemon only.
         assert recorder.holds(1)
         process.send_signal(signal.SIGINT)
-        _, said = process.communicate(timeout=PATIENCE_SECS)
+        _, errors = process.communicate(timeout=MAX_WAIT_SECS)
     finally:
         process.kill()
         process.communicate()
         recorder.close()
-    assert "KeyboardInterrupt" in said
+    assert "KeyboardInterrupt" in errors
     assert process.returncode == -signal.SIGINT
 
 
@@ -414,7 +501,7 @@ def test_one_client_serves_many_threads(client: jostle.Client, create: Create) -
     assert os.getpid()
 
 
-def test_one_client_too_many_is_told_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_client_too_many_gets_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("JOSTLED_MAX_CLIENTS", "1")
     daemon = Daemon(tmp_path)
     try:
@@ -423,8 +510,8 @@ def test_one_client_too_many_is_told_so(tmp_path: Path, monkeypatch: pytest.Monk
             with pytest.raises(jostle.ResourceExhausted, match="raise max_clients") as caught:
                 jostle.connect(daemon.endpoint)
             assert caught.value.details["limit"] == 1
-            # Who was refused is gone again.
-            eventually("there is room", lambda: first.status().clients == 1)
+            # The rejected client is disconnected.
+            eventually("there is space", lambda: first.status().clients == 1)
             assert first.hello().limits.max_clients == 1
     finally:
         daemon.stop()

@@ -1,4 +1,4 @@
-"""The examples run to their end, and the README says what is so."""
+"""The examples run to their end. The blocks of the pages are in `test_docs.py`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 import jostle
-from conftest import JOSTLED, Daemon
+from conftest import Daemon
 
 FOLDER = Path(__file__).resolve().parents[1]
 Create = Callable[..., jostle.Swarm]
@@ -31,7 +31,7 @@ def run(script: str, *arguments: str, **environ: str) -> subprocess.CompletedPro
 
 @pytest.mark.parametrize("script", ["steer.py", "bare_zenoh.py"])
 @pytest.mark.parametrize("n", [1, 20])
-def test_an_example_steers_and_takes_the_direction_away_again(
+def test_an_example_steers_and_then_removes_the_direction(
     script: str, n: int, daemon: Daemon, create: Create
 ) -> None:
     swarm = create(n=n, rate=20.0)
@@ -44,10 +44,10 @@ def test_an_example_steers_and_takes_the_direction_away_again(
 
 
 @pytest.mark.parametrize("script", ["steer.py", "bare_zenoh.py"])
-def test_an_example_says_what_is_missing(script: str, daemon: Daemon) -> None:
-    ran = run(script, "nobody", "--endpoint", daemon.endpoint, "--for", "6")
+def test_an_example_names_what_is_missing(script: str, daemon: Daemon) -> None:
+    ran = run(script, "unknown", "--endpoint", daemon.endpoint, "--for", "6")
     assert ran.returncode != 0
-    assert "nobody" in ran.stderr
+    assert "unknown" in ran.stderr
 
 
 def test_the_controller_closes_its_loop(daemon: Daemon, client: jostle.Client) -> None:
@@ -57,7 +57,7 @@ def test_the_controller_closes_its_loop(daemon: Daemon, client: jostle.Client) -
     assert "looped" not in [summary.swarm for summary in client.swarms()]
 
 
-def test_the_controllers_advice_names_what_its_help_has(
+def test_the_controllers_advice_names_options_that_exist(
     daemon: Daemon, client: jostle.Client
 ) -> None:
     offered = run("controller.py", "--help").stdout
@@ -70,7 +70,7 @@ def test_the_controllers_advice_names_what_its_help_has(
         assert ran.returncode != 0
         assert advice in ran.stderr
         assert advice.lower() in offered
-        # The advice names no option or argument of the package that the example does not offer.
+        # The advice names only options that the example has.
         for flag in re.findall(r"--[a-z-]+|exist_ok", ran.stderr):
             assert flag in offered
     assert "`jostle delete taken`" in ran.stderr
@@ -89,33 +89,7 @@ def test_a_repeated_experiment_is_the_same_to_the_bit(
     assert not {"once", "again"} & {summary.swarm for summary in client.swarms()}
 
 
-def test_the_readme_runs(
-    daemon: Daemon, client: jostle.Client, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    readme = (FOLDER / "README.md").read_text(encoding="utf-8")
-    first, *more = re.findall(r"```python\n(.*?)```", readme, re.S)
-    monkeypatch.setenv("JOSTLE_ENDPOINT", daemon.endpoint)
-    monkeypatch.setenv("JOSTLED", str(JOSTLED))
-    exec(compile(first, "README.md", "exec"), {})
-    swarm = client.swarm("school")
-    # The others are about a swarm that there is.
-    assert len(more) == 12
-    monkeypatch.chdir(tmp_path)
-    for name in ("school.parquet", "school.mcap"):
-        line = [str(JOSTLED.with_name("jostle")), "record", "school", "-o", name, "--for", "0.2"]
-        subprocess.run(line, check=True)
-    project = (FOLDER.parents[1] / "README.md").read_text(encoding="utf-8")
-    (experiment,) = re.findall(r"```toml\n(# order\.toml\n.*?)```", project, re.S)
-    Path("order.toml").write_text(experiment, encoding="utf-8")
-    for code in more:
-        names = {"jostle": jostle, "client": client, "swarm": swarm}
-        exec(compile(code, "README.md", "exec"), names)
-    for made in [swarm, client.swarm("other"), client.swarm("again"), client.swarm("tape")]:
-        made.delete()
-    client.experiment("order").delete()
-
-
-def test_steering_a_swarm_that_stands_ends_with_a_remedy(daemon: Daemon, create: Create) -> None:
+def test_steering_a_paused_swarm_ends_with_a_remedy(daemon: Daemon, create: Create) -> None:
     swarm = create(n=2)
     ran = run("bare_zenoh.py", swarm.name, "--endpoint", daemon.endpoint)
     assert ran.returncode != 0

@@ -30,12 +30,23 @@ def test_a_dictionary_a_text_and_a_file_are_one_experiment(
 ) -> None:
     experiment = jostle.experiment(SMALL, client=client, name="one")
     file = tmp_path / "small.toml"
-    text = """"name" = "small"
-"seed" = 3
-"replicates" = 2
-"duration" = 10
-"grid" = [{ "n" = [3, 8], "informed" = [0, 1] }]
-"measure" = { "order_every" = 10 }
+    text = """name = "small"
+seed = 3
+replicates = 2
+duration = 10
+
+[[grid]]
+n = [
+    3,
+    8,
+]
+informed = [
+    0,
+    1,
+]
+
+[measure]
+order_every = 10
 """
     file.write_text(text)
     for same in (text, file, str(file)):
@@ -69,11 +80,11 @@ def test_results_are_rows_and_a_frame_with_the_columns_of_the_table(
     assert series.order.mean() == pytest.approx(rows[2].v, abs=0.1)
     assert experiment.order(rows[0].run).drift.shape == (0,)
     with pytest.raises(jostle.NotFound):
-        experiment.order("nobody")
+        experiment.order("unknown")
     experiment.delete()
 
 
-def test_it_stands_still_goes_on_and_ends_when_told(client: jostle.Client) -> None:
+def test_an_experiment_is_paused_resumed_and_cancelled(client: jostle.Client) -> None:
     experiment = client.submit(ENDLESS)
     assert experiment.pause().phase == "paused"
     with pytest.raises(jostle.IncorrectState, match="cancel it first"):
@@ -91,11 +102,11 @@ def test_it_stands_still_goes_on_and_ends_when_told(client: jostle.Client) -> No
     experiment.delete()
 
 
-def test_what_is_no_experiment_is_refused(client: jostle.Client, tmp_path: Path) -> None:
+def test_an_invalid_experiment_is_rejected(client: jostle.Client, tmp_path: Path) -> None:
     with pytest.raises(jostle.InvalidArgument, match="line 2") as caught:
         client.submit("name = 'a'\nduration = -1\nspec = { n = 3 }\n")
     assert caught.value.details["field"] == "submit.toml"
-    with pytest.raises(jostle.InvalidArgument, match="none of what a file"):
+    with pytest.raises(jostle.InvalidArgument, match="has no form in TOML: use numbers"):
         client.submit({"name": object()})
     with pytest.raises(FileNotFoundError):
         client.submit(tmp_path / "nowhere.toml")
@@ -103,7 +114,7 @@ def test_what_is_no_experiment_is_refused(client: jostle.Client, tmp_path: Path)
         client.experiment("a/b")
 
 
-def test_it_outlives_whoever_submitted_it(daemon: Daemon, client: jostle.Client) -> None:
+def test_an_experiment_outlives_its_client(daemon: Daemon, client: jostle.Client) -> None:
     source = {**SMALL, "grid": [{"n": [3, 8]}]}
     program = f"""
 import jostle
@@ -114,7 +125,7 @@ jostle.experiment({source!r}, name="left", endpoint="{daemon.endpoint}")
     client.experiment("left").delete()
 
 
-def test_a_bar_shows_how_far_it_is(
+def test_a_bar_shows_the_progress(
     client: jostle.Client, capsys: pytest.CaptureFixture[str]
 ) -> None:
     experiment = client.submit(SMALL, name="shown")

@@ -14,10 +14,8 @@ import pytest
 
 import contract
 import jostle
-from jostle._errors import read_error
-from jostle._exchange import read_advanced
-from jostle._messages import SpecReply
-from jostle._reading import (
+from jostle._controller_messages import read_advanced
+from jostle._decode import (
     read_batch,
     read_event,
     read_events,
@@ -25,16 +23,18 @@ from jostle._reading import (
     read_reply,
     read_scheduled,
 )
+from jostle._errors import read_error
+from jostle._messages import SpecReply
 from jostle._snapshot import read_snapshot
 from jostle._state import read_state, read_step_reply
 
-# What is the caller's or the daemon's own, into which nothing may be added.
+# Free-form objects of the caller or the daemon, to which nothing may be added.
 FREE = {"args", "attraction", "choices", "default", "details", "schemas", "value"}
 
-TOLD = [
+READABLE = [
     pytest.param(name, path, id=path.stem)
     for name, path in contract.fixtures("json")
-    # A state comes as CBOR; as JSON it is for people.
+    # A state is sent as CBOR; its JSON form is for people.
     if name in contract.READ and name != "state" and path.stem != "advance.reply.state"
 ]
 
@@ -65,14 +65,14 @@ def read(name: str, payload: bytes) -> Any:
 
 
 def flat(name: str, message: dict[str, Any]) -> dict[str, Any]:
-    """The fields of a message as those of one object, which is how this package has them."""
+    """The fields of a message merged into one object, as in this package."""
     if name == "event":
         return {**message["event"], **{k: v for k, v in message.items() if k != "event"}}
     if name == "spec.reply" or "result" not in message:
         return message
     message = {**message["result"], **{k: v for k, v in message.items() if k != "result"}}
     if name == "step.reply":
-        # It comes as CBOR only, and is a `State` of its own.
+        # It is sent as CBOR only, and read as a `State`.
         message.pop("state", None)
     if name == "events.reply":
         message["events"] = [flat("event", event) for event in message["events"]]
@@ -82,7 +82,7 @@ def flat(name: str, message: dict[str, Any]) -> dict[str, Any]:
 
 
 def arrived(message: Any, read: Any) -> list[str]:
-    """Where what was read is not what the message says."""
+    """The paths at which the object read differs from the message."""
     return [where for where, is_same in _compare("", message, read) if not is_same]
 
 
@@ -103,7 +103,7 @@ def _compare(where: str, message: Any, read: Any) -> list[tuple[str, bool]]:
 
 
 def add_unknown(message: Any) -> Any:
-    """The same message from a newer daemon, which knows more of everything."""
+    """The same message from a newer daemon, with additional fields everywhere."""
     if isinstance(message, list):
         return [add_unknown(item) for item in message]
     if not isinstance(message, dict):
@@ -112,15 +112,15 @@ def add_unknown(message: Any) -> Any:
     return {**known, "colour": {"hue": [1, None, "red"]}}
 
 
-@pytest.mark.parametrize(("name", "path"), TOLD)
+@pytest.mark.parametrize(("name", "path"), READABLE)
 def test_every_field_of_a_fixture_arrives(name: str, path: Path) -> None:
     payload = path.read_bytes()
     got = read(name, payload)
     assert arrived(flat(name, json.loads(payload)), msgspec.to_builtins(got)) == []
 
 
-@pytest.mark.parametrize(("name", "path"), TOLD)
-def test_what_a_newer_daemon_adds_is_tolerated(name: str, path: Path) -> None:
+@pytest.mark.parametrize(("name", "path"), READABLE)
+def test_fields_of_a_newer_daemon_are_ignored(name: str, path: Path) -> None:
     payload = path.read_bytes()
     more = json.dumps(add_unknown(json.loads(payload))).encode()
     assert len(more) > len(payload) // 2
@@ -128,8 +128,8 @@ def test_what_a_newer_daemon_adds_is_tolerated(name: str, path: Path) -> None:
     assert read(name, more) == read(name, payload)
 
 
-@pytest.mark.parametrize(("name", "path"), TOLD)
-def test_a_fixture_cut_short_is_told_as_unreadable(name: str, path: Path) -> None:
+@pytest.mark.parametrize(("name", "path"), READABLE)
+def test_a_truncated_fixture_is_an_error(name: str, path: Path) -> None:
     payload = path.read_bytes().rstrip()
     for cut in (1, len(payload) // 2, len(payload) - 1):
         if name == "error":
@@ -177,7 +177,7 @@ def test_a_state_is_the_same_in_cbor_and_in_json() -> None:
     assert plain(read_state(cbor2.dumps(more))) == plain(read_state(payload))
 
 
-def test_a_snapshot_is_the_same_when_it_is_kept() -> None:
+def test_a_snapshot_is_the_same_after_a_round_trip() -> None:
     folder = contract.PROTO / "fixtures"
     message = json.loads((folder / "snapshot.reply.json").read_bytes())["result"]
     payload = (folder / "snapshot.reply.cbor").read_bytes()
@@ -195,7 +195,7 @@ def test_a_snapshot_is_the_same_when_it_is_kept() -> None:
         read_snapshot(payload[:-1])
 
 
-def test_every_field_of_an_answer_with_a_state_arrives() -> None:
+def test_every_field_of_a_reply_with_a_state_arrives() -> None:
     folder = contract.PROTO / "fixtures"
     message = json.loads((folder / "step.reply.state.json").read_bytes())
     result, state = read_step_reply((folder / "step.reply.state.cbor").read_bytes())
@@ -208,12 +208,12 @@ def test_every_field_of_an_answer_with_a_state_arrives() -> None:
 def test_every_field_of_an_exchange_with_a_state_arrives() -> None:
     folder = contract.PROTO / "fixtures"
     message = json.loads((folder / "advance.reply.state.json").read_bytes())
-    told = json.loads((folder / "advance.reply.state.json").read_bytes())
+    cbor = json.loads((folder / "advance.reply.state.json").read_bytes())
     kinds = dict.fromkeys(("x", "y", "alpha", "weight", "direction"), (86, "<f8"))
     for name, (tag, dtype) in {"id": (70, "<u4"), **kinds}.items():
-        column = np.array(told["result"]["state"][name], dtype)
-        told["result"]["state"][name] = cbor2.CBORTag(tag, column.tobytes())
-    advanced = read_advanced(cbor2.dumps(told))
+        column = np.array(cbor["result"]["state"][name], dtype)
+        cbor["result"]["state"][name] = cbor2.CBORTag(tag, column.tobytes())
+    advanced = read_advanced(cbor2.dumps(cbor))
     assert advanced.state is not None
     state = message["result"].pop("state")
     assert arrived(state, plain(advanced.state)) == []
@@ -221,7 +221,7 @@ def test_every_field_of_an_exchange_with_a_state_arrives() -> None:
     fields["news"] = msgspec.to_builtins(advanced.news)
     assert arrived(flat("advance.reply", message), fields) == []
     assert advanced.state.state_hash == advanced.state_hash
-    told["result"].pop("state")
-    for cut in (cbor2.dumps(told), cbor2.dumps(told)[:-1]):
+    cbor["result"].pop("state")
+    for cut in (cbor2.dumps(cbor), cbor2.dumps(cbor)[:-1]):
         with pytest.raises(jostle.Internal):
             read_advanced(cut)

@@ -1,4 +1,4 @@
-"""Tables of pandas, of what a swarm was and did."""
+"""pandas tables of states, orders and events."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import jostle
-from conftest import PATIENCE_SECS
+from conftest import MAX_WAIT_SECS
 
 Create = Callable[..., jostle.Swarm]
 
@@ -42,7 +42,7 @@ def test_a_state_has_a_row_for_each_individual(create: Create) -> None:
         assert (table.contacts == certificate.contacts).all()
 
 
-def test_a_table_of_steps_misses_none_and_tells_the_same_future(create: Create) -> None:
+def test_a_table_of_steps_misses_none_and_gives_the_same_states(create: Create) -> None:
     swarm = create(n=4, seed=3)
     table = swarm.frame(steps=25, every=10)
     assert list(table.step.unique()) == [0, 10, 20, 25]
@@ -67,7 +67,7 @@ def test_groups_that_change_are_one_table(create: Create) -> None:
 def test_orders_have_a_row_each(create: Create) -> None:
     swarm = create(n=5, publish_every=1, rate=1.0)
     swarm.inform(jostle.count(5), 0.0)
-    with swarm.orders(timeout=PATIENCE_SECS) as orders:
+    with swarm.orders(timeout=MAX_WAIT_SECS) as orders:
         swarm.run()
         table = jostle.frame(itertools.islice(orders, 5))
     assert len(table) == 5
@@ -76,23 +76,23 @@ def test_orders_have_a_row_each(create: Create) -> None:
     assert table.order.between(0.0, 1.0).all()
 
 
-def test_what_is_followed_to_the_end_of_a_swarm_is_kept(create: Create) -> None:
+def test_states_up_to_the_end_of_a_swarm_are_kept(create: Create) -> None:
     swarm = create(n=3)
-    with swarm.states(timeout=PATIENCE_SECS) as states:
+    with swarm.states(timeout=MAX_WAIT_SECS) as states:
         seen = [next(states)]
         swarm.delete()
         assert len(jostle.frame([*seen, *states])) >= 3
 
 
-def test_nothing_is_a_table_too() -> None:
+def test_an_empty_list_is_a_table() -> None:
     assert list(jostle.frame([]).columns) == COLUMNS
 
 
-def test_what_is_no_table_is_refused(create: Create) -> None:
+def test_other_values_are_rejected_as_tables(create: Create) -> None:
     swarm = create(n=2, publish_every=1)
-    with swarm.orders(timeout=PATIENCE_SECS) as orders:
+    with swarm.orders(timeout=MAX_WAIT_SECS) as orders:
         swarm.step()
-        with pytest.raises(jostle.InvalidArgument, match="alone"):
+        with pytest.raises(jostle.InvalidArgument, match="only states or only orders"):
             jostle.frame([swarm.state(), next(orders)])
     with pytest.raises(jostle.InvalidArgument, match="every"):
         swarm.frame(steps=3, every=0)
@@ -104,10 +104,10 @@ def test_what_is_no_table_is_refused(create: Create) -> None:
         swarm.frame(steps=3)
 
 
-def test_without_pandas_it_is_said_what_brings_it() -> None:
+def test_without_pandas_the_error_names_the_extra() -> None:
     code = (
         "import sys\n"
-        "sys.modules.update(dict.fromkeys(['pandas', 'IPython', 'tqdm', 'matplotlib']))\n"
+        "sys.modules.update(dict.fromkeys(['pandas', 'IPython', 'matplotlib']))\n"
         "import jostle, jostle.aio\n"
         "try:\n    jostle.frame([])\nexcept ImportError as error:\n    print(error)\n"
     )

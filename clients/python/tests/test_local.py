@@ -1,4 +1,4 @@
-"""A daemon of one's own: it comes, and it goes with whoever started it, whatever happens."""
+"""A private daemon: it starts, and it ends with the program that started it."""
 
 from __future__ import annotations
 
@@ -14,12 +14,9 @@ from pathlib import Path
 import pytest
 
 import jostle
-from conftest import JOSTLED, PATIENCE_SECS, eventually
+from conftest import JOSTLED, MAX_WAIT_SECS, eventually
 
-
-@pytest.fixture(autouse=True)
-def _named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("JOSTLED", str(JOSTLED))
+pytestmark = pytest.mark.usefixtures("jostled_named")
 
 
 def is_running(pid: int) -> bool:
@@ -27,12 +24,12 @@ def is_running(pid: int) -> bool:
         state = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()[0]
     except (FileNotFoundError, ProcessLookupError):
         return False
-    # Nobody may be there to take note of the end of what lost its parent.
+    # A process without a parent can stay a zombie if init does not reap it.
     return state != "Z"
 
 
 def watchdogs(data: Path) -> int:
-    """How many shells look after the daemon of this temporary folder."""
+    """How many shells guard the daemon of this temporary folder."""
     count = 0
     for folder in Path("/proc").iterdir():
         if folder.name.isdigit():
@@ -46,7 +43,7 @@ def watchdogs(data: Path) -> int:
 
 
 def start(code: str) -> subprocess.Popen[str]:
-    """A program of its own that begins with a private daemon and says its process and folder."""
+    """A separate program that starts a private daemon and prints its pid and folder."""
     begin = "import jostle, os, sys\nc = jostle.local()\nprint(c.pid, c.folder, flush=True)\n"
     return subprocess.Popen(
         [sys.executable, "-W", "error", "-c", begin + code],
@@ -57,13 +54,13 @@ def start(code: str) -> subprocess.Popen[str]:
     )
 
 
-def said(program: subprocess.Popen[str]) -> tuple[int, Path]:
+def read_pid(program: subprocess.Popen[str]) -> tuple[int, Path]:
     assert program.stdout is not None
     pid, folder = program.stdout.readline().split()
     return int(pid), Path(folder)
 
 
-def test_it_serves_and_leaves_nothing_behind() -> None:
+def test_a_private_daemon_serves_and_leaves_nothing() -> None:
     with jostle.local() as client:
         pid, folder = client.pid, client.folder
         assert watchdogs(folder) == 1
@@ -81,14 +78,14 @@ def test_it_serves_and_leaves_nothing_behind() -> None:
         client.swarms()
 
 
-def test_two_at_once_are_apart() -> None:
+def test_two_private_daemons_are_independent() -> None:
     with jostle.local() as one, jostle.local() as two:
         assert one.endpoint != two.endpoint
         one.create("school", jostle.Spec(n=2))
         assert two.swarms() == []
 
 
-def test_a_folder_is_kept_and_goes_on(tmp_path: Path) -> None:
+def test_a_given_folder_is_kept_and_reused(tmp_path: Path) -> None:
     folder = tmp_path / "not" / "there yet"
     with jostle.local(folder) as client:
         at = client.create("school", jostle.Spec(n=3)).step(7).state_hash
@@ -98,25 +95,25 @@ def test_a_folder_is_kept_and_goes_on(tmp_path: Path) -> None:
         assert client.swarm("school").status().state_hash == at
 
 
-def test_it_lives_as_long_as_anything_of_it_is_held() -> None:
+def test_a_private_daemon_runs_while_any_object_of_it_is_referenced() -> None:
     swarm = jostle.local().create("school", jostle.Spec(n=3))
     gc.collect()
     assert swarm.step(3).step == 3
-    held = swarm._link.held
+    held = swarm._session.keepalive
     pid = int(held.pid)  # type: ignore[attr-defined]
     del swarm, held
     gc.collect()
     eventually("it ends", lambda: not is_running(pid))
 
 
-def test_what_it_takes_is_set(tmp_path: Path) -> None:
+def test_settings_of_a_private_daemon_are_applied(tmp_path: Path) -> None:
     with jostle.local(max_individuals=3, node="mine", client="ada") as client:
         assert (client.node, client.hello().limits.max_individuals) == ("mine", 3)
         with pytest.raises(jostle.InvalidArgument, match="from 1 to 3"):
             client.create("school", jostle.Spec(n=4))
 
 
-def test_nothing_to_start_is_said_with_a_remedy(
+def test_a_missing_program_is_an_error_with_a_remedy(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     with pytest.raises(jostle.Unavailable, match=r"nowhere.*cargo build"):
@@ -129,11 +126,13 @@ def test_nothing_to_start_is_said_with_a_remedy(
     with pytest.raises(jostle.Unavailable, match="PATH"):
         jostle.local()
     (tmp_path / "jostled").symlink_to(JOSTLED)
-    # The shell that starts it is not looked for.
+    # The shell that starts it has an absolute path.
     jostle.local().close()
 
 
-def test_why_it_did_not_start_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failed_start_is_an_error_with_the_reason(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     temporary = tmp_path / "temporary"
     temporary.mkdir()
     monkeypatch.setattr("tempfile.tempdir", str(temporary))
@@ -154,7 +153,7 @@ def test_why_it_did_not_start_is_said(tmp_path: Path, monkeypatch: pytest.Monkey
     assert list(temporary.iterdir()) == []
 
 
-def test_it_outlives_the_thread_that_started_it() -> None:
+def test_a_private_daemon_outlives_the_thread_that_started_it() -> None:
     made: list[jostle.Local] = []
     thread = threading.Thread(target=lambda: made.append(jostle.local()))
     thread.start()
@@ -167,11 +166,11 @@ def test_closing_from_many_threads_stops_it_once() -> None:
     client = jostle.local()
     with ThreadPoolExecutor(8) as pool:
         for work in [pool.submit(client.close) for _ in range(8)]:
-            work.result(PATIENCE_SECS)
+            work.result(MAX_WAIT_SECS)
     assert not is_running(client.pid)
 
 
-def test_a_daemon_that_is_killed_is_told_and_closing_is_harmless() -> None:
+def test_a_killed_private_daemon_is_an_error_and_can_be_closed() -> None:
     with jostle.local() as client:
         states = client.create("school", jostle.Spec(n=3, rate=None)).states()
         next(states)
@@ -184,33 +183,33 @@ def test_a_daemon_that_is_killed_is_told_and_closing_is_harmless() -> None:
 
 
 @pytest.mark.parametrize("ends", ["", "sys.exit(3)", "raise KeyError", "c.swarms(); del c"])
-def test_it_ends_with_a_program_that_closes_nothing(ends: str) -> None:
+def test_a_private_daemon_ends_with_a_program_that_closes_nothing(ends: str) -> None:
     program = start(f"states = c.create('x', {{'n': 3}}).states()\nnext(states)\n{ends}\n")
-    pid, folder = said(program)
-    _, stderr = program.communicate(timeout=PATIENCE_SECS)
+    pid, folder = read_pid(program)
+    _, stderr = program.communicate(timeout=MAX_WAIT_SECS)
     assert program.returncode in (0, 1, 3)
     assert stderr == "" or ends == "raise KeyError"
-    # By then: nothing that another program might look at is there any more.
+    # By then no file remains.
     assert not is_running(pid)
     assert not folder.exists()
 
 
 @pytest.mark.parametrize("blow", [signal.SIGKILL, signal.SIGTERM, signal.SIGHUP])
 @pytest.mark.parametrize("has_child", [False, True])
-def test_it_ends_with_a_program_that_is_killed(blow: signal.Signals, has_child: bool) -> None:
-    # A process forked from it, such as one of multiprocessing, holds what it held.
+def test_a_private_daemon_ends_with_a_killed_program(blow: signal.Signals, has_child: bool) -> None:
+    # A process forked from it, such as one of multiprocessing, inherits its descriptors.
     fork = (
         "pid = os.fork()\nif pid == 0:\n    import signal; signal.pause()\nprint(pid, flush=True)\n"
     )
     program = start((fork if has_child else "") + "sys.stdin.read()\n")
-    pid, folder = said(program)
+    pid, folder = read_pid(program)
     assert program.stdout is not None
     child = int(program.stdout.readline()) if has_child else None
     assert is_running(pid)
     program.send_signal(blow)
-    program.wait(PATIENCE_SECS)
+    program.wait(MAX_WAIT_SECS)
     eventually("the daemon ends", lambda: not is_running(pid))
-    eventually("its folder goes", lambda: not folder.exists())
+    eventually("its folder is removed", lambda: not folder.exists())
     if child is not None:
         assert is_running(child)
         os.kill(child, signal.SIGKILL)
@@ -219,7 +218,7 @@ def test_it_ends_with_a_program_that_is_killed(blow: signal.Signals, has_child: 
         pipe.close()
 
 
-def test_a_forked_process_leaves_it_alone() -> None:
+def test_a_forked_process_leaves_the_private_daemon_running() -> None:
     program = start(
         "states = c.create('x', {'n': 2}).states()\n"
         "next(states)\n"
@@ -230,8 +229,8 @@ def test_a_forked_process_leaves_it_alone() -> None:
         "assert os.waitpid(pid, 0)[1] == 0\n"
         "print(c.swarm('x').step().step)\n"
     )
-    said(program)
-    stdout, stderr = program.communicate(timeout=PATIENCE_SECS)
+    read_pid(program)
+    stdout, stderr = program.communicate(timeout=MAX_WAIT_SECS)
     assert (stdout, stderr) == ("1\n", "")
 
 
@@ -246,8 +245,8 @@ def test_a_forked_process_leaves_it_alone() -> None:
         "jostle.connect(c.endpoint)",
     ],
 )
-def test_a_forked_process_is_told_that_it_cannot_connect(use: str) -> None:
-    # As multiprocessing forks by itself: what it inherits would wait for ever.
+def test_a_forked_process_gets_an_error_that_it_cannot_connect(use: str) -> None:
+    # As multiprocessing forks by default: an inherited connection would wait for ever.
     program = start(
         "swarm = c.create('x', {'n': 2})\n"
         "states = swarm.states()\n"
@@ -260,13 +259,13 @@ def test_a_forked_process_is_told_that_it_cannot_connect(use: str) -> None:
         "assert os.waitpid(pid, 0)[1] == 0\n"
         "print(swarm.step().step)\n"
     )
-    said(program)
-    stdout, stderr = program.communicate(timeout=PATIENCE_SECS)
+    read_pid(program)
+    stdout, stderr = program.communicate(timeout=MAX_WAIT_SECS)
     assert "spawn" in stdout.splitlines()[0]
     assert (stdout.splitlines()[1], stderr) == ("1", "")
 
 
-def test_ctrl_c_is_for_the_program_alone() -> None:
+def test_ctrl_c_reaches_the_program_alone() -> None:
     program = subprocess.Popen(
         [
             sys.executable,
@@ -280,6 +279,6 @@ def test_ctrl_c_is_for_the_program_alone() -> None:
         text=True,
         start_new_session=True,
     )
-    said(program)
+    read_pid(program)
     os.killpg(program.pid, signal.SIGINT)
-    assert program.communicate(timeout=PATIENCE_SECS)[0] == "1\n"
+    assert program.communicate(timeout=MAX_WAIT_SECS)[0] == "1\n"

@@ -57,16 +57,16 @@ def test_a_skipped_test_fails_the_run_unless_it_may_be_skipped(
         assert ("this test needs mount: run it as root" in ended.stdout) == ("needs" in reason)
 
 
-def test_the_day_fails_where_nothing_can_be_mounted_unless_it_may_be_skipped(
+def test_the_chaos_test_fails_without_mount_unless_it_may_be_skipped(
     tmp_path: Path,
 ) -> None:
-    # Without `unshare` on its path the day can mount nothing.
+    # Without `unshare` on its path the chaos test cannot mount its disk.
     nowhere = {"PATH": str(tmp_path)}
-    ended = run(tmp_path, "day", may_skip="faketime", **nowhere)
+    ended = run(tmp_path, "chaos", may_skip="faketime", **nowhere)
     assert ended.returncode == 1, ended.stdout
     assert "this test needs mount: " in ended.stderr
     assert recorded(tmp_path) == ""
-    ended = run(tmp_path, "day", may_skip="faketime,mount", **nowhere)
+    ended = run(tmp_path, "chaos", may_skip="faketime,mount", **nowhere)
     assert ended.returncode == 0, ended.stderr
     assert ended.stdout == "skipped, needs mount\n"
-    assert recorded(tmp_path) == "mount: a day in a lab\n"
+    assert recorded(tmp_path) == "mount: the chaos test\n"

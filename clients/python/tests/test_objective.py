@@ -10,7 +10,9 @@ from pathlib import Path
 import pytest
 
 import jostle
-from conftest import JOSTLED, PATIENCE_SECS
+from conftest import JOSTLED, MAX_WAIT_SECS
+
+pytestmark = pytest.mark.usefixtures("jostled_named")
 
 EXPERIMENT = """
 name = "search"
@@ -20,11 +22,6 @@ duration = 10
 [spec]
 n = 8
 """
-
-
-@pytest.fixture(autouse=True)
-def _named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("JOSTLED", str(JOSTLED))
 
 
 def times(folder: Path) -> dict[Path, int]:
@@ -39,11 +36,11 @@ def test_values_are_those_of_the_experiment_with_them(tmp_path: Path) -> None:
         f"{EXPERIMENT}pi1 = 2.0\nnoise = 0.1\n[[grid]]\ninformed = 3\n", encoding="utf-8"
     )
     command: list[str | Path] = [JOSTLED, "run", file, "-o", tmp_path / "one"]
-    subprocess.run(command, check=True, capture_output=True, timeout=PATIENCE_SECS)
+    subprocess.run(command, check=True, capture_output=True, timeout=MAX_WAIT_SECS)
     rows = (tmp_path / "one" / "results.csv").read_text().splitlines()
     column = rows[0].split(",").index("v_pd")
     assert value == pytest.approx(sum(float(row.split(",")[column]) for row in rows[1:]) / 2)
-    # The same values cost nothing, whatever their order and in another object, too.
+    # The same values are not computed again, in any order and by another object.
     before = times(tmp_path / "search")
     again = jostle.Objective(EXPERIMENT, "v_pd", folder=tmp_path / "search")
     assert again(noise=0.1, informed=3.0, pi1=2) == value
@@ -91,7 +88,7 @@ def test_invalid_searches_are_errors(tmp_path: Path) -> None:
         assert it.value.details == {"field": "pi1"}
     with pytest.raises(jostle.InvalidArgument, match="exclude each other"):
         objective(informed=1, informed_fraction=0.5)
-    # The line of the generated file is not the caller's.
+    # The line number of the generated file means nothing to the caller.
     with pytest.raises(
         jostle.InvalidArgument, match=r"^the experiment with colour='red': colour: unknown field"
     ):
@@ -108,6 +105,7 @@ def test_invalid_searches_are_errors(tmp_path: Path) -> None:
         objective(pi1=2.0)
 
 
+@pytest.mark.slow
 def test_a_killed_study_continues(tmp_path: Path) -> None:
     script = Path(__file__).parents[1] / "examples" / "threshold.py"
     command: list[str | Path] = [sys.executable, script, tmp_path, "--trials"]
@@ -120,7 +118,7 @@ def test_a_killed_study_continues(tmp_path: Path) -> None:
     assert " informed: drift " in first
     before = times(tmp_path / "experiments")
     done = subprocess.run(
-        [*command, "3"], check=True, capture_output=True, text=True, timeout=4 * PATIENCE_SECS
+        [*command, "3"], check=True, capture_output=True, text=True, timeout=4 * MAX_WAIT_SECS
     )
     # The first trial is in the study, and its results are not computed again.
     lines = done.stdout.splitlines()

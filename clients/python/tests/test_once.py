@@ -1,4 +1,4 @@
-"""A command is carried out once, whatever becomes of its answer."""
+"""A command is executed once, even if its reply is lost."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ import pytest
 import zenoh
 
 import jostle
-from conftest import PATIENCE_SECS, Daemon, Wire, eventually, zenoh_session
+from conftest import MAX_WAIT_SECS, Daemon, Wire, eventually, zenoh_session
 
 Create = Callable[..., jostle.Swarm]
 
@@ -27,12 +27,12 @@ COMMANDS: dict[str, Callable[[jostle.Swarm], Any]] = {
     "set": lambda swarm: swarm.set(pi3=2.0).before.pi3,
     "batch": lambda swarm: swarm.batch([jostle.Inject(1)]).results[0].ids,
     "reset": lambda swarm: swarm.reset().seq,
-    "waiting for its step": lambda swarm: swarm.pause(at_step=7).phase,
+    "waiting for its step": lambda swarm: swarm.at(7).pause().phase,
 }
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_a_command_whose_answer_is_lost_is_not_carried_out_twice(
+def test_a_command_whose_reply_is_lost_is_executed_once(
     name: str, wire: Wire, create: Create
 ) -> None:
     swarm, twin = create(n=3, seed=1), create(n=3, seed=1)
@@ -43,10 +43,10 @@ def test_a_command_whose_answer_is_lost_is_not_carried_out_twice(
         assert mine.status().seq == 0
         wire.mute()
         answer = pool.submit(command, mine)
-        eventually("it is carried out", lambda: len(swarm.history()) == len(twin.history()))
+        eventually("it is executed", lambda: len(swarm.history()) == len(twin.history()))
         assert not answer.done()
         wire.cut()
-        assert answer.result(PATIENCE_SECS) == expected
+        assert answer.result(MAX_WAIT_SECS) == expected
     after, twins = swarm.status(), twin.status()
     assert (after.seq, after.state_hash, after.scheduled) == (
         twins.seq,
@@ -55,7 +55,7 @@ def test_a_command_whose_answer_is_lost_is_not_carried_out_twice(
     )
 
 
-def test_a_swarm_whose_creation_was_not_heard_of_is_not_taken_for_anothers(
+def test_a_swarm_whose_create_reply_is_lost_is_recognised(
     wire: Wire, client: jostle.Client
 ) -> None:
     with jostle.connect(wire.endpoint) as mine, ThreadPoolExecutor(1) as pool:
@@ -63,28 +63,26 @@ def test_a_swarm_whose_creation_was_not_heard_of_is_not_taken_for_anothers(
         creation = pool.submit(mine.create, "unheard", jostle.Spec(n=3))
         eventually("it is created", lambda: "unheard" in [s.swarm for s in client.swarms()])
         wire.cut()
-        swarm = creation.result(PATIENCE_SECS)
+        swarm = creation.result(MAX_WAIT_SECS)
         assert swarm.status().n == 3
         wire.mute()
         deletion = pool.submit(swarm.delete)
         eventually("it is deleted", lambda: "unheard" not in [s.swarm for s in client.swarms()])
         wire.cut()
-        assert deletion.result(PATIENCE_SECS).swarm == "unheard"
+        assert deletion.result(MAX_WAIT_SECS).swarm == "unheard"
 
 
-def test_a_long_step_survives_a_cut_and_is_answered_once(wire: Wire, create: Create) -> None:
+def test_a_long_step_survives_a_cut_and_gets_one_reply(wire: Wire, create: Create) -> None:
     swarm = create(n=100)
     with jostle.connect(wire.endpoint) as client, ThreadPoolExecutor(1) as pool:
         answer = pool.submit(client.swarm(swarm.name).step, 1000)
-        swarm.wait(phase="running", timeout=PATIENCE_SECS)
+        swarm.wait(phase="running", timeout=MAX_WAIT_SECS)
         wire.cut()
-        result = answer.result(PATIENCE_SECS)
+        result = answer.result(MAX_WAIT_SECS)
     assert (result.steps, result.step, swarm.status().step) == (1000, 1000, 1000)
 
 
-def test_a_connection_cut_again_and_again_loses_and_doubles_nothing(
-    wire: Wire, create: Create
-) -> None:
+def test_a_connection_cut_repeatedly_loses_and_repeats_nothing(wire: Wire, create: Create) -> None:
     swarm = create(n=1)
     with jostle.connect(wire.endpoint) as client, ThreadPoolExecutor(1) as pool:
         mine = client.swarm(swarm.name)
@@ -95,7 +93,7 @@ def test_a_connection_cut_again_and_again_loses_and_doubles_nothing(
         answers = pool.submit(work)
         seen = -1
         while not answers.done():
-            # One cut each time it got some further.
+            # A cut after each bit of progress.
             seq = swarm.status().seq
             if seq >= seen + 12:
                 seen = seq
@@ -106,7 +104,7 @@ def test_a_connection_cut_again_and_again_loses_and_doubles_nothing(
     ]
 
 
-def test_another_daemon_is_not_sent_what_the_first_may_have_done(tmp_path: Path) -> None:
+def test_a_request_is_not_sent_again_to_another_daemon(tmp_path: Path) -> None:
     folders = tmp_path / "first", tmp_path / "second"
     for folder in folders:
         folder.mkdir()
@@ -125,13 +123,13 @@ def test_another_daemon_is_not_sent_what_the_first_may_have_done(tmp_path: Path)
             assert client.swarm("same").status().seq == 0
             wire.mute()
             answer = pool.submit(client.swarm("same").inject, 1)
-            eventually("it is carried out", lambda: swarms[0].status().seq == 1)
+            eventually("it is executed", lambda: swarms[0].status().seq == 1)
             wire.daemon = second.endpoint
             wire.cut()
             with pytest.raises(jostle.Unavailable):
-                answer.result(PATIENCE_SECS)
-            # It is this one that the client speaks with from now on.
-            eventually("the client speaks with it", lambda: is_at(client, seq=0))
+                answer.result(MAX_WAIT_SECS)
+            # From now on the client is connected to this one.
+            eventually("the client is connected to it", lambda: is_at(client, seq=0))
             assert swarms[1].status().seq == 0
     finally:
         wire.close()
@@ -146,7 +144,9 @@ def is_at(client: jostle.Client, seq: int) -> bool:
         return False
 
 
-def test_an_id_of_ones_own_names_one_command_over_clients(daemon: Daemon, create: Create) -> None:
+def test_a_given_request_id_names_one_command_across_clients(
+    daemon: Daemon, create: Create
+) -> None:
     swarm = create(n=3)
 
     def inject(client: str, count: int = 1) -> jostle.IdsResult:
@@ -168,7 +168,7 @@ def test_an_id_of_ones_own_names_one_command_over_clients(daemon: Daemon, create
         assert refused.value.details == {"field": "request_id"}
 
 
-def test_a_refused_command_may_be_tried_again_under_its_id(create: Create) -> None:
+def test_a_rejected_command_can_be_retried_under_its_id(create: Create) -> None:
     swarm = create(n=3)
     with pytest.raises(jostle.Conflict):
         swarm.set(pi3=2.0, request_id="again", expect_step=5)
@@ -177,12 +177,12 @@ def test_a_refused_command_may_be_tried_again_under_its_id(create: Create) -> No
 
 
 class BusyDaemon:
-    """Something that is busy, says so some times, and then answers."""
+    """A daemon that replies `busy` a number of times, and then executes."""
 
     def __init__(self, endpoint: str, times: int) -> None:
         self.session = zenoh_session(endpoint, "listen")
         self.times = times
-        self.heard: list[dict[str, Any]] = []
+        self.received: list[dict[str, Any]] = []
         self.unanswered: list[zenoh.Query] = []
         self.is_deaf = False
         self.keep = [
@@ -193,21 +193,21 @@ class BusyDaemon:
         ]
 
     def hello(self, query: zenoh.Query) -> None:
-        """Tells who it is."""
+        """Replies to `hello`."""
         limits = dict.fromkeys(jostle.Limits.__struct_fields__, 1 << 20)
         result = {"version": "0", "wire_version": 1, "unix_secs": 0.0, "limits": limits}
         query.reply(query.key_expr, json.dumps({"node": "busy", "result": result}))
 
     def answer(self, query: zenoh.Query) -> None:
-        """Writes down what it is asked and answers with what all answers have."""
+        """Records the request and replies with the common fields."""
         payload = query.payload
         if self.is_deaf:
-            # One that is let go counts as answered by nobody.
+            # A query that is dropped ends without a reply.
             self.unanswered.append(query)
             self.is_deaf = False
             return
-        self.heard.append({} if payload is None else json.loads(payload.to_bytes()))
-        if len(self.heard) <= self.times:
+        self.received.append({} if payload is None else json.loads(payload.to_bytes()))
+        if len(self.received) <= self.times:
             error: dict[str, Any] = {
                 "code": "busy",
                 "message": "later",
@@ -227,58 +227,56 @@ def busy_daemon(free_endpoint: str) -> Iterator[BusyDaemon]:
     daemon.session.close()
 
 
-def test_a_busy_daemon_is_asked_again_with_the_same_request(
+def test_a_request_is_sent_again_unchanged_to_a_busy_daemon(
     busy_daemon: BusyDaemon, free_endpoint: str
 ) -> None:
     with jostle.connect(free_endpoint, timeout=10.0) as client:
         assert client.swarm("school").pause(expect_step=0).seq == 1
-    heard = busy_daemon.heard
-    assert len(heard) == 4
-    waits = [request.pop("timeout_secs") for request in heard]
+    received = busy_daemon.received
+    assert len(received) == 4
+    waits = [request.pop("timeout_secs") for request in received]
     assert waits == sorted(set(waits), reverse=True)
     assert waits[0] == 10.0
-    assert heard == [heard[0]] * 4
+    assert received == [received[0]] * 4
 
 
-def test_a_request_that_was_lost_on_the_way_is_sent_again(
-    busy_daemon: BusyDaemon, free_endpoint: str
-) -> None:
+def test_a_lost_request_is_sent_again(busy_daemon: BusyDaemon, free_endpoint: str) -> None:
     busy_daemon.times = 0
     with jostle.connect(free_endpoint) as client:
         for call in (client.swarm("school").pause, client.swarm("school").delete):
             busy_daemon.is_deaf = True
-            busy_daemon.heard.clear()
+            busy_daemon.received.clear()
             assert call().seq == 1
-            assert len(busy_daemon.heard) == 1
+            assert len(busy_daemon.received) == 1
             lost = busy_daemon.unanswered.pop().payload
             assert lost is not None
-            first, again = json.loads(lost.to_bytes()), busy_daemon.heard[0]
+            first, again = json.loads(lost.to_bytes()), busy_daemon.received[0]
             assert first.pop("timeout_secs") > again.pop("timeout_secs") > 1.0
             assert first == again
         busy_daemon.is_deaf = True
-        with pytest.raises(jostle.Unavailable, match="gave no answer"):
+        with pytest.raises(jostle.Unavailable, match="sent no reply"):
             client.swarm("school").pause(timeout=0.2)
         busy_daemon.unanswered.clear()
 
 
-def test_what_stays_busy_is_told_at_the_deadline(
+def test_a_daemon_that_stays_busy_is_an_error_at_the_deadline(
     busy_daemon: BusyDaemon, free_endpoint: str
 ) -> None:
     busy_daemon.times = 1_000_000
     with jostle.connect(free_endpoint, timeout=0.5) as client:
         calls: list[Callable[[], object]] = [
             client.swarm("school").pause,
-            # Its own deadline is an hour away.
+            # The timeout of the request is an hour.
             client.swarm("school").step,
             client.swarm("school").status,
         ]
         for call in calls:
             began = time.monotonic()
-            busy_daemon.heard.clear()
+            busy_daemon.received.clear()
             with pytest.raises(jostle.Busy, match="later"):
                 call()
-            assert time.monotonic() - began < PATIENCE_SECS
-            assert 2 < len(busy_daemon.heard) < 50
+            assert time.monotonic() - began < MAX_WAIT_SECS
+            assert 2 < len(busy_daemon.received) < 50
 
 
 def is_at_step(swarm: jostle.Swarm, step: int) -> bool:
@@ -292,15 +290,15 @@ def test_the_state_of_a_lost_reply_is_fetched_in_lock_step(wire: Wire, create: C
         for step in (2, 4):
             wire.mute()
             reached = pool.submit(controller.advance, 2, direction=0.5, state=True)
-            eventually("it is carried out", functools.partial(is_at_step, swarm, step))
+            eventually("it is executed", functools.partial(is_at_step, swarm, step))
             wire.cut()
-            arrived = reached.result(PATIENCE_SECS)
+            arrived = reached.result(MAX_WAIT_SECS)
             state = swarm.state()
             assert (arrived.steps, arrived.step, controller.step) == (2, step, step)
             assert arrived.state.x.tobytes() == state.x.tobytes()
             assert arrived.state.alpha.tobytes() == state.alpha.tobytes()
             assert arrived.state.state_hash == arrived.state_hash == swarm.status().state_hash
-            # With its link the daemon has lost the controller, which held its directions.
+            # The daemon lost the controller with its connection; directions are held.
             controller.sync()
     others = twin.join("ada", jostle.ids([0, 1, 2]), deadline=60)
     others.advance(2, direction=0.5)
@@ -313,13 +311,15 @@ def test_the_state_of_a_lost_reply_is_not_taken_from_a_changed_swarm(
 ) -> None:
     swarm = create(n=200)
     with jostle.connect(wire.endpoint) as client, ThreadPoolExecutor(1) as pool:
+        # The first request of a connection checks which daemons claim the swarm.
+        client.swarm(swarm.name).status()
         wire.mute()
         reached = pool.submit(client.swarm(swarm.name).step, 2, state=True)
-        eventually("it is carried out", lambda: swarm.status().step == 2)
+        eventually("it is executed", lambda: swarm.status().step == 2)
         swarm.inject(1)
         wire.cut()
         with pytest.raises(jostle.Conflict, match="led to step 2") as caught:
-            reached.result(PATIENCE_SECS)
+            reached.result(MAX_WAIT_SECS)
     assert caught.value.step == 2
     assert swarm.status().step == 2
 
@@ -334,7 +334,7 @@ def test_a_controller_killed_before_the_reply_comes_back_at_the_step_reached(
         "print('joined', flush=True)\n"
         "sys.stdin.readline()\n"
         "controller.advance(3, state=True)\n"
-        "print('heard', flush=True)\n"
+        "print('received', flush=True)\n"
     )
     with subprocess.Popen(
         [sys.executable, "-c", program, wire.endpoint, swarm.name],
@@ -348,7 +348,7 @@ def test_a_controller_killed_before_the_reply_comes_back_at_the_step_reached(
         wire.mute()
         child.stdin.write("\n")
         child.stdin.flush()
-        eventually("it is carried out", lambda: swarm.status().step == 3)
+        eventually("it is executed", lambda: swarm.status().step == 3)
         child.kill()
         assert child.stdout.read() == ""
     wire.cut()

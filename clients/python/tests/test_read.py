@@ -1,4 +1,4 @@
-"""What is read and written without a daemon: states, errors, arguments."""
+"""Decoding and encoding without a daemon: states, errors, arguments."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ import pytest
 
 import jostle
 from jostle._arguments import check_name, poses, to_json
+from jostle._decode import read_event, read_reply
 from jostle._errors import read_error
-from jostle._reading import read_event, read_reply
 from jostle._state import read_state, read_step_reply
 
 ORDER = {
@@ -81,14 +81,14 @@ def test_positions_are_absolute() -> None:
     assert state.informed.tolist() == [False, True]
 
 
-def test_an_empty_column_and_what_a_newer_daemon_adds_are_read() -> None:
+def test_an_empty_column_and_fields_of_a_newer_daemon_are_read() -> None:
     columns = dict.fromkeys(("x", "y", "alpha", "weight", "direction"), doubles())
     empty = state_map(id=cbor2.CBORTag(70, b""), **columns, colour="red")
     empty["order"] = {**ORDER, "milling": 0.1}
     assert read_state(cbor2.dumps(empty)).position.shape == (0, 2)
 
 
-def test_the_state_within_the_answer_to_step_bears_its_hash() -> None:
+def test_the_state_in_the_reply_to_step_has_its_hash() -> None:
     within = {"steps": 2, "durable_step": 2, "state_hash": "abc", "state": state_map()}
     result, state = read_step_reply(cbor2.dumps({**ENVELOPE, "result": within}))
     assert (result.steps, result.seq, result.state_hash) == (2, 5, "abc")
@@ -109,12 +109,12 @@ def test_the_state_within_the_answer_to_step_bears_its_hash() -> None:
         {"step": -0.5},
     ],
 )
-def test_a_state_against_the_contract_is_refused(change: dict[str, Any]) -> None:
+def test_a_state_that_violates_the_contract_is_rejected(change: dict[str, Any]) -> None:
     with pytest.raises(jostle.Internal):
         read_state(cbor2.dumps(state_map(**change)))
 
 
-def test_a_state_without_a_column_or_cut_short_is_refused() -> None:
+def test_a_state_without_a_column_or_truncated_is_rejected() -> None:
     fields = state_map()
     del fields["y"]
     payload = cbor2.dumps(state_map())
@@ -152,12 +152,12 @@ def test_every_code_has_its_class(code: str, kind: type[jostle.JostleError]) -> 
     assert (error.details, error.step) == ({"field": "n"}, 7)
 
 
-def test_what_is_no_error_of_a_daemon_is_not_taken_for_one() -> None:
+def test_other_payloads_are_not_read_as_errors() -> None:
     for payload in (b"Timeout", b"[]", b"{}", b'{"code": 7}', b"\xff"):
         assert read_error(payload) is None
 
 
-def test_an_answer_against_the_contract_is_internal() -> None:
+def test_a_reply_that_violates_the_contract_is_internal() -> None:
     for payload in (b"", b"[]", b"{}", b'{"swarm": "a", "result": null}', b"\xff"):
         with pytest.raises(jostle.Internal):
             read_reply(payload, jostle.Status)
@@ -165,7 +165,7 @@ def test_an_answer_against_the_contract_is_internal() -> None:
             read_event(payload)
 
 
-def test_an_event_of_a_kind_not_known_is_read() -> None:
+def test_an_event_of_an_unknown_kind_is_read() -> None:
     fields: dict[str, Any] = dict.fromkeys(("number", "epoch", "step", "time"), 1)
     fields |= {"swarm": "a", "phase": "paused"}
     event = read_event(json.dumps({**fields, "event": {"kind": "waltz", "step": 9}}).encode())
@@ -178,7 +178,7 @@ def test_numbers_and_columns_of_numpy_are_sent_as_numbers() -> None:
 
 
 @pytest.mark.parametrize("wrong", [float("nan"), float("inf"), np.float64("nan"), -np.inf])
-def test_a_number_that_is_not_finite_is_refused_by_name(wrong: float) -> None:
+def test_a_number_that_is_not_finite_is_rejected_with_its_name(wrong: float) -> None:
     args = {"select": jostle.within(0.0, wrong, 1.0), "direction": 0.0}
     with pytest.raises(jostle.InvalidArgument, match=r"select\.within\.y") as caught:
         to_json({"request_id": "a", "args": args})
@@ -188,7 +188,7 @@ def test_a_number_that_is_not_finite_is_refused_by_name(wrong: float) -> None:
         to_json({"args": {"spec": spec}})
 
 
-def test_what_is_nothing_for_json_is_refused() -> None:
+def test_values_without_a_json_form_are_rejected() -> None:
     loop: list[Any] = []
     loop.append(loop)
     for wrong in (object(), {1, 2}, b"bytes", loop):
@@ -199,12 +199,12 @@ def test_what_is_nothing_for_json_is_refused() -> None:
 @pytest.mark.parametrize(
     "name", ["", "*", "**", "a$*", "@node", "a/b", "A", "-a", "a b", "a\0", "a\n", "ä", "a" * 65]
 )
-def test_a_name_that_would_be_another_key_is_refused(name: str) -> None:
+def test_a_name_that_would_be_another_key_is_rejected(name: str) -> None:
     with pytest.raises(jostle.InvalidArgument):
         check_name("swarm", name)
 
 
-def test_a_given_start_wants_three_columns_of_one_length_of_finite_numbers() -> None:
+def test_a_given_start_needs_three_equal_columns_of_finite_numbers() -> None:
     start = jostle.given(np.array([0.1]), [2], (np.float32(0.5),))
     assert (start.x, start.y, start.alpha) == ([0.1], [2.0], [0.5])
     wrong: list[tuple[Any, Any, Any]] = [

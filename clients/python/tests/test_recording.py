@@ -1,4 +1,4 @@
-"""Recordings: what is read back, here and by other people's readers, to the bit."""
+"""Recordings: read back exactly, by this package and by other readers."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import jostle
-from conftest import JOSTLED, PATIENCE_SECS, Daemon, eventually
+from conftest import JOSTLED, MAX_WAIT_SECS, Daemon, eventually
 
 Create = Callable[..., jostle.Swarm]
 
@@ -39,7 +39,7 @@ Take = tuple[Path, list[jostle.State]]
 @pytest.fixture
 def take(daemon: Daemon, create: Create, client: jostle.Client, tmp_path: Path) -> Take:
     """A folder with a recording of each format, and the states that are in it."""
-    # Far from home, where absolute positions are coarser than those that are published.
+    # Far from the origin, where absolute positions are coarser than published ones.
     start = {"kind": "given", "x": [0.1, 5.0, 6e3], "y": [0.2, 5.0, -6e3], "alpha": [1, 2, 3]}
     swarm = create(n=3, start=start, rate=None, publish_every=1)
     swarm.inform(jostle.ids([1]), direction=0.7, weight=1 / 3)
@@ -49,25 +49,25 @@ def take(daemon: Daemon, create: Create, client: jostle.Client, tmp_path: Path) 
     eventually("it records", lambda: len(going(client, swarm)) == len(NAMES))
     states = [swarm.state()]
     for step in range(STEPS):
-        # One more from the middle on: columns of different lengths.
+        # One more individual from the middle on: columns of different lengths.
         if step == STEPS // 2:
             swarm.inject(1)
         states.append(swarm.step(state=True))
     for recorder in begun:
-        told = json.loads(recorder.communicate(timeout=PATIENCE_SECS)[0])
+        printed = json.loads(recorder.communicate(timeout=MAX_WAIT_SECS)[0])
         assert recorder.returncode == 0
-        assert told["missed"] == 0
+        assert printed["missed"] == 0
     return tmp_path, states
 
 
 def going(client: jostle.Client, swarm: jostle.Swarm) -> list[jostle.RecordingStatus]:
-    """The recordings of a swarm that go on."""
+    """The active recordings of a swarm."""
     recordings = [it for it in client.recordings() if it.swarm == swarm.name]
     return [it for it in recordings if it.phase == "recording"]
 
 
 def begin(daemon: Daemon, swarm: jostle.Swarm, path: Path, *more: str) -> subprocess.Popen[bytes]:
-    """Begins to record a swarm, as anybody would."""
+    """Starts recording a swarm with the command line."""
     line = [str(JOSTLED.with_name("jostle")), "-e", daemon.endpoint, "record", swarm.name]
     return subprocess.Popen([*line, "-o", str(path), *more], stdout=subprocess.PIPE)
 
@@ -79,7 +79,7 @@ def test_every_frame_is_the_state_of_its_step(take: Take, name: str) -> None:
     frames = list(recording)
     assert [frame.step for frame in frames] == [state.step for state in states]
     for frame, state in zip(frames, states, strict=True):
-        # The injected one is in the state of the step that follows.
+        # The injected individual is in the state of the next step.
         assert frame.n == state.n
         assert frame.time == state.time
         assert np.array_equal(frame.id, state.id)
@@ -97,7 +97,7 @@ def test_every_frame_is_the_state_of_its_step(take: Take, name: str) -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_recording_says_what_it_is_of(take: Take, name: str) -> None:
+def test_a_recording_describes_its_source(take: Take, name: str) -> None:
     recording = jostle.read_recording(take[0] / name)
     about = recording.about
     assert json.loads(about["spec"])["n"] == 3
@@ -129,7 +129,7 @@ def test_a_recorded_table_has_the_columns_and_values_of_a_live_one(take: Take, n
     assert (recorded.dtypes == live.dtypes).all()
     last = states[-1].step
     one, other = (table[table.step == last].reset_index(drop=True) for table in (recorded, live))
-    # A state that was asked for has the number of none that was published.
+    # A queried state has no frame number.
     columns = [column for column in COLUMNS if column != "frame"]
     assert len(one) == 4
     pd.testing.assert_frame_equal(one[columns], other[columns], check_exact=True)
@@ -142,7 +142,7 @@ def test_pandas_reads_parquet_as_it_is(take: Take) -> None:
     expected = expected.astype(dict.fromkeys(WORDS, table.dtypes["swarm"]))
     pd.testing.assert_frame_equal(table, expected, check_exact=True, check_dtype=False)
     assert table.dtypes["id"] == np.uint32
-    # A folder of parts is a table too, as it is while the next part is written.
+    # A folder of parts is a table too, also while the next part is written.
     parts = take[0] / "parts"
     parts.mkdir()
     (parts / "part-00000.parquet").write_bytes(path.read_bytes())
@@ -235,7 +235,7 @@ def test_a_group_without_neighbours_has_no_gap(
 ) -> None:
     path = tmp_path / "take.parquet"
     with begin(daemon, create(n=1), path, "--for", "0.1s") as recorder:
-        assert recorder.wait(PATIENCE_SECS) == 0
+        assert recorder.wait(MAX_WAIT_SECS) == 0
     (frame,) = jostle.read_recording(path)
     assert frame.worst_gap is None
     recording = jostle.read_recording(path)
@@ -243,7 +243,7 @@ def test_a_group_without_neighbours_has_no_gap(
     assert pd.read_csv(recording.to_csv(tmp_path / "take.csv")).worst_gap.isna().all()
 
 
-def test_what_is_no_recording_is_named(tmp_path: Path) -> None:
+def test_other_files_are_named_in_the_error(tmp_path: Path) -> None:
     for name in ("take.parquet", "take.mcap"):
         with pytest.raises(FileNotFoundError):
             jostle.read_recording(tmp_path / name)
@@ -288,18 +288,18 @@ def test_a_killed_recording_names_what_recovers_it(
         jostle.read_recording(cut)
 
     line = [str(JOSTLED.with_name("jostle")), "--json", "record", "--recover", str(path)]
-    told = json.loads(subprocess.run(line, check=True, capture_output=True).stdout)
+    printed = json.loads(subprocess.run(line, check=True, capture_output=True).stdout)
     recording = jostle.read_recording(path)
     frames = list(recording)
-    assert (len(frames), frames[-1].step) == (told["frames"], told["last_step"])
+    assert (len(frames), frames[-1].step) == (printed["frames"], printed["last_step"])
     assert {frame.n for frame in frames} == {5}
     about = recording.about
-    assert (about["recovered"], about["frames"]) == ("true", str(told["frames"]))
+    assert (about["recovered"], about["frames"]) == ("true", str(printed["frames"]))
     assert (about["missed"], about["swarm"]) == ("0", swarm.name)
     assert not partial.exists()
 
 
-def test_a_recording_is_replayed_as_it_was_seen(take: Take, client: jostle.Client) -> None:
+def test_a_recording_is_played_back_as_it_was_published(take: Take, client: jostle.Client) -> None:
     folder, states = take
     with client.replay(folder / "take.mcap", "tape") as tape:
         status = tape.status()
@@ -356,11 +356,11 @@ def test_a_folder_that_the_daemon_recorded_is_read(
     assert not (daemon.data / "recordings" / begun.recording).exists()
 
 
-def test_a_damaged_recording_is_refused_and_never_read_wrong(take: Take) -> None:
+def test_a_damaged_recording_is_rejected_and_never_misread(take: Take) -> None:
     folder, _ = take
     whole = (folder / "take.mcap").read_bytes()
     damaged = folder / "damaged.mcap"
-    # Between the names of the columns and the index at the end all are numbers.
+    # The bytes between the column names and the index at the end are numbers.
     for place in range(len(whole) // 3, 2 * len(whole) // 3, 97):
         damaged.write_bytes(whole[:place] + bytes([whole[place] ^ 1]) + whole[place + 1 :])
         with pytest.raises(jostle.InvalidArgument, match=r"damaged\.mcap"):
@@ -381,7 +381,7 @@ def test_every_state_at_rate_max_is_recorded_and_fetched(
     eventually("it has ended", lambda: not going(client, swarm))
     (ended,) = [it for it in client.recordings() if it.recording == begun.recording]
     assert (ended.phase, ended.missed, ended.frames) == ("ended", 0, 1001)
-    # What a killed process had fetched is not fetched again, but for what is of another recording.
+    # A part fetched by a killed process is not fetched again, unless it is of another recording.
     folder = client.fetch_recording(begun.recording, tmp_path / "take", show=False)
     (part,) = folder.iterdir()
     whole = part.read_bytes()
@@ -402,7 +402,7 @@ def test_every_state_at_rate_max_is_recorded_and_fetched(
     client.delete_recording(begun.recording)
 
 
-def test_a_recording_has_no_options_that_mean_nothing(
+def test_options_without_effect_on_a_recording_are_rejected(
     client: jostle.Client, create: Create
 ) -> None:
     swarm = create(n=2)

@@ -1,4 +1,4 @@
-"""A daemon that knows its people, over TLS and within the machine."""
+"""A daemon with users, over TLS and on this machine."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ from jostle import aio
 PEOPLE = {"vera": "viewer", "cleo": "controller", "olga": "operator"}
 
 OF_CONTROLLERS = ["join", "advance", "leave", "annotate"]
-"""The verbs that controllers may have executed, by the table in `docs/security.md`."""
+"""The verbs that controllers may use, by the table in `docs/security.md`."""
 
 SWARM_VERBS = [
     *("delete", "run", "pause", "step", "reset", "set", "inform", "uninform", "inject", "remove"),
     *("batch", "fork", "join", "advance", "leave", "annotate", "seek"),
 ]
-"""The verbs that operators may have swarms execute."""
+"""The verbs of swarms that operators may use."""
 
 NODE_VERBS = ["create", "restore", "discard", "experiment", "replay", "record"]
-"""The verbs that operators may have the daemon execute."""
+"""The verbs of the daemon that operators may use."""
 
 
 @pytest.fixture(scope="module")
@@ -54,9 +54,7 @@ def enter(lab: Daemon, auth: Path, name: str) -> jostle.Client:
     return jostle.connect(lab.endpoint, credentials=auth / "people" / name)
 
 
-def test_each_person_may_what_their_role_may_and_hears_what_it_may_not(
-    lab: Daemon, auth: Path
-) -> None:
+def test_each_user_has_the_permissions_of_their_role(lab: Daemon, auth: Path) -> None:
     clients = {name: enter(lab, auth, name) for name in PEOPLE}
     swarm = clients["olga"].create("s", {"n": 3, "seed": 1})
     for name, role in PEOPLE.items():
@@ -87,7 +85,7 @@ def test_each_person_may_what_their_role_may_and_hears_what_it_may_not(
     with clients["cleo"].swarm("s").join("cleo-arm", select=jostle.count(1)) as controller:
         assert controller.advance(2).step == 2
     assert [entry.client for entry in swarm.journal() if entry.verb == "join"] == [
-        f"cleo:{clients['cleo']._link.client}"
+        f"cleo:{clients['cleo']._session.client}"
     ]
     for client in clients.values():
         client.close()
@@ -100,7 +98,7 @@ def test_the_lists_of_verbs_are_those_of_the_contract() -> None:
     assert keys == expected | {("@node/{node}", verb) for verb in NODE_VERBS}
 
 
-def test_whoami_lists_what_each_role_may(lab: Daemon, auth: Path) -> None:
+def test_whoami_lists_the_permissions_of_each_role(lab: Daemon, auth: Path) -> None:
     permitted: dict[str, tuple[list[str], list[str]]] = {
         "vera": ([], []),
         "cleo": (OF_CONTROLLERS, []),
@@ -133,13 +131,13 @@ def events_until_set(events: Iterator[jostle.Event]) -> Iterator[jostle.Event]:
             return
 
 
-def test_whoever_is_not_let_in_hears_so_soon(lab: Daemon, auth: Path, tmp_path: Path) -> None:
+def test_a_rejected_client_gets_an_error_soon(lab: Daemon, auth: Path, tmp_path: Path) -> None:
     elsewhere = tmp_path / "auth"
     subprocess.run([JOSTLED, "--auth-dir", elsewhere, "auth", "init", "olga=operator"], check=True)
     began = time.monotonic()
-    with pytest.raises(jostle.PermissionDenied, match="say who you are"):
+    with pytest.raises(jostle.PermissionDenied, match="pass your credentials"):
         jostle.connect(lab.endpoint)
-    with pytest.raises(jostle.PermissionDenied, match="does not let olga in"):
+    with pytest.raises(jostle.PermissionDenied, match="rejects olga"):
         jostle.connect(lab.endpoint, credentials=elsewhere / "people" / "olga")
     assert time.monotonic() - began < 6.0
     with pytest.raises(jostle.InvalidArgument, match="credentials"):
@@ -158,20 +156,20 @@ def test_an_address_that_the_certificate_does_not_name_is_reported_with_the_reme
         with pytest.raises(jostle.Unavailable) as caught:
             enter(daemon, auth, "olga")
         assert time.monotonic() - began < 5.0
-        told = str(caught.value)
-        assert "does not name 127.0.0.2; it names localhost, 127.0.0.1, ::1:" in told
-        assert "`jostled auth address --host 127.0.0.2`" in told
+        text = str(caught.value)
+        assert "does not name 127.0.0.2; it names localhost, 127.0.0.1, ::1:" in text
+        assert "`jostled auth address --host 127.0.0.2 --auth-dir FOLDER`" in text
         assert caught.value.details["host"] == "127.0.0.2"
         assert caught.value.details["names"] == ["localhost", "127.0.0.1", "::1"]
     finally:
         daemon.stop()
 
 
-def test_set_points_bear_the_token(lab: Daemon, auth: Path) -> None:
+def test_set_points_contain_the_token(lab: Daemon, auth: Path) -> None:
     with enter(lab, auth, "olga") as olga, enter(lab, auth, "cleo") as cleo:
         swarm = olga.create("steered", {"n": 3, "seed": 1})
         samples: list[zenoh.Sample] = []
-        with olga._link.session.declare_subscriber("jostle/steered/ctl/*") as seen:
+        with olga._session.zenoh.declare_subscriber("jostle/steered/ctl/*") as seen:
             with cleo.swarm("steered").join(
                 "cleo", jostle.ids([0]), mode="free_running", deadline=10.0
             ) as controller:
@@ -189,33 +187,33 @@ def test_set_points_bear_the_token(lab: Daemon, auth: Path) -> None:
         swarm.delete()
 
 
-def test_the_environment_says_who_it_is_and_asyncio_too(
+def test_the_environment_and_asyncio_use_the_credentials(
     lab: Daemon, auth: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("JOSTLE_CREDENTIALS", str(auth / "people" / "cleo"))
     with jostle.connect(lab.endpoint) as client:
         assert client.whoami().person == "cleo"
 
-    async def ask() -> str | None:
+    async def whoami() -> str | None:
         async with aio.connect(lab.endpoint) as client:
             return (await client.whoami()).person
 
-    assert asyncio.run(ask()) == "cleo"
+    assert asyncio.run(whoami()) == "cleo"
 
 
-def test_no_secret_is_in_what_is_shown(lab: Daemon, auth: Path) -> None:
+def test_no_secret_is_in_a_repr(lab: Daemon, auth: Path) -> None:
     from jostle._credentials import read_credentials
 
     identity = read_credentials(auth / "people" / "olga")
     assert identity is not None
     with enter(lab, auth, "olga") as client:
-        shown = f"{identity!r} {client!r} {client._link!r} {client._repr_html_()}"
+        shown = f"{identity!r} {client!r} {client._session!r} {client._repr_html_()}"
     assert identity[0].token not in shown
     assert identity[0].password not in shown
     assert identity[0].token not in lab.log.read_text()
 
 
-def test_whatever_speaks_zenoh_gets_in_with_what_is_in_the_folder(lab: Daemon, auth: Path) -> None:
+def test_any_zenoh_client_connects_with_the_files_of_the_folder(lab: Daemon, auth: Path) -> None:
     folder = auth / "people" / "olga"
     config = zenoh.Config.from_file(str(folder / "zenoh.json5"))
     config.insert_json5("connect/endpoints", json.dumps([lab.endpoint]))
@@ -232,7 +230,7 @@ def test_whatever_speaks_zenoh_gets_in_with_what_is_in_the_folder(lab: Daemon, a
         assert created.ok is not None
 
 
-def test_the_settings_that_were_made_are_settings(auth: Path) -> None:
+def test_the_written_settings_are_valid(auth: Path) -> None:
     settings = auth / "jostled.toml"
     line = [str(JOSTLED), "--config", str(settings), "config", "explain", "--json"]
     explained = subprocess.run(line, check=True, capture_output=True, text=True).stdout

@@ -1,4 +1,4 @@
-"""Recordings and results that earlier builds stored are read by this package."""
+"""This package reads recordings and results stored by earlier builds."""
 
 import json
 from pathlib import Path
@@ -13,7 +13,7 @@ STORED = Path(__file__).parents[3] / "tests" / "stored"
 BUILDS = sorted(path.parent for path in STORED.glob("*/expected.json"))
 
 
-def test_there_are_stored_builds() -> None:
+def test_stored_builds_exist() -> None:
     assert "bf41dde" in [build.name for build in BUILDS]
 
 

@@ -1,4 +1,4 @@
-"""What a swarm publishes, as iterators."""
+"""Streams of what a swarm publishes."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from typing import Any
 import pytest
 
 import jostle
-from conftest import PATIENCE_SECS, Daemon, eventually
+from conftest import MAX_WAIT_SECS, Daemon, eventually
 
 Create = Callable[..., jostle.Swarm]
 
 
-def test_states_begin_with_the_one_now_and_never_go_back(create: Create) -> None:
+def test_states_begin_with_the_current_one_and_never_decrease(create: Create) -> None:
     swarm = create(n=3, publish_every=1)
     swarm.step(5)
-    with swarm.states(timeout=PATIENCE_SECS) as states:
+    with swarm.states(timeout=MAX_WAIT_SECS) as states:
         first = next(states)
         assert (first.step, first.skipped) == (5, 0)
         swarm.run(until_step=60, rate=None)
@@ -34,11 +34,11 @@ def test_states_begin_with_the_one_now_and_never_go_back(create: Create) -> None
     assert places == sorted(set(places))
 
 
-def test_a_slow_reader_gets_the_newest_and_is_told_what_it_skipped(create: Create) -> None:
+def test_a_slow_reader_gets_the_newest_and_the_number_skipped(create: Create) -> None:
     swarm = create(n=3, publish_every=1)
-    with swarm.states(timeout=PATIENCE_SECS) as states:
+    with swarm.states(timeout=MAX_WAIT_SECS) as states:
         first = next(states)
-        # Not a state of these is read, while one after the other is published.
+        # No state is read while these are published.
         for _ in range(30):
             swarm.step()
         seen = []
@@ -53,7 +53,7 @@ def test_a_slow_reader_gets_the_newest_and_is_told_what_it_skipped(create: Creat
 
 def test_a_command_shows_in_a_paused_swarm(create: Create) -> None:
     swarm = create(n=3)
-    with swarm.states(timeout=PATIENCE_SECS) as states:
+    with swarm.states(timeout=MAX_WAIT_SECS) as states:
         assert not next(states).informed.any()
         swarm.inform(jostle.ids([1]), 0.5)
         assert next(state for state in states if state.informed.any()).direction[1] == 0.5
@@ -62,14 +62,14 @@ def test_a_command_shows_in_a_paused_swarm(create: Create) -> None:
 def test_a_reset_shows_as_a_new_epoch(create: Create) -> None:
     swarm = create(n=3)
     swarm.step(20)
-    with swarm.states(timeout=PATIENCE_SECS) as states:
+    with swarm.states(timeout=MAX_WAIT_SECS) as states:
         epoch = next(states).epoch
         swarm.reset()
         after = next(state for state in states if state.epoch > epoch)
         assert after.step == 0
 
 
-def test_nothing_for_too_long_is_a_deadline_and_the_stream_goes_on(create: Create) -> None:
+def test_a_silent_stream_is_a_deadline_and_can_continue(create: Create) -> None:
     swarm = create(n=3)
     with swarm.states(timeout=0.05) as states:
         next(states)
@@ -88,10 +88,10 @@ def test_nothing_for_too_long_is_a_deadline_and_the_stream_goes_on(create: Creat
         swarm.states(timeout=-1.0)
 
 
-def test_orders_tell_order_and_drift(create: Create) -> None:
+def test_orders_contain_order_and_drift(create: Create) -> None:
     swarm = create(n=5, publish_every=1)
     swarm.inform(jostle.count(5), 0.0)
-    with swarm.orders(timeout=PATIENCE_SECS) as orders:
+    with swarm.orders(timeout=MAX_WAIT_SECS) as orders:
         swarm.step(3)
         sample = next(sample for sample in orders if sample.step == 3)
     assert (sample.swarm, sample.n, sample.informed) == (swarm.name, 5, 5)
@@ -99,9 +99,9 @@ def test_orders_tell_order_and_drift(create: Create) -> None:
     assert sample.order.drift == pytest.approx(sample.order.velocity[0])
 
 
-def test_events_come_all_and_in_order(create: Create) -> None:
+def test_all_events_arrive_in_order(create: Create) -> None:
     swarm = create(n=3)
-    with swarm.events(timeout=PATIENCE_SECS) as events:
+    with swarm.events(timeout=MAX_WAIT_SECS) as events:
         for number in range(200):
             swarm.set(pi3=0.25 + number / 1024)
         got = []
@@ -119,22 +119,22 @@ def test_events_come_all_and_in_order(create: Create) -> None:
 def test_every_stream_ends_when_the_swarm_is_deleted(
     create: Create, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    # None ends because it has looked after a silence.
-    monkeypatch.setattr("jostle._stream._SILENCE_SECS", 100 * PATIENCE_SECS)
+    # None ends because of its check after a silence.
+    monkeypatch.setattr("jostle._stream._SILENCE_SECS", 100 * MAX_WAIT_SECS)
     swarm = create(n=3)
     streams: list[jostle.Stream[Any]] = [swarm.states(), swarm.orders(), swarm.events()]
     with ThreadPoolExecutor(len(streams)) as pool:
         drained = [pool.submit(list[Any], stream) for stream in streams]
         swarm.run()
         swarm.delete()
-        items = [work.result(PATIENCE_SECS) for work in drained]
+        items = [work.result(MAX_WAIT_SECS) for work in drained]
     last = items[-1][-1]
     assert isinstance(last, jostle.Event)
     assert last.kind == "deleted"
 
 
 @pytest.mark.parametrize("politely", [True, False])
-def test_a_daemon_that_goes_away_is_told(own_daemon: Daemon, politely: bool) -> None:
+def test_a_daemon_that_ends_is_an_error(own_daemon: Daemon, politely: bool) -> None:
     with jostle.connect(own_daemon.endpoint) as client, ThreadPoolExecutor(2) as pool:
         swarm = client.create("lost", jostle.Spec(n=3, rate=None))
         work = [pool.submit(list[object], stream) for stream in (swarm.states(), swarm.events())]
@@ -145,10 +145,10 @@ def test_a_daemon_that_goes_away_is_told(own_daemon: Daemon, politely: bool) -> 
             own_daemon.kill()
         for stream in work:
             with pytest.raises(jostle.Unavailable):
-                stream.result(PATIENCE_SECS)
+                stream.result(MAX_WAIT_SECS)
 
 
-def test_closing_from_elsewhere_ends_the_loop(daemon: Daemon, create: Create) -> None:
+def test_closing_from_another_thread_ends_the_loop(daemon: Daemon, create: Create) -> None:
     swarm = create(n=3)
     closers: list[Callable[[jostle.Client, jostle.Swarm, jostle.Stream[jostle.State]], None]] = [
         lambda client, swarm, stream: stream.close(),
@@ -162,11 +162,11 @@ def test_closing_from_elsewhere_ends_the_loop(daemon: Daemon, create: Create) ->
             next(stream)
             work = pool.submit(list[jostle.State], stream)
             close(client, mine, stream)
-            assert work.result(PATIENCE_SECS) == []
+            assert work.result(MAX_WAIT_SECS) == []
             assert list(stream) == []
 
 
-def test_a_stream_that_nobody_holds_stops_listening(create: Create) -> None:
+def test_an_unreferenced_stream_is_unsubscribed(create: Create) -> None:
     swarm = create(n=3)
     before = threading.active_count()
     for state in swarm.states():
@@ -196,7 +196,7 @@ def test_a_program_that_closes_nothing_exits(ends: str, daemon: Daemon, create: 
         [sys.executable, "-W", "error", "-c", code],
         capture_output=True,
         text=True,
-        timeout=PATIENCE_SECS,
+        timeout=MAX_WAIT_SECS,
         check=False,
     )
     assert (ran.returncode, ran.stderr) == (0, "")

@@ -1,4 +1,4 @@
-"""The public surface, against a checked listing: whoever removes a line breaks someone.
+"""The public interface, against a checked listing: removing a line breaks users.
 
 `python tests/test_surface.py` prints the listing; `tests/surface.txt` is where it is kept.
 """
@@ -20,7 +20,7 @@ LISTING = Path(__file__).with_name("surface.txt")
 
 
 def describe(name: str, thing: object) -> Iterator[str]:
-    """One line for each thing that someone may use, and how it is called."""
+    """One line for each public name, with its signature."""
     if inspect.isfunction(thing):
         yield f"{_def(thing)} {name}{inspect.signature(thing)}"
     elif isinstance(thing, type):
@@ -37,7 +37,7 @@ def describe(name: str, thing: object) -> Iterator[str]:
                 yield f"    {key}: {getattr(annotation, '__forward_arg__', annotation)}"
         members = dict(vars(thing))
         for base in thing.__mro__:
-            # What a class has from one of the package's that is not public is its own.
+            # Members inherited from a private class of the package count as its own.
             if base.__module__.startswith("jostle.") and base.__name__ not in jostle.__all__:
                 members = {**vars(base), **members}
         for member, value in sorted(members.items()):
@@ -56,7 +56,7 @@ def _def(function: object) -> str:
 
 
 def listing() -> str:
-    """Everything in `__all__`, in its order, then what `jostle.aio` has, and `jostle.env`."""
+    """Everything in `__all__`, in its order, then `jostle.aio` and `jostle.env`."""
     lines = [line for name in jostle.__all__ for line in describe(name, getattr(jostle, name))]
     for name in aio.__all__:
         lines += describe(f"aio.{name}", getattr(aio, name))

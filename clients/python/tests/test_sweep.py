@@ -13,6 +13,7 @@ import sys
 import tarfile
 import textwrap
 import threading
+import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 from pathlib import Path
@@ -23,7 +24,9 @@ import distributed
 import pytest
 
 import jostle
-from conftest import JOSTLED, PATIENCE_SECS, ROOT, eventually
+from conftest import JOSTLED, MAX_WAIT_SECS, ROOT, eventually
+
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("jostled_named")]
 
 SMALL = """
 name = "small"
@@ -44,11 +47,6 @@ TABLES = ("results.csv", "results.parquet", "order.parquet", "touch.csv")
 TASK_SECS = 0.02
 
 
-@pytest.fixture(autouse=True)
-def _named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("JOSTLED", str(JOSTLED))
-
-
 def tables(folder: Path) -> dict[str, bytes]:
     return {name: (folder / name).read_bytes() for name in TABLES}
 
@@ -58,7 +56,7 @@ def alone(toml: str, folder: Path) -> dict[str, bytes]:
     file = folder / "alone.toml"
     file.write_text(toml, encoding="utf-8")
     command: list[str | Path] = [JOSTLED, "run", file, "-o", folder / "alone"]
-    subprocess.run(command, check=True, capture_output=True, timeout=PATIENCE_SECS)
+    subprocess.run(command, check=True, capture_output=True, timeout=MAX_WAIT_SECS)
     return tables(folder / "alone")
 
 
@@ -71,7 +69,7 @@ def test_a_sweep_on_all_cores_writes_the_tables_of_one_program(tmp_path: Path) -
     assert len(rows) == RUNS
     assert tables(folder) == alone(SMALL, tmp_path)
     assert not (tmp_path / "results.parts").exists()
-    # The rows come in any order, and afterwards in the plan's.
+    # Rows arrive in any order; the table has the order of the plan.
     assert sorted(rows, key=lambda it: it.run) == sorted(sweep.rows(), key=lambda it: it.run)
     table = sweep.frame()
     assert list(table["run"]) == [row.run for row in sweep.rows()]
@@ -111,7 +109,7 @@ def test_an_interrupted_sweep_continues_on_another_executor(tmp_path: Path) -> N
 
 
 def wrapper(folder: Path, script: str) -> Path:
-    """A `jostled` that does what `script` says, beside the real command line."""
+    """A `jostled` that runs `script`, beside the real command line."""
     folder.mkdir()
     (folder / "jostle").symlink_to(JOSTLED.with_name("jostle"))
     program = folder / "jostled"
@@ -135,7 +133,7 @@ def test_a_task_that_fails_names_its_runs_and_the_others_finish(tmp_path: Path) 
     with pytest.raises(jostle.Faulted, match=r"1 tasks failed: runs [\d,-]*5[\d,-]* on .*panicked"):
         sweep.wait()
     assert not folder.exists()
-    # All others are kept: only those of the task are missing.
+    # All other runs are stored: only those of the task are missing.
     again = jostle.sweep(SMALL, folder=folder, task_secs=TASK_SECS)
     assert RUNS - 5 <= len(again.rows()) < RUNS
     again.wait()
@@ -248,7 +246,7 @@ def running(folder: Path) -> list[int]:
 
 
 @pytest.mark.parametrize("by", [signal.SIGINT, signal.SIGKILL])
-def test_the_end_of_the_caller_ends_its_programs(tmp_path: Path, by: signal.Signals) -> None:
+def test_the_end_of_the_caller_ends_its_child_processes(tmp_path: Path, by: signal.Signals) -> None:
     file = tmp_path / "endless.toml"
     file.write_text('name = "a"\nduration = 1e6\nspec = { n = 20 }\nreplicates = 2\n')
     temporary = tmp_path / "temporary"
@@ -260,7 +258,7 @@ def test_the_end_of_the_caller_ends_its_programs(tmp_path: Path, by: signal.Sign
     )
     eventually("a program", lambda: bool(running(temporary)))
     caller.send_signal(by)
-    caller.wait(PATIENCE_SECS)
+    caller.wait(MAX_WAIT_SECS)
     eventually("its end", lambda: not running(temporary))
     eventually("no temporary folder", lambda: not list(temporary.glob("jostle-part-*")))
     assert not (tmp_path / "results").exists()
@@ -282,7 +280,7 @@ order_every = 100
 
 
 class Cluster:
-    """A Dask scheduler and its workers, each a process of its own."""
+    """A Dask scheduler and its workers, each in its own process."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -329,12 +327,14 @@ class Cluster:
         return [it for it in found if b"spawn_main" in command_of(it)]
 
     def stop(self) -> None:
-        """Ends all processes."""
+        """Ends all processes. A worker ends with its nanny."""
         for process in (*self.workers, self.scheduler):
             process.terminate()
+        # A nanny whose scheduler has ended may not end.
+        deadline = time.monotonic() + 5
         for process in (*self.workers, self.scheduler):
             try:
-                process.wait(20)
+                process.wait(max(0, deadline - time.monotonic()))
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()
@@ -357,7 +357,7 @@ def start_cluster(tmp_path: Path) -> Iterator[Callable[[str], Cluster]]:
 
 KILLS = 5
 # Results between two kills, of 48.
-BETWEEN = 4
+MIN_RESULTS = 4
 
 
 def kill(cluster: Cluster, parts: Path, killed: list[int]) -> None:
@@ -365,7 +365,7 @@ def kill(cluster: Cluster, parts: Path, killed: list[int]) -> None:
     draw = random.Random(4)
 
     def arrived() -> bool:
-        return len(list(parts.glob("runs-*"))) >= BETWEEN * (len(killed) + 1)
+        return len(list(parts.glob("runs-*"))) >= MIN_RESULTS * (len(killed) + 1)
 
     while len(killed) < KILLS:
         eventually("more results", arrived)
@@ -399,7 +399,7 @@ def test_a_sweep_on_dask_survives_killed_workers_and_a_killed_scheduler(
     file = tmp_path / "alone.toml"
     file.write_text(KILLED, encoding="utf-8")
     command: list[str | Path] = [JOSTLED, "run", file, "-o", tmp_path / "alone"]
-    subprocess.run(command, check=True, capture_output=True, timeout=4 * PATIENCE_SECS)
+    subprocess.run(command, check=True, capture_output=True, timeout=4 * MAX_WAIT_SECS)
     assert written == {name: (tmp_path / "alone" / name).read_bytes() for name in TABLES[:3]}
 
 

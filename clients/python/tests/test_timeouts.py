@@ -1,4 +1,4 @@
-"""Every `timeout` acts: a call to a daemon that never replies ends then."""
+"""Every `timeout` has effect: a call to a daemon that never replies ends then."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from recorder import Recorder, fake_jostled
 from timeouts import ENDED
 
 TIMEOUT_SECS = 0.4
-# What a client waits for a reply beyond the timeout, as its documentation says.
+# How long a client waits beyond the timeout, as its documentation states.
 GRACE_SECS = 2.0
-# On a busy machine a thread may wake so much later.
+# On a busy machine a thread may wake this much later.
 TOLERANCE_SECS = 20.0
-# Without the timeout of the call that of the client holds, or one that is longer still.
+# Without a timeout of the call, that of the client applies, or a longer one.
 CLIENT_SECS = 10 * TOLERANCE_SECS
 
 Outcome = tuple[type[jostle.JostleError] | None, float]
@@ -57,7 +57,7 @@ def _time(work: Callable[[], object]) -> Outcome:
 
 
 def _prepare(client: jostle.Client, call: str) -> Callable[[], object]:
-    """Does what comes before the call, and returns the call."""
+    """Executes the preparation of the call, and returns the call."""
     owner, method = call.split(".")
     target: Any = client
     if owner == "Experiment":
@@ -66,7 +66,10 @@ def _prepare(client: jostle.Client, call: str) -> Callable[[], object]:
         target = client.swarm("school")
     if owner == "Controller":
         target = target.join(method)
-    args, kwargs = ENDED[call].take.args, {**ENDED[call].take.kwargs, "timeout": TIMEOUT_SECS}
+    args, kwargs = (
+        ENDED[call].arguments.args,
+        {**ENDED[call].arguments.kwargs, "timeout": TIMEOUT_SECS},
+    )
     if call in ("Swarm.states", "Swarm.orders", "Swarm.events"):
         stream = getattr(target, method)(*args, **kwargs)
         if method == "states":
@@ -124,7 +127,10 @@ async def _prepare_awaited(client: aio.Client, call: str) -> Callable[[], Awaita
         target = client.swarm("school")
     if owner == "Controller":
         target = await target.join(method)
-    args, kwargs = ENDED[call].take.args, {**ENDED[call].take.kwargs, "timeout": TIMEOUT_SECS}
+    args, kwargs = (
+        ENDED[call].arguments.args,
+        {**ENDED[call].arguments.kwargs, "timeout": TIMEOUT_SECS},
+    )
     if call in ("Swarm.states", "Swarm.orders", "Swarm.events"):
         stream: aio.Stream[Any] = await getattr(target, method)(*args, **kwargs)
         if method == "states":
@@ -171,7 +177,7 @@ def test_a_wait_for_an_experiment_that_goes_on_ends(form: str, silent: Recorder)
 def test_the_timeout_of_the_client_ends_the_opening_of_a_stream(
     stream: str, form: str, silent: Recorder
 ) -> None:
-    # Its own limits only how long an item may take.
+    # The timeout of the stream only limits the wait for an item.
     with (
         jostle.connect(silent.endpoint, timeout=TIMEOUT_SECS) as client,
         ThreadPoolExecutor(1) as pool,

@@ -1,4 +1,4 @@
-"""The tutorial runs from its first cell to its last, as a newcomer runs it."""
+"""The tutorial runs from its first cell to its last."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ def read() -> Any:
     v4: Any = nbformat.v4
     text = TUTORIAL.read_text(encoding="utf-8")
     notebook = v4.reads(text)
-    # Written again it is the same: nothing of one run or one editor is kept in it.
+    # Writing it again changes nothing: it contains no output and no editor metadata.
     assert v4.writes(notebook) + "\n" == text
     return notebook
 
 
-def test_the_tutorial_is_kept_without_what_one_run_put_out() -> None:
+def test_the_tutorial_is_stored_without_outputs() -> None:
     for number, cell in enumerate(read().cells):
         assert cell.id == f"cell-{number + 1:02}"
         if cell.cell_type == "code":
@@ -36,7 +36,7 @@ def test_the_tutorial_is_kept_without_what_one_run_put_out() -> None:
 
 
 def installed_with(package: str, extra: str) -> dict[str, metadata.Distribution]:
-    """The distributions that `pip install package[extra]` brings, by their names."""
+    """The names of the distributions that `pip install package[extra]` installs."""
     found: dict[str, metadata.Distribution] = {}
     wanted, seen = [(package, extra)], set()
     while wanted:
@@ -53,7 +53,7 @@ def installed_with(package: str, extra: str) -> dict[str, metadata.Distribution]
     return found
 
 
-def test_the_notebook_extra_brings_what_opens_and_runs_the_tutorial() -> None:
+def test_the_notebook_extra_installs_what_the_tutorial_needs() -> None:
     found = installed_with("jostle", "notebook")
     programs = {
         entry.name
@@ -73,6 +73,7 @@ def test_the_notebook_extra_brings_what_opens_and_runs_the_tutorial() -> None:
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
+@pytest.mark.slow
 def test_the_tutorial_runs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("JOSTLED", str(JOSTLED))
     notebook = read()
@@ -84,7 +85,7 @@ def test_the_tutorial_runs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> N
     kinds = []
     for cell in notebook.cells:
         for output in cell.get("outputs", []):
-            # What is only warned of would be there as well.
+            # Warnings would be in the output as well.
             assert output.get("name") != "stderr", output.text
             kinds += list(output.get("data", {}))
     assert kinds.count("image/png") == 4
@@ -94,7 +95,7 @@ def test_the_tutorial_runs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> N
         for output in cell.get("outputs", [])
         if "<svg" in output.get("data", {}).get("text/html", "")
     ]
-    # At the start, in the view, and going east in the end.
+    # Pictures at the start, in the view, and of the group moving east.
     assert len(pictures) == 3
     assert "step 2000" in pictures[1]
     assert "10 informed" in pictures[2]

@@ -1,4 +1,4 @@
-"""The package as it is installed: a wheel that has all it needs, and the types."""
+"""The installed package: a complete wheel, with types."""
 
 from __future__ import annotations
 
@@ -20,6 +20,8 @@ import pytest
 
 from conftest import JOSTLED
 
+pytestmark = pytest.mark.slow
+
 FOLDER = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((FOLDER / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 VERSION = PROJECT["version"]
@@ -37,7 +39,7 @@ def pip(*arguments: str | Path) -> None:
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("wheel")
-    # What builds it is there already: nothing is fetched.
+    # The build backend is installed: nothing is downloaded.
     pip("wheel", "--no-deps", "--no-build-isolation", "-w", folder, FOLDER)
     (made,) = folder.glob("*.whl")
     return made
@@ -48,24 +50,24 @@ def test_the_wheel_has_the_package_its_types_and_nothing_else(wheel: Path) -> No
     with zipfile.ZipFile(wheel) as archive:
         files = {it for it in archive.namelist() if ".dist-info/" not in it}
         (metadata,) = [it for it in archive.namelist() if it.endswith("/METADATA")]
-        told = email.message_from_bytes(archive.read(metadata))
+        headers = email.message_from_bytes(archive.read(metadata))
     source = FOLDER / "src"
     assert files == {
         str(it.relative_to(source)) for it in source.rglob("*") if it.suffix in (".py", ".typed")
     }
     assert "jostle/py.typed" in files
-    extras = {"pandas", "matplotlib", "notebook", "progress", "recording", "dask", "search", "env"}
-    assert extras <= set(told.get_all("Provides-Extra", []))
-    needs = [it for it in told.get_all("Requires-Dist", []) if "extra ==" not in it]
+    extras = {"pandas", "matplotlib", "notebook", "recording", "dask", "search", "env"}
+    assert extras <= set(headers.get_all("Provides-Extra", []))
+    needs = [it for it in headers.get_all("Requires-Dist", []) if "extra ==" not in it]
     assert sorted(it.split("~")[0].split(">")[0] for it in needs) == [
-        *("cbor2", "eclipse-zenoh", "msgspec", "numpy")
+        *("cbor2", "eclipse-zenoh", "msgspec", "numpy", "tomli-w")
     ]
-    body = told.get_payload()
+    body = headers.get_payload()
     assert isinstance(body, str)
     assert body.startswith("# jostle for Python")
 
 
-def test_what_is_installed_works_and_is_typed(wheel: Path, tmp_path: Path) -> None:
+def test_the_installed_package_works_and_is_typed(wheel: Path, tmp_path: Path) -> None:
     site = tmp_path / "site"
     pip("install", "--no-deps", "--target", site, wheel)
     program = tmp_path / "program.py"
@@ -92,7 +94,7 @@ def test_what_is_installed_works_and_is_typed(wheel: Path, tmp_path: Path) -> No
     )
     assert (ran.returncode, ran.stderr) == (0, "")
     assert ran.stdout == f"{site / 'jostle' / '__init__.py'} 0.1\n"
-    # As a user's own program is checked, who has no more than the package.
+    # As the type checker runs on a user's program.
     checked = subprocess.run(
         [sys.executable, "-m", "mypy", "--strict", "--cache-dir", tmp_path / "cache", program],
         cwd=tmp_path,
@@ -181,7 +183,7 @@ def test_the_wheel_with_programs_needs_nothing_else_and_leaves_nothing(
         program = environment.folder / "bin" / name
         done = subprocess.run([program, "--version"], capture_output=True, text=True, check=True)
         assert done.stdout.startswith(f"{name} {VERSION}")
-        # The symbols, of which these programs have tens of megabytes, are gone.
+        # The debug symbols of these programs, tens of megabytes, are stripped.
         assert program.stat().st_size < JOSTLED.with_name(name).stat().st_size
     licences = environment.folder / "share" / "doc" / "jostle" / "third-party.txt"
     assert licences.read_bytes() == (FOLDER / "LICENSE-MIT").read_bytes()
@@ -189,12 +191,12 @@ def test_the_wheel_with_programs_needs_nothing_else_and_leaves_nothing(
     assert environment.files() == before
 
 
-def test_an_installation_without_its_program_says_so(programs: Path, tmp_path: Path) -> None:
+def test_an_installation_without_its_program_is_an_error(programs: Path, tmp_path: Path) -> None:
     environment = Environment(tmp_path / "venv")
     environment.pip("install", "--no-deps", programs)
     program = environment.folder / "bin" / "jostled"
     program.chmod(0o644)
-    # The superuser may not start it either.
+    # Not even root can start it.
     ran = environment.run(STEP)
     assert ran.returncode == 1
     assert f"{str(program)!r} is not a file that this user can execute" in ran.stderr
@@ -216,13 +218,13 @@ def test_the_installed_program_precedes_one_on_the_path(
     environment.pip("install", "--no-deps", programs)
     ran = environment.run(STEP)
     assert (ran.returncode, ran.stdout) == (0, "0.1\n"), ran.stderr
-    # The package alone takes what is on the path, and warns of another version.
+    # The package without programs uses the one on the path, and warns about another version.
     environment.pip("install", "--no-deps", "--force-reinstall", wheel)
     ran = environment.run(STEP)
     assert ran.returncode == 1
     warned = f"{other / 'jostled'} on the PATH has version 9.9.9 and this package {VERSION}"
     assert warned in ran.stderr
-    # Without any, the remedy names the wheel; everything else works.
+    # Without a program the remedy names the wheel; everything else works.
     environment.environ["PATH"] = str(tmp_path / "empty")
     ran = environment.run(STEP)
     assert ran.returncode == 1
@@ -256,7 +258,9 @@ def test_pip_rejects_the_wheel_where_glibc_is_older(
     assert f"{made.name} is not a supported wheel on this platform" in str(failed.value.stderr)
 
 
-def test_a_program_that_does_not_start_says_why(programs: Path, tmp_path: Path) -> None:
+def test_a_program_that_does_not_start_is_an_error_with_the_reason(
+    programs: Path, tmp_path: Path
+) -> None:
     environment = Environment(tmp_path / "venv")
     environment.pip("install", "--no-deps", programs)
     program = environment.folder / "bin" / "jostled"
@@ -266,7 +270,7 @@ def test_a_program_that_does_not_start_says_why(programs: Path, tmp_path: Path) 
     program.write_bytes(binary.replace(b"\0GLIBC_2." + newest + b"\0", b"\0GLIBC_2.99\0"))
     ran = environment.run(STEP)
     assert ran.returncode == 1
-    assert "the daemon ended with 1 and did not start; it says:\n" in ran.stderr
+    assert "the daemon ended with 1 and did not start; its log ends with:\n" in ran.stderr
     assert re.search(r"version `GLIBC_2\.99' not found", ran.stderr), ran.stderr
 
 
@@ -277,7 +281,7 @@ def test_a_folder_without_rights_is_an_error(programs: Path, tmp_path: Path) -> 
     folder.mkdir()
     folder.chmod(0o555)
     source = STEP.replace("local()", f"local({str(folder / 'kept')!r})")
-    # With this capability the superuser may write everywhere.
+    # With this capability root can write everywhere.
     setpriv = shutil.which("setpriv")
     assert setpriv is not None
     limits = (f"--{name}=-dac_override" for name in ("bounding-set", "inh-caps"))

@@ -1,4 +1,4 @@
-"""Viewers who come and go, some dozens in a process; run as a module, this is such a process."""
+"""Viewers that subscribe and leave, some dozens in a process; as a module, one such process."""
 
 from __future__ import annotations
 
@@ -17,27 +17,29 @@ from typing import Any
 import cbor2
 import zenoh
 
-from jostle._link import open_session
+from jostle._connect import open_zenoh
+
+from .controller_process import stdin_closed
 
 _PROCESSES = 4
-# How long one looks at a swarm, and how long until the next one comes in its place.
-_STAYS_SECS = (5.0, 40.0)
-_IS_AWAY_SECS = (0.5, 4.0)
+# How long one subscribes to a swarm, and how long until the next one takes its place.
+_SUBSCRIBED_SECS = (5.0, 40.0)
+_AWAY_SECS = (0.5, 4.0)
 
 
 @dataclass
-class Seen:
-    """What the viewers of one process saw.
+class ViewerRecord:
+    """What the viewers of one process received.
 
     Attributes:
         visits: Sessions opened.
-        failed: Sessions that found nobody.
+        failed: Sessions that could not be opened.
         states: States received.
-        missed: States that their numbers say were published and not received.
-        epochs: How often a viewer saw an epoch begin while it looked on.
-        back: Where steps or epochs went back: swarm, epoch and step before and after.
-        twins: The bodies of each twin: step and a check sum of all columns.
-        apart: Steps at which twins were seen with different bodies.
+        missed: States that were published but not received, by their frame numbers.
+        epochs: How often an epoch began while a viewer was subscribed.
+        back: Where a step or an epoch decreased: swarm, epoch and step before and after.
+        twins: For each twin and step a checksum of the bodies.
+        apart: Steps at which one twin had two different checksums.
     """
 
     visits: int = 0
@@ -50,21 +52,21 @@ class Seen:
     apart: list[int] = field(default_factory=list)
 
 
-class Visit:
-    """One viewer of one swarm."""
+class Viewer:
+    """One subscriber of one swarm."""
 
-    def __init__(self, session: zenoh.Session, swarm: str, seen: Seen) -> None:
+    def __init__(self, session: zenoh.Session, swarm: str, seen: ViewerRecord) -> None:
         self._session = session
         self._swarm = swarm
         self._seen = seen
         self._last: tuple[int, int, int] | None = None
-        self._subscriber = session.declare_subscriber(f"jostle/{swarm}/state", self._see)
+        self._subscriber = session.declare_subscriber(f"jostle/{swarm}/state", self._receive)
 
     def end(self) -> None:
-        """Goes."""
+        """Closes the session."""
         self._session.close()
 
-    def _see(self, sample: zenoh.Sample) -> None:
+    def _receive(self, sample: zenoh.Sample) -> None:
         state = cbor2.loads(sample.payload.to_bytes())
         epoch, step, frame = state["epoch"], state["step"], state["frame"]
         seen = self._seen
@@ -85,49 +87,51 @@ class Visit:
                 seen.apart.append(step)
 
 
-def look_on(endpoint: str, swarms: list[str], count: int, seed: str, over: threading.Event) -> Seen:
-    """Has so many viewers come and go until told to end."""
-    dice = random.Random(seed)
-    seen = Seen()
+def run_viewers(
+    endpoint: str, swarms: list[str], count: int, seed: str, over: threading.Event
+) -> ViewerRecord:
+    """Keeps `count` viewers subscribing and leaving until `over` is set."""
+    rng = random.Random(seed)
+    seen = ViewerRecord()
     now = time.monotonic()
-    # Who is to do something when: a visit to end, or none and somebody comes.
-    due: list[tuple[float, int, Visit | None]] = [
-        (now + dice.uniform(0.0, 5.0), number, None) for number in range(count)
+    # For each viewer the time of its next action: to leave, or if it is None to subscribe.
+    due: list[tuple[float, int, Viewer | None]] = [
+        (now + rng.uniform(0.0, 5.0), number, None) for number in range(count)
     ]
     heapq.heapify(due)
     while not over.wait(max(0.0, due[0][0] - time.monotonic())):
-        _, number, visit = heapq.heappop(due)
-        if visit is None:
-            swarm = dice.choice(swarms)
+        _, number, viewer = heapq.heappop(due)
+        if viewer is None:
+            swarm = rng.choice(swarms)
             try:
-                visit = Visit(open_session(endpoint, 2.0), swarm, seen)
+                viewer = Viewer(open_zenoh(endpoint, 2.0), swarm, seen)
                 seen.visits += 1
             except Exception:
                 seen.failed += 1
-            rest = dice.uniform(*(_IS_AWAY_SECS if visit is None else _STAYS_SECS))
+            rest = rng.uniform(*(_AWAY_SECS if viewer is None else _SUBSCRIBED_SECS))
         else:
-            visit.end()
-            visit = None
-            rest = dice.uniform(*_IS_AWAY_SECS)
-        heapq.heappush(due, (time.monotonic() + rest, number, visit))
-    for _, _, visit in due:
-        if visit is not None:
-            visit.end()
+            viewer.end()
+            viewer = None
+            rest = rng.uniform(*_AWAY_SECS)
+        heapq.heappush(due, (time.monotonic() + rest, number, viewer))
+    for _, _, viewer in due:
+        if viewer is not None:
+            viewer.end()
     return seen
 
 
-class Crowd:
-    """All viewers."""
+class Viewers:
+    """The processes of all viewers."""
 
     def __init__(self, endpoint: str, swarms: list[str], count: int, seed: int, work: Path) -> None:
-        self._told = [work / f"viewers-{k}.json" for k in range(_PROCESSES)]
-        # Twins are looked at more than others, for what is seen of one holds for the other.
+        self._outputs = [work / f"viewers-{k}.json" for k in range(_PROCESSES)]
+        # Twins are chosen more often, so that both are seen at the same steps.
         chosen = [*swarms, *(name for name in swarms if name.startswith("twin-"))]
         self._processes = []
-        for k, told in enumerate(self._told):
+        for k, path in enumerate(self._outputs):
             share = str(count // _PROCESSES + (k < count % _PROCESSES))
-            command = [sys.executable, "-m", "day.viewers", endpoint, ",".join(chosen)]
-            with told.open("wb") as output, told.with_suffix(".err").open("wb") as errors:
+            command = [sys.executable, "-m", "chaos.viewers", endpoint, ",".join(chosen)]
+            with path.open("wb") as output, path.with_suffix(".err").open("wb") as errors:
                 self._processes.append(
                     subprocess.Popen(
                         [*command, share, f"{seed} {k}"],
@@ -138,44 +142,38 @@ class Crowd:
                     )
                 )
 
-    def finish(self) -> list[Seen]:
-        """Has all of them go, and tells what they saw."""
+    def finish(self) -> list[ViewerRecord]:
+        """Ends all viewers and returns what they received."""
         for process in self._processes:
             assert process.stdin is not None
             process.stdin.close()
         for process in self._processes:
             process.wait(60.0)
-        return [_read(told) for told in self._told]
+        return [_read(path) for path in self._outputs]
 
     def end(self) -> None:
-        """Has all of them gone at once."""
+        """Kills the processes that still run."""
         for process in self._processes:
             if process.poll() is None:
                 process.kill()
                 process.wait()
 
 
-def _read(told: Path) -> Seen:
-    text = told.read_text()
-    assert text, told.with_suffix(".err").read_text()
+def _read(path: Path) -> ViewerRecord:
+    text = path.read_text()
+    assert text, path.with_suffix(".err").read_text()
     fields = json.loads(text)
     fields["twins"] = {
         swarm: {int(step): bodies for step, bodies in steps.items()}
         for swarm, steps in fields["twins"].items()
     }
-    return Seen(**fields)
+    return ViewerRecord(**fields)
 
 
 def _main() -> None:
     endpoint, swarms, count, seed = sys.argv[1:]
-    over = threading.Event()
-
-    def wait() -> None:
-        sys.stdin.read()
-        over.set()
-
-    threading.Thread(target=wait, daemon=True).start()
-    print(json.dumps(asdict(look_on(endpoint, swarms.split(","), int(count), seed, over))))
+    record = run_viewers(endpoint, swarms.split(","), int(count), seed, stdin_closed())
+    print(json.dumps(asdict(record)))
 
 
 if __name__ == "__main__":

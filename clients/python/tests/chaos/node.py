@@ -1,4 +1,4 @@
-"""The daemon, and its lives one after the other on one folder and port."""
+"""The daemon, and its successive runs on one data folder and port."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ import urllib.request
 from dataclasses import dataclass
 from pathlib import Path
 
-# How long a daemon may take to listen before the day is given up.
-_PATIENCE_SECS = 20.0
+# A daemon that does not listen within this time fails the test.
+_TIMEOUT_SECS = 20.0
 
 
 @dataclass
-class Life:
-    """A daemon from its start to its end; times are of the monotonic clock.
+class Run:
+    """One process of the daemon, from its start to its end; times are of the monotonic clock.
 
     Attributes:
         number: From 1.
-        pid: Its process.
+        pid: Its process id.
         began: When it was started.
-        listening: When it said that it listens.
-        ended: When it was gone; None while it is there.
+        listening: When it printed that it listens.
+        ended: When it had ended; None while it runs.
         how: How it ended: `killed`, or `stopped` with an exit code.
     """
 
@@ -38,106 +38,106 @@ class Life:
 
 
 class Node:
-    """A `jostled serve`, to be killed and started again."""
+    """A `jostled serve` that can be killed and restarted."""
 
     def __init__(self, jostled: Path, data: Path, work: Path) -> None:
         self.jostled = jostled
         self.data = data
         self.log = work / "jostled.log"
-        self._said = work / "jostled.out"
+        self._output = work / "jostled.out"
         self._listen, self._http = (f"127.0.0.1:{port}" for port in free_ports(2))
         self.endpoint = f"tcp/{self._listen}"
-        self.lives: list[Life] = []
+        self.runs: list[Run] = []
         self._process: subprocess.Popen[bytes] | None = None
 
-    def start(self) -> Life:
+    def start(self) -> Run:
         """Starts it and waits until it listens."""
         command: list[str | Path] = [
             self.jostled,
             "serve",
             "--node",
-            "lab",
+            "chaos",
             "--listen",
             self.endpoint,
         ]
         command += ["--http", self._http, "--data-dir", self.data, "--experiment-threads", "1"]
         began = time.monotonic()
-        with self.log.open("ab") as log, self._said.open("wb") as said:
-            # Ctrl-C is for the day, which ends it.
+        with self.log.open("ab") as log, self._output.open("wb") as output:
+            # In a session of its own, so that Ctrl-C reaches the test alone, which ends it.
             process = subprocess.Popen(
                 command,
                 stdin=subprocess.DEVNULL,
-                stdout=said,
+                stdout=output,
                 stderr=log,
                 start_new_session=True,
             )
         self._process = process
-        while not re.search(rb"listening on \S+\n", self._said.read_bytes()):
-            if process.poll() is not None or time.monotonic() - began > _PATIENCE_SECS:
+        while not re.search(rb"listening on \S+\n", self._output.read_bytes()):
+            if process.poll() is not None or time.monotonic() - began > _TIMEOUT_SECS:
                 raise AssertionError(f"jostled does not listen: {self.log.read_text()[-2000:]}")
             time.sleep(0.002)
-        life = Life(len(self.lives) + 1, process.pid, began, time.monotonic())
-        self.lives.append(life)
-        return life
+        run = Run(len(self.runs) + 1, process.pid, began, time.monotonic())
+        self.runs.append(run)
+        return run
 
     def kill(self) -> None:
-        """Ends it where it stands."""
+        """Kills it with SIGKILL."""
         assert self._process is not None
         self._process.kill()
         self._process.wait()
-        self.lives[-1].ended, self.lives[-1].how = time.monotonic(), "killed"
+        self.runs[-1].ended, self.runs[-1].how = time.monotonic(), "killed"
 
     def stop(self) -> int:
-        """Asks it to stop, and tells its exit code."""
+        """Stops it with SIGTERM and returns its exit code."""
         assert self._process is not None
         self._process.terminate()
-        code = self._process.wait(_PATIENCE_SECS)
-        self.lives[-1].ended, self.lives[-1].how = time.monotonic(), f"stopped with {code}"
+        code = self._process.wait(_TIMEOUT_SECS)
+        self.runs[-1].ended, self.runs[-1].how = time.monotonic(), f"stopped with {code}"
         return code
 
     def end(self) -> None:
-        """Has it gone, whatever state it is in."""
+        """Kills it if it still runs."""
         if self._process is not None and self._process.poll() is None:
             self._process.kill()
             self._process.wait()
 
     def is_up(self) -> bool:
-        """Whether there is one that was not killed."""
-        return bool(self.lives) and self.lives[-1].ended is None
+        """Whether the daemon runs."""
+        return bool(self.runs) and self.runs[-1].ended is None
 
     def down(self) -> list[tuple[float, float]]:
-        """From when until when there was none."""
+        """The intervals in which no daemon listened."""
         return [
             (before.ended, after.listening)
-            for before, after in zip(self.lives, self.lives[1:], strict=False)
+            for before, after in zip(self.runs, self.runs[1:], strict=False)
             if before.ended is not None
         ]
 
     def health(self) -> list[str] | None:
-        """Why it is not healthy, by code; None if it does not answer."""
+        """The codes of why it is unhealthy; None if there is no response."""
         try:
-            said = self._fetch("healthz")
+            body = self._fetch("healthz")
         except urllib.error.HTTPError as error:
-            said = error.read()
+            body = error.read()
         except OSError:
             return None
-        return [reason["code"] for reason in json.loads(said)["reasons"]]
+        return [reason["code"] for reason in json.loads(body)["reasons"]]
 
     def metrics(self) -> str | None:
-        """What it tells Prometheus; None if it does not answer."""
+        """Its metrics as text; None if there is no response."""
         try:
             return self._fetch("metrics").decode()
         except OSError:
             return None
 
     def _fetch(self, page: str) -> bytes:
-        with urllib.request.urlopen(f"http://{self._http}/{page}", timeout=5.0) as answer:
-            said: bytes = answer.read()
-            return said
+        with urllib.request.urlopen(f"http://{self._http}/{page}", timeout=5.0) as response:
+            body: bytes = response.read()
+            return body
 
 
 def free_ports(count: int) -> list[int]:
-    """Ports that nobody listens on yet."""
+    """Ports on which no process listens yet."""
     sockets = [socket.socket() for _ in range(count)]
     try:
         for free in sockets:

@@ -1,4 +1,4 @@
-"""A place of the day's own: its processes end with it, and its disk is as small as needed."""
+"""Runs the test in PID and mount namespaces of its own, with a small disk for the daemon."""
 
 from __future__ import annotations
 
@@ -14,49 +14,49 @@ from pathlib import Path
 
 import needs
 
-_IN_IT = "JOSTLE_DAY_APART"
+_INSIDE = "JOSTLE_CHAOS_INSIDE"
 _UNSHARE = ["unshare", "--mount", "--pid", "--fork", "--kill-child", "--mount-proc"]
 
 
 def enter() -> int | Path:
-    """Begins this program again where its processes and mounts are its own.
+    """Restarts this program in PID and mount namespaces of its own.
 
-    Whatever ends this process, the kernel ends there everything that the day has started.
+    However this process ends, the kernel then kills all processes of the test.
 
     Returns:
-        The exit code of what was begun; in there, the folder to work in.
+        In the new namespaces the folder to work in; outside the exit code of that program.
     """
-    if _IN_IT in os.environ:
-        return Path(os.environ[_IN_IT])
+    if _INSIDE in os.environ:
+        return Path(os.environ[_INSIDE])
     unshare = _UNSHARE if os.geteuid() == 0 else [*_UNSHARE, "--map-root-user"]
     if (
         shutil.which("unshare") is None
         or subprocess.run([*unshare, "true"], capture_output=True, check=False).returncode != 0
     ):
-        if needs.may_skip("mount", "a day in a lab"):
+        if needs.may_skip("mount", "the chaos test"):
             print("skipped, needs mount", flush=True)
             return 0
         print(needs.refusal("mount", "run it where `unshare --mount` works"), file=sys.stderr)
         return 1
-    command = [*unshare, sys.executable, "-m", "day", *sys.argv[1:]]
+    command = [*unshare, sys.executable, "-m", "chaos", *sys.argv[1:]]
     with (
-        tempfile.TemporaryDirectory(prefix="jostle-day-") as work,
-        subprocess.Popen(command, env={**os.environ, _IN_IT: work}) as inner,
+        tempfile.TemporaryDirectory(prefix="jostle-chaos-") as work,
+        subprocess.Popen(command, env={**os.environ, _INSIDE: work}) as inner,
     ):
 
         def end(number: int, frame: types.FrameType | None) -> None:
-            # Its first process goes, and with it the others.
+            # The kernel kills all processes of a PID namespace with its first one.
             inner.kill()
 
         signal.signal(signal.SIGTERM, end)
         while True:
-            # Ctrl-C reaches the one within as well, which then ends by itself.
+            # Ctrl-C also reaches the inner process, which then ends.
             with contextlib.suppress(KeyboardInterrupt):
                 return inner.wait()
 
 
 class Disk:
-    """A small disk of the daemon's."""
+    """A small disk for the data of the daemon."""
 
     def __init__(self, path: Path, megabytes: int) -> None:
         self.path = path
@@ -66,11 +66,11 @@ class Disk:
         subprocess.run(["mount", "-t", "tmpfs", "-o", size, "none", path], check=True)
 
     def used_megabytes(self) -> float:
-        """What is on it."""
+        """The space in use."""
         return shutil.disk_usage(self.path).used / 2**20
 
     def fill(self) -> None:
-        """Leaves no byte."""
+        """Uses up the free space to the byte."""
         with (self.path / "ballast").open("ab", buffering=0) as ballast:
             for size in (65536, 4096, 1):
                 with contextlib.suppress(OSError):
@@ -78,5 +78,5 @@ class Disk:
                         pass
 
     def free(self) -> None:
-        """Leaves room again."""
+        """Frees the space that `fill` used up."""
         (self.path / "ballast").unlink(missing_ok=True)
