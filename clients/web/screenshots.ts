@@ -1,11 +1,12 @@
 /**
  * Makes the README's pictures of the page: `JOSTLED=… npm run screenshots [-- FOLDER]`.
  *
- * A daemon of its own runs a few swarms; what they do is the same each time, the moment is not.
+ * It starts a daemon with a few seeded swarms: their motion is reproducible, the moment of a picture is not.
  */
 import { mkdirSync } from "node:fs";
 import { join } from "node:path";
 import type { Browser } from "playwright-core";
+import { ANIMATIONS } from "./src/pages/animations.ts";
 import { launch, openTab, until } from "./tests/browser/browser.ts";
 import { Daemon } from "./tests/browser/daemon.ts";
 
@@ -17,7 +18,9 @@ interface Shot {
   dark?: boolean;
   keys?: string[];
   watching?: boolean;
-  /** How long to look first, for charts and trails to have something to show. */
+  /** Whether all animations of the gallery run. */
+  animations?: boolean;
+  /** The time before the picture is taken, in which charts and trails grow. */
   wait_ms?: number;
 }
 
@@ -48,7 +51,14 @@ const SHOTS: Shot[] = [
     wait_ms: 6000,
   },
   { file: "page-swarms.png", hash: "/", width: 1280, height: 800, wait_ms: 15_000 },
-  { file: "page-gallery.png", hash: "/gallery", width: 1280, height: 800 },
+  {
+    file: "page-gallery.png",
+    hash: "/gallery",
+    width: 1280,
+    height: 800,
+    animations: true,
+    wait_ms: 4000,
+  },
   {
     file: "page-animation.png",
     hash: "/gallery/animation-1",
@@ -94,21 +104,36 @@ async function populate(daemon: Daemon): Promise<void> {
   await daemon.command("thousand", "run");
 }
 
+/** Creates and runs the animations that do not exist yet. */
+async function animate(daemon: Daemon): Promise<void> {
+  for (const { swarm, spec, informed } of ANIMATIONS.filter((it) => it.swarm !== "animation-1")) {
+    await daemon.create(swarm, spec);
+    if (informed > 0) {
+      await daemon.command(swarm, "inform", { select: { count: informed }, direction: 0 });
+    }
+    await daemon.command(swarm, "step", { steps: 1000 });
+    await daemon.command(swarm, "run");
+  }
+}
+
 async function take(browser: Browser, daemon: Daemon, folder: string, shot: Shot): Promise<void> {
+  if (shot.animations) {
+    await animate(daemon);
+  }
   const tab = await openTab(browser, {
     viewport: { width: shot.width, height: shot.height },
     colorScheme: shot.dark ? "dark" : "light",
   });
   const { page } = tab;
   await page.goto(
-    shot.watching ? `${daemon.told.http}/#${shot.hash}` : `${daemon.link}&${shot.hash}`,
+    shot.watching ? `${daemon.addresses.http}/#${shot.hash}` : `${daemon.link}&${shot.hash}`,
   );
   await page.locator("h1").first().waitFor();
   for (const key of shot.keys ?? []) {
     await page.keyboard.press(key);
   }
   await page.waitForTimeout(shot.wait_ms ?? 1500);
-  await until("nothing to complain of", async () => tab.errors.length === 0, 1);
+  await until("no errors", async () => tab.errors.length === 0, 1);
   await page.screenshot({ path: join(folder, shot.file) });
   await tab.close();
 }

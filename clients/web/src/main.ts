@@ -1,16 +1,16 @@
-/** The page that jostled serves. */
+/** Entry point of the page that jostled serves. */
 import "./style/page.css";
 import { galleryPage } from "./pages/gallery.ts";
 import { listPage } from "./pages/list.ts";
 import { swarmPage } from "./pages/swarm.ts";
-import { announcements } from "./parts/announce.ts";
-import { el, say } from "./parts/dom.ts";
-import { openHelp } from "./parts/help.ts";
-import { icon } from "./parts/icons.ts";
-import { type Page, parseRoute } from "./parts/router.ts";
-import { Session } from "./parts/session.ts";
-import { isDark, onTheme, startTheme, switchTheme } from "./parts/theme.ts";
-import { openTokenDialog, remedy } from "./parts/token_dialog.ts";
+import { announcements } from "./ui/announce.ts";
+import { button, el, setText } from "./ui/dom.ts";
+import { openHelp } from "./ui/help.ts";
+import { icon } from "./ui/icons.ts";
+import { type Page, parseRoute } from "./ui/router.ts";
+import { Session } from "./ui/session.ts";
+import { isDark, onTheme, startTheme, switchTheme } from "./ui/theme.ts";
+import { openTokenDialog, remedy } from "./ui/token_dialog.ts";
 import { findToken } from "./wire/token.ts";
 
 findToken();
@@ -19,18 +19,12 @@ startTheme();
 const session = new Session();
 const main = el("main", { id: "main", tabindex: "-1" });
 const links = [el("a", { href: "#/" }, "Swarms"), el("a", { href: "#/gallery" }, "Gallery")];
-const rights = el("button", { type: "button", class: "rights" });
-const theme = el("button", { type: "button", class: "plain" });
-const help = el(
-  "button",
-  { type: "button", class: "plain", "aria-label": "help", title: "help (?)" },
-  "?",
-);
-const away = el("div", { class: "away", role: "status", hidden: true });
-
-rights.addEventListener("click", () => openTokenDialog(session));
-theme.addEventListener("click", switchTheme);
-help.addEventListener("click", openHelp);
+const rights = button("", () => openTokenDialog(session), "rights");
+const theme = button("", switchTheme, "plain");
+const help = button("?", openHelp, "plain");
+help.setAttribute("aria-label", "help");
+help.title = "help (?)";
+const connectionNotice = el("div", { class: "notice", role: "status", hidden: true });
 
 document.body.append(
   el(
@@ -43,7 +37,7 @@ document.body.append(
         main.focus();
       },
     },
-    "to the content",
+    "Skip to the content",
   ),
   el(
     "header",
@@ -54,7 +48,7 @@ document.body.append(
     theme,
     help,
   ),
-  away,
+  connectionNotice,
   main,
   announcements(),
 );
@@ -69,26 +63,26 @@ function showTheme(): void {
 
 session.onChange(() => {
   const sign = session.mayCommand ? "●" : "○";
-  const mayLook = session.mayWatch ? "watching only" : "not known";
+  const mayLook = session.mayWatch ? "watch only" : "no access";
   const may = session.mayCommand ? "may command" : mayLook;
   const words = session.person === null ? may : `${session.person}, ${session.hello?.role}`;
   rights.replaceChildren(sign, el("span", {}, words));
   rights.setAttribute("aria-label", words);
-  const title = session.knowsPeople ? "who this tab is" : "how to command";
-  rights.title = session.mayCommand ? "this tab has a token that may command" : title;
-  tellAway();
+  const title = session.hasUsers ? "your access" : "how to get permission to send commands";
+  rights.title = session.mayCommand ? "this tab may send commands" : title;
+  showConnection();
 });
-session.live.listen({ connection: tellAway });
+session.live.listen({ connection: showConnection });
 
-function tellAway(): void {
-  const isAway = session.live.connection === "away";
-  away.hidden = !isAway;
-  if (!isAway) {
-    say(away, "");
+function showConnection(): void {
+  const isLost = session.live.connection === "lost";
+  connectionNotice.hidden = !isLost;
+  if (!isLost) {
+    setText(connectionNotice, "");
   } else if (session.mayWatch) {
-    say(away, "The daemon is away, trying again …");
+    setText(connectionNotice, "No connection to the daemon, reconnecting …");
   } else {
-    away.replaceChildren(...remedy(session));
+    connectionNotice.replaceChildren(...remedy(session));
   }
 }
 
@@ -112,10 +106,10 @@ function open(): void {
   scrollTo(0, 0);
 }
 
-/** Keys that belong to whatever has the focus. */
+/** Whether the focused element handles the key itself. */
 function isTyped({ target, key }: KeyboardEvent): boolean {
   const element = target as Element;
-  // Esc ends a mode of the picture from a field of the page, too.
+  // Esc in a field also cancels a mode of the picture.
   if (key === "Escape" && !element.closest("dialog")) {
     return false;
   }
@@ -143,7 +137,7 @@ addEventListener("keydown", (event) => {
 });
 addEventListener("hashchange", () => {
   findToken();
-  void session.ask();
+  void session.refresh();
   open();
 });
 

@@ -14,7 +14,7 @@ import {
 const close = (a: number, b: number, within = 1e-12) =>
   assert(Math.abs(a - b) <= within, `${a} is not ${b}`);
 
-/** Numbers that look random and are the same every time (mulberry32). */
+/** A seeded random generator (mulberry32). */
 function draws(seed: number): () => number {
   let state = seed;
   return () => {
@@ -56,7 +56,7 @@ test("a head against a side touches where the cap meets it", () => {
   close(y, -body.radius);
 });
 
-test("bodies side by side meet in the middle of what they share", () => {
+test("bodies side by side meet in the middle of their common length", () => {
   const body = bodyOf(4);
   const [x, y] = meetingPoint(0.4, 2 * body.radius, 0, 0, body);
   close(x, 0.2);
@@ -69,7 +69,7 @@ test("crossing axes are the deepest overlap, and discs measure their centres", (
   close(gap(0.6, 0.8, 1, 2, bodyOf(1)), 0);
 });
 
-test("a gap does not depend on who of the two is first, nor on where they are", () => {
+test("a gap is symmetric in the two bodies", () => {
   const draw = draws(3);
   const body = bodyOf(4);
   for (let k = 0; k < 200; k += 1) {
@@ -78,7 +78,7 @@ test("a gap does not depend on who of the two is first, nor on where they are", 
   }
 });
 
-test("the grid finds the pairs that trying all finds", () => {
+test("the grid finds the same pairs as trying all pairs", () => {
   for (const pi1 of [1, 4, 8]) {
     const body = bodyOf(pi1);
     const bodies = someBodies(120, 9, pi1);
@@ -104,7 +104,7 @@ function tryAll({ x, y, alpha }: Bodies, body: Body): Set<string> {
   return found;
 }
 
-test("clusters hang together through others, and who is alone is in none", () => {
+test("clusters are connected components, and isolated bodies are in none", () => {
   const pairs = Uint32Array.from([0, 1, 4, 5, 1, 2, 5, 6, 6, 7]);
   assert.deepEqual(findClusters(9, pairs), [
     [4, 5, 6, 7],
@@ -128,7 +128,7 @@ test("a lasso encloses by the even-odd rule, also one with a dent", () => {
   assert.deepEqual(enclosed([0, 0, 4, 4], bodies), []);
 });
 
-test("a click meets the nearest body, and nobody when it is far from all", () => {
+test("a click selects the nearest body, and none when it is far from all", () => {
   const body = bodyOf(4);
   const bodies = {
     x: Float64Array.from([0, 1]),

@@ -6,16 +6,16 @@ import { join } from "node:path";
 import { test } from "node:test";
 import { describe } from "../src/panels/events.ts";
 import {
-  alone,
   History,
-  MOST_POINTS,
+  isolated,
+  MAX_POINTS,
   momentOfOrder,
   momentOfState,
 } from "../src/panels/history.ts";
 import { rangeOf } from "../src/panels/ranges.ts";
-import { degrees, fixed, rates, short, signed } from "../src/parts/format.ts";
-import { parseRoute } from "../src/parts/router.ts";
-import { linkCommand } from "../src/parts/session.ts";
+import { degrees, fixed, rates, short, signed } from "../src/ui/format.ts";
+import { parseRoute } from "../src/ui/router.ts";
+import { linkCommand } from "../src/ui/session.ts";
 import type { Hello, OrderMessage, Parameter, Reply, SwarmEvent } from "../src/wire/messages.ts";
 import { decodeState } from "../src/wire/state.ts";
 
@@ -23,7 +23,7 @@ const FIXTURES = new URL("../../../../proto/fixtures/", import.meta.url);
 const bytes = (name: string) => readFileSync(new URL(name, FIXTURES));
 const json = <T>(name: string) => JSON.parse(bytes(name).toString()) as T;
 
-test("a state in CBOR is the one that its JSON shows, to the bit", () => {
+test("a state in CBOR equals the one in JSON, bit for bit", () => {
   const state = decodeState(bytes("state.cbor"));
   const shown = json<Record<string, unknown>>("state.json");
   const plain = Object.entries(state).map(([name, it]) => [
@@ -34,26 +34,26 @@ test("a state in CBOR is the one that its JSON shows, to the bit", () => {
   assert(state.x instanceof Float64Array && state.id instanceof Uint32Array);
 });
 
-test("what is no state is refused", () => {
+test("an invalid state is rejected", () => {
   assert.throws(() => decodeState(bytes("state.cbor").subarray(0, 40)));
 });
 
-test("every kind of event has words", () => {
-  const told = (name: string) => describe(json<SwarmEvent>(`event.${name}.json`));
-  assert.equal(told("command"), "set pi3 1 · by ada@lab");
-  assert.equal(told("phase"), "paused: requested");
-  assert.equal(told("fault"), "fault: a defect: the step panicked");
-  assert.equal(told("lapsed"), "uninformed, their time being over: 0, 2");
-  assert.match(told("scheduled"), /^run rate 2 is to apply at step 551/);
-  assert.match(told("refused"), /^run refused: the swarm was reset before step 551/);
-  assert.match(told("created"), /^created/);
+test("every kind of event has a text", () => {
+  const text = (name: string) => describe(json<SwarmEvent>(`event.${name}.json`));
+  assert.equal(text("command"), "set pi3 1 · by ada@lab");
+  assert.equal(text("phase"), "paused: requested");
+  assert.equal(text("fault"), "fault: a defect: the step panicked");
+  assert.equal(text("lapsed"), "inform expired, uninformed: 0, 2");
+  assert.match(text("scheduled"), /^run rate 2 scheduled for step 551/);
+  assert.match(text("refused"), /^run rejected: the swarm was reset before step 551/);
+  assert.match(text("created"), /^created/);
   const noted = json<SwarmEvent>("event.command.json");
   noted.event.verb = "annotate";
   noted.event.args = json<object>("annotate.args.json");
   assert.equal(describe(noted), "note: camera 2 replaced · by ada@lab");
 });
 
-test("every parameter has its range in words", () => {
+test("every parameter has a range as text", () => {
   const reply = json<Reply<{ parameters: Parameter[] }>>("parameters.reply.json");
   const range = Object.fromEntries(reply.result.parameters.map((it) => [it.name, rangeOf(it)]));
   assert.equal(range.pi1, "from 1 to 32");
@@ -63,21 +63,21 @@ test("every parameter has its range in words", () => {
   assert.equal(range.rate, "above 0 to 1000000 time units / s, or none");
 });
 
-test("the history is bounded, and goes back when time does", () => {
+test("the history is bounded, and drops points when time goes back", () => {
   const message = momentOfOrder(json<OrderMessage>("order.json"));
   const history = new History();
-  for (let k = 0; k < MOST_POINTS + 50; k += 1) {
+  for (let k = 0; k < MAX_POINTS + 50; k += 1) {
     history.add({ ...message, time: k }, 1000 * k);
   }
-  assert.equal(history.time.length, MOST_POINTS);
-  assert.equal(history.columns.drift.length, MOST_POINTS);
+  assert.equal(history.time.length, MAX_POINTS);
+  assert.equal(history.columns.drift.length, MAX_POINTS);
   assert.equal(history.time[0], 50);
   history.add({ ...message, time: 100, epoch: message.epoch + 1 }, 1e9);
   assert.equal(history.time.at(-1), 100);
   assert.equal(history.time.length, 51);
 });
 
-test("of points that come too fast the newest is kept", () => {
+test("of points in quick succession the newest is kept", () => {
   const message = momentOfOrder(json<OrderMessage>("order.json"));
   const history = new History();
   const times = [1, 1.1, 1.2, 1.3, 1.4];
@@ -88,7 +88,7 @@ test("of points that come too fast the newest is kept", () => {
   assert.deepEqual(history.columns.order, [2, 4]);
 });
 
-test("what changes while time stands still is the last point", () => {
+test("a change while paused replaces the last point", () => {
   const message = momentOfOrder(json<OrderMessage>("order.json"));
   const history = new History();
   history.add({ ...message, time: 1, drift: null }, 0);
@@ -100,7 +100,7 @@ test("what changes while time stands still is the last point", () => {
   assert.deepEqual(history.columns.drift, [null, null]);
 });
 
-test("a state and the order of the same frame are one moment", () => {
+test("a state and the order of the same frame give the same moment", () => {
   const state = decodeState(bytes("state.cbor"));
   const moment = momentOfState(state, null);
   assert.equal(moment.informed, [...state.weight].filter((it) => it > 0).length);
@@ -110,21 +110,21 @@ test("a state and the order of the same frame are one moment", () => {
   assert.deepEqual(Object.keys(momentOfOrder(message)).sort(), Object.keys(moment).sort());
 });
 
-test("values without a neighbour are found, to be drawn as dots", () => {
-  assert.deepEqual(alone([0.5]), [0]);
-  assert.deepEqual(alone([null, 0.5]), [1]);
-  assert.deepEqual(alone([0.1, 0.2, null, 0.3, null]), [3]);
-  assert.deepEqual(alone([]), []);
+test("values without neighbours are found", () => {
+  assert.deepEqual(isolated([0.5]), [0]);
+  assert.deepEqual(isolated([null, 0.5]), [1]);
+  assert.deepEqual(isolated([0.1, 0.2, null, 0.3, null]), [3]);
+  assert.deepEqual(isolated([]), []);
 });
 
-test("the command that prints the link quotes its path, and says when it takes root", () => {
+test("the command that prints the link quotes its path, and uses sudo where only root can read it", () => {
   const hello = { node: "lab", token_file: "/var/lib/jostle/jostle/lab/page-token" } as Hello;
   const origin = "http://127.0.0.1:8080";
   assert.equal(
     linkCommand(origin, { ...hello, token_needs_root: true }),
     'echo "http://127.0.0.1:8080/#token=$(sudo cat /var/lib/jostle/jostle/lab/page-token)"',
   );
-  // Of a path that a shell would not take as it is the command is carried out.
+  // For a path that needs quoting the command is executed.
   const folder = mkdtempSync(join(tmpdir(), "a \"b's $(exit 3) `exit 4` "));
   try {
     const token_file = join(folder, "page-token");
@@ -140,7 +140,7 @@ test("the command that prints the link quotes its path, and says when it takes r
   );
 });
 
-test("addresses lead to pages", () => {
+test("URL fragments select pages", () => {
   assert.deepEqual(parseRoute(""), { page: "list" });
   assert.deepEqual(parseRoute("#/swarm/school"), { page: "swarm", name: "school" });
   assert.deepEqual(parseRoute("#/gallery"), { page: "gallery", name: null });
@@ -148,7 +148,7 @@ test("addresses lead to pages", () => {
   assert.deepEqual(parseRoute("#/nowhere"), { page: "list" });
 });
 
-test("numbers read well", () => {
+test("numbers are formatted", () => {
   assert.equal(fixed(-0.0001, 2), "0.00");
   assert.equal(fixed(-0.5, 1), "−0.5");
   assert.equal(fixed(null, 1), "–");
@@ -159,7 +159,7 @@ test("numbers read well", () => {
   assert.equal(degrees(-Math.PI / 2), -90);
 });
 
-test("one picture a second is not called pictures", () => {
+test("one picture per second is singular", () => {
   assert.equal(rates(1.2, 0.9), "1 picture, 1 state a second");
   assert.equal(rates(0.6, 0), "1 picture, 0 states a second");
   assert.equal(rates(59.7, 1.6), "60 pictures, 2 states a second");

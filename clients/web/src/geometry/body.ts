@@ -97,7 +97,7 @@ export function meetingPoint(
     const qy = y + along * s;
     const far = Math.hypot(px - qx, py - qy);
     const middle: [number, number] = [(px + qx) / 2, (py + qy) / 2];
-    // Bodies side by side meet along a line: the mean of what is equally near is its middle.
+    // Bodies side by side meet along a line: the mean of the equally near points is its middle.
     if (far < least - 1e-6) {
       [least, sum, ties] = [far, middle, 1];
     } else if (far < least + 1e-6) {

@@ -1,4 +1,4 @@
-/** Whom a closed line encloses, and whom a click meets. */
+/** The bodies that a lasso encloses, and the body at a point. */
 import { type Body, squaredDistance } from "./body.ts";
 import type { Bodies } from "./touching.ts";
 
@@ -16,7 +16,7 @@ export function encloses(polygon: ArrayLike<number>, x: number, y: number): bool
   return inside;
 }
 
-/** The indices of those whose centre is inside the polygon. */
+/** The indices of the bodies whose centre is inside the polygon. */
 export function enclosed(polygon: ArrayLike<number>, bodies: Bodies): number[] {
   const found: number[] = [];
   if (polygon.length < 6) {
@@ -30,7 +30,7 @@ export function enclosed(polygon: ArrayLike<number>, bodies: Bodies): number[] {
   return found;
 }
 
-/** The index of the body nearest to (x, y), or none if all are further away than `reach`. */
+/** The index of the body nearest to (x, y); null if all are further away than `reach`. */
 export function nearest(
   bodies: Bodies,
   body: Body,

@@ -1,4 +1,4 @@
-/** Who touches whom, and which individuals hang together. */
+/** Pairs of touching bodies, and the clusters they form. */
 import { type Body, gap } from "./body.ts";
 
 /** Bodies nearer than this, in body sizes, count as touching: contacts leave overlaps and gaps of
@@ -11,14 +11,14 @@ export interface Bodies {
   alpha: Float64Array;
 }
 
-/** A number of its own for each cell, as far as the plane is told relative to its origin. */
+/** A distinct number for each cell of the plane around the origin. */
 function cellKey(column: number, row: number): number {
   return (column + 2 ** 20) * 2 ** 21 + row + 2 ** 20;
 }
 
 /**
  * The pairs i < j of bodies that touch, as i, j, i, j, …, found with a grid of cells as wide as a
- * body is long: who touches is in the same cell or in one of the eight around it.
+ * body is long: touching bodies are in the same or in adjacent cells.
  */
 export function findTouching(bodies: Bodies, body: Body): Uint32Array {
   const { x, y, alpha } = bodies;
@@ -83,7 +83,7 @@ export function findClusters(n: number, pairs: Uint32Array): number[][] {
   return clusters.sort((a, b) => b.length - a.length || a[0]! - b[0]!);
 }
 
-/** Which share of the individuals touches another. */
+/** The share of the individuals that touch another. */
 export function touchingShare(n: number, pairs: Uint32Array): number {
   return n === 0 ? 0 : new Set(pairs).size / n;
 }

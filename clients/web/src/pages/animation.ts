@@ -1,25 +1,25 @@
-/** One animation at work, beside what to look for and its numbers. */
+/** The page of one animation: the picture, what to look for, and numbers. */
 import { touchingShare } from "../geometry/touching.ts";
 import { inform } from "../panels/inform.ts";
 import { Watch } from "../panels/watch.ts";
-import { announce, attempt } from "../parts/announce.ts";
-import { el, say } from "../parts/dom.ts";
-import { fixed, signed, time } from "../parts/format.ts";
-import { PhaseChip } from "../parts/phase.ts";
-import type { Page } from "../parts/router.ts";
-import type { Session } from "../parts/session.ts";
-import { tokenNote } from "../parts/token_dialog.ts";
-import { command, commandNode, Refused } from "../wire/http.ts";
+import { attempt, checkMayCommand } from "../ui/announce.ts";
+import { button, el, setText } from "../ui/dom.ts";
+import { fixed, signed, time } from "../ui/format.ts";
+import { PhaseChip } from "../ui/phase.ts";
+import type { Page } from "../ui/router.ts";
+import type { Session } from "../ui/session.ts";
+import { tokenNote } from "../ui/token_dialog.ts";
+import { command, commandNode, RequestError } from "../wire/http.ts";
 import type { SwarmRow } from "../wire/messages.ts";
 import type { State } from "../wire/state.ts";
 import { ANIMATIONS, type Animation } from "./animations.ts";
 
-/** Creates the swarm, informs whom it has to and runs it; one that is there is left as it is. */
+/** Creates the swarm, informs individuals and runs it. An existing swarm is left unchanged. */
 export async function start({ swarm, spec, informed }: Animation): Promise<true> {
   try {
     await commandNode("create", { name: swarm, spec });
   } catch (error) {
-    if (error instanceof Refused && error.code === "already_exists") {
+    if (error instanceof RequestError && error.code === "already_exists") {
       return true;
     }
     throw error;
@@ -44,32 +44,31 @@ export function animationPage(animation: Animation, session: Session): Page {
   const phase = new PhaseChip();
   const places = NUMBERS.map((name) => [name, el("dd", { "data-number": name }, "–")] as const);
   const numbers = new Map(places);
-  const put = (name: (typeof NUMBERS)[number], text: string) => say(numbers.get(name)!, text);
+  const put = (name: (typeof NUMBERS)[number], text: string) => setText(numbers.get(name)!, text);
   let counted = 0;
   let row: SwarmRow | undefined;
   const showState = (state: State) => {
     phase.show(state.phase);
     const n = state.id.length;
     put("order", fixed(state.order.order, 3));
-    put("drift", state.order.drift === null ? "nobody is informed" : signed(state.order.drift, 3));
+    put("drift", state.order.drift === null ? "undefined" : signed(state.order.drift, 3));
     put("time", time(state.time));
     const now = performance.now();
     if (now - counted > 200) {
       counted = now;
       put("contacts per individual", fixed(state.certificate.contacts / n, 2));
-      put("share touching another", `${fixed(100 * touchingShare(n, watch.stage.pairs()), 0)} %`);
+      put("share touching another", `${fixed(100 * touchingShare(n, watch.view.pairs()), 0)} %`);
     }
   };
-  const run = el("button", { type: "button", class: "primary" });
+  const run = button("", () => toggle(), "primary");
   const note = tokenNote(session);
   const refresh = () => {
     note.hidden = session.mayCommand;
     run.disabled = !session.mayCommand || row?.phase === "faulted";
-    say(run, !row ? "Create and run it" : row.phase === "running" ? "❚❚ Pause" : "▶ Run");
+    setText(run, !row ? "Create and run" : row.phase === "running" ? "❚❚ Pause" : "▶ Run");
   };
   const watch: Watch = new Watch(swarm, session, {
     state: showState,
-    order: () => undefined,
     row: (it) => {
       row = it;
       if (it) {
@@ -77,29 +76,22 @@ export function animationPage(animation: Animation, session: Session): Page {
       }
       refresh();
     },
-    parameters: () => undefined,
-    event: () => undefined,
-    another: () => undefined,
-    catchUp: () => undefined,
-    changed: () => undefined,
-    directed: (direction) => {
-      void inform(swarm, session, [...watch.stage.selected], { direction });
-    },
+    directed: (direction) => void inform(swarm, session, [...watch.view.selected], { direction }),
   });
-  watch.stage.shows.preferences = animation.preferences;
+  watch.view.layers.preferences = animation.preferences;
   watch.toolbar.show();
 
   const toggle = async () => {
-    if (!session.mayCommand) {
-      announce(session.refusal);
-    } else if (!row) {
+    if (!checkMayCommand(session)) {
+      return;
+    }
+    if (!row) {
       await attempt(() => start(animation));
-      session.live.look();
+      session.live.reconnect();
     } else {
       await attempt(() => command(swarm, row?.phase === "running" ? "pause" : "run"));
     }
   };
-  run.addEventListener("click", () => void toggle());
   const at = ANIMATIONS.indexOf(animation);
   const link = (it: Animation | undefined, text: string) =>
     it ? el("a", { href: `#/gallery/${it.swarm}` }, text) : el("span", {});
@@ -136,22 +128,22 @@ export function animationPage(animation: Animation, session: Session): Page {
           "p",
           { class: "buttons" },
           run,
-          el("a", { class: "button", href: `#/swarm/${swarm}` }, "Steer it"),
+          el("a", { class: "button", href: `#/swarm/${swarm}` }, "Open the swarm"),
         ),
         el(
           "p",
           { class: "soft" },
-          informed > 0 ? `n = 50, ${informed} informed of +x. ` : "n = 50, nobody informed. ",
+          informed > 0 ? `n = 50, ${informed} informed of +x. ` : "n = 50, none informed. ",
           animation.preferences
-            ? "Red lines: everybody's preference vector, the attraction to all others and its own direction."
+            ? "Red lines: the preference vector of each individual, from the attraction to all others and its preferred direction."
             : "",
         ),
       ),
       el(
         "nav",
         { class: "between", "aria-label": "animations" },
-        link(ANIMATIONS[at - 1], "← before"),
-        el("a", { href: "#/gallery" }, "all seven"),
+        link(ANIMATIONS[at - 1], "← previous"),
+        el("a", { href: "#/gallery" }, "all animations"),
         link(ANIMATIONS[at + 1], "next →"),
       ),
     ),

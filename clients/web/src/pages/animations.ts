@@ -2,8 +2,8 @@
  * The seven animations attached to the paper, its references [35] and [39], with the parameters
  * and seeds of `paper/animations.toml`: the same groups as in `docs/reproduction.md`.
  *
- * The paper gives no number of individuals for [35] and does not say whether some are informed; the
- * red lines are everybody's preference vector p, eq. (3).
+ * The paper gives no number of individuals for [35] nor whether some are informed; the
+ * red lines are the preference vectors p, eq. (3).
  */
 import type { Spec } from "../wire/messages.ts";
 
@@ -38,7 +38,7 @@ export const ANIMATIONS: Animation[] = [
     spec: { ...USUAL, seed: 5421423068289429 },
     informed: 10,
     preferences: true,
-    look: "Uninformed bodies turn towards the group only, yet contacts line neighbours up, and clusters that walk one way form and dissolve. Watch the ten orange ones, told of +x: the drift shows how far they take the others along.",
+    look: "Uninformed bodies turn towards the group only, yet contacts align neighbours, and clusters with a common heading form and dissolve. The ten orange individuals are informed of +x: the drift shows how far they lead the group.",
   },
   {
     swarm: "animation-2-pi3-low",
@@ -47,7 +47,7 @@ export const ANIMATIONS: Animation[] = [
     spec: { ...USUAL, pi3: 0.1, seed: 383217765923619 },
     informed: 10,
     preferences: true,
-    look: "Turning is ten times slower than in the first: paths are long arcs, and the group is loose. The paper finds hardly any contact; here there is about half as much as in the first, and the number of contacts per individual tells how much just now.",
+    look: "Turning is ten times slower than in the first animation: paths are long arcs, and the group is loose. The paper finds hardly any contact; here there is about half as much as in the first. Compare the contacts per individual.",
   },
   {
     swarm: "animation-3-pi3-high",
@@ -56,7 +56,7 @@ export const ANIMATIONS: Animation[] = [
     spec: { ...USUAL, pi3: 10, seed: 6575033691187541 },
     informed: 10,
     preferences: true,
-    look: "Everybody turns to the others so quickly that the group becomes a ball that quivers in one place: the drift stays near zero though ten are informed, and the order is low. Nearly every body touches another all the time.",
+    look: "Individuals turn towards the group so quickly that it contracts to a dense ball: the drift stays near zero although ten are informed, and the order is low. Nearly every body touches another at any time.",
   },
   {
     swarm: "animation-4-pi4-low",
@@ -65,7 +65,7 @@ export const ANIMATIONS: Animation[] = [
     spec: { ...USUAL, pi4: 1, seed: 5194409676321886 },
     informed: 10,
     preferences: true,
-    look: "A push off centre moves a body rather than turning it, so bodies that meet keep their headings and slide along each other. Contact no longer lines neighbours up: compare the order with that of the first.",
+    look: "A push off centre moves a body rather than turning it, so bodies that meet keep their headings and slide along each other. Contacts no longer align neighbours: compare the order with that of the first animation.",
   },
   {
     swarm: "animation-5-pi4-high",
@@ -74,7 +74,7 @@ export const ANIMATIONS: Animation[] = [
     spec: { ...USUAL, pi4: 100, seed: 6551935668636473 },
     informed: 10,
     preferences: true,
-    look: "The least push off centre turns a body, so those who meet lie down side by side. Look for pairs shoulder to shoulder, walking on although their red lines point elsewhere: contact holds them. In our tables just under half of all have another at their side, hardly more than with the original parameters.",
+    look: "A small push off centre turns a body, so bodies that meet align side by side. Look for aligned pairs whose red lines point in another direction: contact keeps their heading. In our tables just under half of all individuals have another at their side, hardly more than with the original parameters.",
   },
   {
     swarm: "animation-6-discs",
@@ -83,7 +83,7 @@ export const ANIMATIONS: Animation[] = [
     spec: { ...USUAL, pi1: 1, seed: 7144187709157662 },
     informed: 0,
     preferences: false,
-    look: "Discs cannot turn each other, so nothing aligns them: all walk inwards and pack into a round heap, each pointing at the middle. Order stays close to zero, below that of fifty random headings (0.125).",
+    look: "Discs cannot turn each other, so nothing aligns them: all move inwards and pack into a round cluster, each heading for its centre. The order stays close to zero, below that of fifty random headings (0.125).",
   },
   {
     swarm: "animation-7-elongated",
@@ -92,6 +92,6 @@ export const ANIMATIONS: Animation[] = [
     spec: { ...USUAL, seed: 5421423068289429 },
     informed: 0,
     preferences: false,
-    look: "The same attraction, but the bodies are four times as long as wide. Clusters line up, set out together, are turned back by those behind and form anew: order rises and falls, far above that of the discs. Nobody has a direction, so where it goes is chance.",
+    look: "The same attraction, but the bodies are four times as long as wide. Clusters align, leave the group, are turned back by its attraction and form again: the order rises and falls, far above that of the discs. No individual is informed, so the direction is random.",
   },
 ];

@@ -1,9 +1,10 @@
-/** The paper's animations: a card each, made with one click. */
-import { attempt } from "../parts/announce.ts";
-import { el, say } from "../parts/dom.ts";
-import type { Page } from "../parts/router.ts";
-import type { Session } from "../parts/session.ts";
-import { tokenNote } from "../parts/token_dialog.ts";
+/** The paper's animations: one card each, with a button that creates the swarm. */
+import { Thumbnails } from "../panels/thumbnails.ts";
+import { attempt } from "../ui/announce.ts";
+import { button, callAll, el, setText } from "../ui/dom.ts";
+import type { Page } from "../ui/router.ts";
+import type { Session } from "../ui/session.ts";
+import { tokenNote } from "../ui/token_dialog.ts";
 import { animationPage, start } from "./animation.ts";
 import { ANIMATIONS } from "./animations.ts";
 
@@ -14,25 +15,35 @@ export function galleryPage(name: string | null, session: Session): Page {
 
 function cardsPage(session: Session): Page {
   const note = tokenNote(session);
-  const buttons = new Map<string, HTMLButtonElement>();
-  let there = new Set<string>();
+  let existing = new Set<string>();
+  const thumbnails = new Thumbnails();
   const cards = ANIMATIONS.map((animation) => {
     const { swarm, reference, title, look } = animation;
-    const button = el("button", { type: "button", class: "primary" });
-    button.addEventListener("click", async () => {
-      if (there.has(swarm) || (await attempt(() => start(animation)))) {
+    const open = async () => {
+      if (existing.has(swarm) || (await attempt(() => start(animation)))) {
         location.hash = `#/gallery/${swarm}`;
       }
-    });
-    buttons.set(swarm, button);
-    return el(
+    };
+    const show = button("", open, "primary");
+    const canvas = el("canvas", { "aria-hidden": "true" });
+    const picture = el(
+      "div",
+      { class: "thumbnail" },
+      el("span", { class: "large" }, "not created"),
+      canvas,
+    );
+    const card = el(
       "article",
       { class: "card animation", "data-swarm": swarm },
+      picture,
       el("header", {}, el("h2", {}, title), el("span", { class: "soft" }, reference)),
       el("p", {}, look),
-      el("p", { class: "buttons" }, button),
+      el("p", { class: "buttons" }, show),
     );
+    thumbnails.add(card, swarm, canvas);
+    return { swarm, card, canvas, show };
   });
+  const grid = el("div", { class: "cards wide-cards" }, ...cards.map(({ card }) => card));
   const element = el(
     "div",
     { class: "page gallery-page" },
@@ -40,43 +51,43 @@ function cardsPage(session: Session): Page {
     el(
       "p",
       { class: "lead" },
-      "Seven animations are attached to the paper: five that show what π3, how quickly individuals " +
-        "turn, and π4, how easily contacts turn them, do to a group [35], and two of groups in which " +
-        "nobody has a direction of its own [39]. Each can be had here, alive.",
+      "The paper has seven animations: five show the effect of π3, how quickly individuals turn, and " +
+        "π4, how easily contacts turn them [35]; two show groups without informed individuals [39]. " +
+        "Each card creates and runs that swarm on this daemon.",
     ),
     note,
-    el("div", { class: "cards wide-cards" }, ...cards),
+    grid,
     el(
       "p",
       { class: "soft" },
       "Specs and seeds are those of paper/animations.toml, dt = 0.02 and exact contacts. The " +
-        "paper does not say how many individuals [35] has nor who is informed: here fifty, ten of " +
-        "them told of +x with weight 0.5; in the tables of docs/reproduction.md nobody is.",
+        "paper does not give the number of individuals in [35] nor which are informed: here n = 50, " +
+        "ten of them informed of +x with weight 0.5; in the tables of docs/reproduction.md none is.",
     ),
   );
   const refresh = () => {
     note.hidden = session.mayCommand;
-    for (const [swarm, button] of buttons) {
-      const exists = there.has(swarm);
-      say(button, exists ? "Show it" : "Create and run it");
-      button.disabled = !exists && !session.mayCommand;
+    for (const { swarm, show } of cards) {
+      const exists = existing.has(swarm);
+      setText(show, exists ? "Show" : "Create and run");
+      show.disabled = !exists && !session.mayCommand;
     }
   };
   session.live.watch(null);
-  const ends = [
-    session.live.listen({
-      swarms: (rows) => {
-        there = new Set(rows.map((row) => row.swarm));
-        refresh();
-      },
-      connection: (connection) => element.classList.toggle("dimmed", connection === "away"),
-    }),
-    session.onChange(refresh),
-  ];
-  const end = () => {
-    for (const stop of ends) {
-      stop();
+  thumbnails.follow(session.live, element, (rows) => {
+    existing = new Set(rows.map((row) => row.swarm));
+    refresh();
+    for (const { swarm, card, canvas } of cards) {
+      const row = rows.find((it) => it.swarm === swarm) ?? null;
+      canvas.hidden = row === null;
+      thumbnails.show(card, row);
     }
-  };
-  return { element, title: "Gallery", end };
+    // Without any animation the thumbnails would all be empty.
+    grid.classList.toggle(
+      "pictured",
+      ANIMATIONS.some(({ swarm }) => existing.has(swarm)),
+    );
+  });
+  const ends = [session.onChange(refresh), () => thumbnails.end()];
+  return { element, title: "Gallery", end: () => callAll(ends) };
 }

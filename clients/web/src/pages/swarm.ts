@@ -1,19 +1,19 @@
-/** One swarm, large, with all there is to see and to do. */
+/** The page of one swarm: picture, numbers, charts and all panels. */
 import { Charts } from "../panels/charts.ts";
 import { Controls } from "../panels/controls.ts";
 import { Events } from "../panels/events.ts";
 import { type Moment, momentOfOrder, momentOfState } from "../panels/history.ts";
 import { Numbers } from "../panels/numbers.ts";
 import { Parameters } from "../panels/parameters.ts";
+import { Playback } from "../panels/playback.ts";
 import { Steering } from "../panels/steering.ts";
-import { Tape } from "../panels/tape.ts";
 import { Watch } from "../panels/watch.ts";
-import { el, say } from "../parts/dom.ts";
-import { PhaseChip } from "../parts/phase.ts";
-import type { Page } from "../parts/router.ts";
-import type { Session } from "../parts/session.ts";
+import { el, setText } from "../ui/dom.ts";
+import { PhaseChip } from "../ui/phase.ts";
+import type { Page } from "../ui/router.ts";
+import type { Session } from "../ui/session.ts";
 
-/** A part of the page that can be folded. */
+/** A collapsible section of the page. */
 function panel(title: string, kind: string, open: boolean, child: HTMLElement): HTMLElement {
   return el("details", { class: `panel ${kind}`, open }, el("summary", {}, title), child);
 }
@@ -26,14 +26,14 @@ export function swarmPage(name: string, session: Session): Page {
   const parameters = new Parameters(name);
   let events = new Events(name);
   const log = el("div", {}, events.element);
-  /** Another swarm of this name numbers its events anew. */
-  const renew = () => {
+  /** The event numbers of another swarm of this name start at 1. */
+  const replaceEvents = () => {
     events.end();
     events = new Events(name);
     log.replaceChildren(events.element);
   };
   const controls = new Controls(name, session);
-  const tape = new Tape(name, session);
+  const playback = new Playback(name, session);
   let replay = false;
   const informing = el("div", {});
   const informs = panel("Inform", "", true, informing);
@@ -41,7 +41,7 @@ export function swarmPage(name: string, session: Session): Page {
   let factor: number | null = null;
   const show = (newest: Moment) => {
     numbers.show(newest);
-    charts.take(newest);
+    charts.add(newest);
   };
 
   const watch = new Watch(name, session, {
@@ -52,34 +52,34 @@ export function swarmPage(name: string, session: Session): Page {
     },
     order: (message) => {
       factor = message.real_time_factor;
-      // A tab that is not seen draws no states: its charts go on.
+      // A hidden tab draws no states; its charts continue with the published orders.
       if (document.hidden) {
         show(momentOfOrder(message));
       }
     },
     row: (row) => {
       controls.show(row);
-      tape.show(row);
+      playback.show(row);
       replay = row?.replay ?? replay;
       informs.hidden = replay;
       if (!row) {
         return;
       }
       phase.show(row.phase);
-      say(reason, row.reason ?? "");
+      setText(reason, row.reason ?? "");
     },
     parameters: (all) => parameters.show(all, session.mayCommand && !replay),
     event: (event) => {
       if (event.event.kind === "created") {
-        renew();
+        replaceEvents();
       }
       events.take(event);
       if (event.event.kind !== "lapsed") {
-        void tape.ask();
+        void playback.refresh();
       }
     },
-    another: () => {
-      renew();
+    replaced: () => {
+      replaceEvents();
       void events.catchUp();
     },
     catchUp: () => void events.catchUp(),
@@ -90,27 +90,35 @@ export function swarmPage(name: string, session: Session): Page {
       }
     },
   });
-  const steering: Steering = new Steering(name, session, watch.stage);
+  const steering: Steering = new Steering(name, session, watch.view);
 
   informing.append(steering.element);
   const element = el(
     "div",
     { class: "page swarm-page" },
     el("header", { class: "page-head" }, el("h1", {}, name), phase.element, reason),
-    el("div", { class: "seen" }, watch.element, tape.element, numbers.element, charts.element),
+    el("div", { class: "seen" }, watch.element, playback.element, numbers.element, charts.element),
     el(
       "aside",
       { class: "panels" },
-      panel("Control", "", true, controls.element),
-      informs,
-      panel("Parameters", "later", innerWidth > 900, parameters.element),
-      panel("Events", "later", true, log),
+      el(
+        "div",
+        { class: "panel-column" },
+        panel("Control", "", true, controls.element),
+        informs,
+        panel("Events", "later log", true, log),
+      ),
+      el(
+        "div",
+        { class: "panel-column" },
+        panel("Parameters", "later", innerWidth > 900, parameters.element),
+      ),
     ),
   );
   void events.catchUp();
   const forget = session.onChange(() => {
     controls.allow();
-    tape.allow();
+    playback.allow();
     steering.show();
     if (watch.parameters.length > 0) {
       parameters.show(watch.parameters, session.mayCommand && !replay);
@@ -133,7 +141,7 @@ export function swarmPage(name: string, session: Session): Page {
     end: () => {
       forget();
       watch.end();
-      tape.end();
+      playback.end();
       charts.end();
       events.end();
     },

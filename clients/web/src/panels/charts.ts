@@ -1,20 +1,19 @@
-/** Charts of order, drift, contacts and real-time factor over the swarm's time. */
+/** Charts of order, drift, contacts and real-time factor over simulated time. */
 import uPlot from "uplot";
 import "uplot/dist/uPlot.min.css";
-import { el, say } from "../parts/dom.ts";
-import { fixed, signed } from "../parts/format.ts";
-import { onTheme } from "../parts/theme.ts";
-import { alone, History, type Moment, type Series } from "./history.ts";
+import { callAll, el, setText } from "../ui/dom.ts";
+import { fixed, signed } from "../ui/format.ts";
+import { onTheme } from "../ui/theme.ts";
+import { History, isolated, type Moment, type Series } from "./history.ts";
 
-const HEIGHT = 132;
-/** Charts are drawn this often at most. */
-const EVERY_MS = 250;
+/** The minimum time between two redraws. */
+const DRAW_INTERVAL_MS = 250;
 
 interface Kind {
   series: Series;
   title: string;
   about: string;
-  said(value: number | null): string;
+  format(value: number | null): string;
   range?: [number, number];
   colour: string;
   dash?: number[];
@@ -24,16 +23,16 @@ const KINDS: Kind[] = [
   {
     series: "order",
     title: "order",
-    about: "1 is all in one direction",
-    said: (it) => fixed(it, 3),
+    about: "1: all headings equal",
+    format: (it) => fixed(it, 3),
     range: [0, 1],
     colour: "--chart-1",
   },
   {
     series: "drift",
     title: "drift",
-    about: "speed along the informed's direction",
-    said: (it) => signed(it, 3),
+    about: "speed along the common direction of the informed",
+    format: (it) => signed(it, 3),
     range: [-1, 1],
     colour: "--chart-2",
   },
@@ -41,14 +40,14 @@ const KINDS: Kind[] = [
     series: "contacts",
     title: "contacts",
     about: "pairs near enough to constrain",
-    said: (it) => fixed(it, 0),
+    format: (it) => fixed(it, 0),
     colour: "--chart-3",
   },
   {
     series: "real_time_factor",
     title: "real-time factor",
-    about: "time units a second",
-    said: (it) => fixed(it, 2),
+    about: "time units per second",
+    format: (it) => fixed(it, 2),
     colour: "--chart-4",
   },
 ];
@@ -63,24 +62,24 @@ export class Charts {
   private readonly charts: { kind: Kind; plot: uPlot; now: HTMLElement; none: HTMLElement }[] = [];
   private readonly ends: (() => void)[] = [];
   private timer: ReturnType<typeof setTimeout> | undefined;
-  private drawn = Number.NEGATIVE_INFINITY;
+  private drawnAt = Number.NEGATIVE_INFINITY;
   private shown = false;
 
   constructor() {
     for (const kind of KINDS) {
-      this.add(kind);
+      this.addChart(kind);
     }
     const observer = new ResizeObserver(() => this.resize());
     observer.observe(this.element);
-    // A picture off the screen is not drawn.
-    const sight = new IntersectionObserver((entries) => {
+    // Charts outside the viewport are not drawn.
+    const visibility = new IntersectionObserver((entries) => {
       this.shown = entries.some((entry) => entry.isIntersecting);
       this.schedule();
     });
-    sight.observe(this.element);
+    visibility.observe(this.element);
     this.ends.push(
       () => observer.disconnect(),
-      () => sight.disconnect(),
+      () => visibility.disconnect(),
       onTheme(() => {
         for (const { plot } of this.charts) {
           plot.redraw(false);
@@ -89,12 +88,12 @@ export class Charts {
     );
   }
 
-  /** Shows what is newest: the captions at once, the lines when they are next drawn. */
-  take(newest: Moment): void {
+  /** Updates the captions at once, and the lines with the next redraw. */
+  add(newest: Moment): void {
     this.history.add(newest, performance.now());
     for (const { kind, now, none } of this.charts) {
       const value = newest[kind.series];
-      say(now, kind.said(value));
+      setText(now, kind.format(value));
       none.hidden = kind.series !== "drift" || this.history.columns.drift.some((it) => it !== null);
     }
     this.schedule();
@@ -102,20 +101,18 @@ export class Charts {
 
   end(): void {
     clearTimeout(this.timer);
-    for (const end of this.ends) {
-      end();
-    }
+    callAll(this.ends);
     for (const { plot } of this.charts) {
       plot.destroy();
     }
   }
 
-  private add(kind: Kind): void {
+  private addChart(kind: Kind): void {
     const now = el("output", {});
     const none = el(
       "p",
       { class: "none", hidden: true },
-      "no one is informed: there is no direction to drift in",
+      "no individual is informed: the drift is undefined",
     );
     const caption = el("figcaption", { title: kind.about }, el("b", {}, kind.title), " ", now);
     const place = el("div", {
@@ -130,15 +127,15 @@ export class Charts {
       font: "11px system-ui, sans-serif",
       gap: 2,
     };
-    // A line takes two points: one alone is a dot.
+    // A single value without neighbours makes no line.
     const points: uPlot.Series.Points = {
       size: 5,
       fill: () => colour(kind.colour),
-      filter: (plot, series) => alone(plot.data[series] ?? []),
+      filter: (plot, series) => isolated(plot.data[series] ?? []),
     };
     const options: uPlot.Options = {
       width: 240,
-      height: HEIGHT,
+      height: 132,
       legend: { show: false },
       cursor: { show: false },
       scales: {
@@ -148,7 +145,7 @@ export class Charts {
           : { range: (_, __, most) => [0, Math.max(1, 1.1 * (most ?? 0))] },
       },
       axes: [
-        { ...axis, size: 22 },
+        { ...axis, size: 24, gap: 6, space: 44 },
         { ...axis, size: 36 },
       ],
       series: [{}, { stroke: () => colour(kind.colour), width: 1.6, points, spanGaps: false }],
@@ -159,14 +156,14 @@ export class Charts {
 
   private schedule(): void {
     if (this.shown && !this.timer) {
-      const rest = this.drawn + EVERY_MS - performance.now();
+      const rest = this.drawnAt + DRAW_INTERVAL_MS - performance.now();
       this.timer = setTimeout(() => this.draw(), Math.max(0, rest));
     }
   }
 
   private draw(): void {
     this.timer = undefined;
-    this.drawn = performance.now();
+    this.drawnAt = performance.now();
     const { time, columns } = this.history;
     for (const { kind, plot } of this.charts) {
       plot.setData([time, columns[kind.series]]);
@@ -175,9 +172,9 @@ export class Charts {
 
   private resize(): void {
     for (const { plot } of this.charts) {
-      const width = plot.root.parentElement?.clientWidth ?? 0;
-      if (width > 40 && Math.abs(width - plot.width) > 1) {
-        plot.setSize({ width, height: HEIGHT });
+      const { clientWidth: width, clientHeight: height } = plot.root.parentElement!;
+      if (width > 40 && Math.abs(width - plot.width) + Math.abs(height - plot.height) > 1) {
+        plot.setSize({ width, height });
       }
     }
   }

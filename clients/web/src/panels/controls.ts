@@ -1,11 +1,11 @@
 /** Run, pause, step, rate, inject, fork, reset, delete, annotate. */
-import { announce, attempt } from "../parts/announce.ts";
-import { confirmDialog } from "../parts/dialog.ts";
-import { el, say } from "../parts/dom.ts";
-import { form, nameField, numberField, numberIn, textField } from "../parts/field.ts";
-import { plural } from "../parts/format.ts";
-import type { Session } from "../parts/session.ts";
-import { tokenNote } from "../parts/token_dialog.ts";
+import { announce, attempt, checkMayCommand } from "../ui/announce.ts";
+import { confirmDialog } from "../ui/dialog.ts";
+import { button, el, setText } from "../ui/dom.ts";
+import { countField, nameField, numberField, numberIn, rowForm, textField } from "../ui/field.ts";
+import { plural } from "../ui/format.ts";
+import type { Session } from "../ui/session.ts";
+import { tokenNote } from "../ui/token_dialog.ts";
 import { command } from "../wire/http.ts";
 import type { Phase, SwarmRow } from "../wire/messages.ts";
 
@@ -17,14 +17,8 @@ export class Controls {
   private phase: Phase = "paused";
   private there = false;
   private rateShown = "";
-  private readonly runs = el("button", { type: "button", class: "primary wide" }, "▶ Run");
-  private readonly steps = numberField({
-    label: "steps",
-    value: "1",
-    min: "1",
-    step: "1",
-    required: true,
-  });
+  private readonly runs = button("▶ Run", () => this.toggle(), "primary wide");
+  private readonly steps = countField("steps");
   private readonly rate = numberField({
     label: "rate",
     unit: "time units / s",
@@ -32,7 +26,9 @@ export class Controls {
     placeholder: "max",
   });
   private readonly fields: HTMLFieldSetElement;
-  private readonly text = textField("note in the journal", MAX_NOTE_CHARACTERS);
+  private readonly text = textField("note in the journal", {
+    maxlength: String(MAX_NOTE_CHARACTERS),
+  });
   private readonly notes: HTMLFieldSetElement;
   private readonly note: HTMLElement;
   private readonly stepButton = el("button", {}, "Step");
@@ -43,45 +39,26 @@ export class Controls {
     private readonly session: Session,
   ) {
     this.note = tokenNote(session);
-    this.runs.addEventListener("click", () => void this.toggle());
-    const count = numberField({
-      label: "individuals to inject",
-      value: "1",
-      min: "1",
-      step: "1",
-      required: true,
-    });
+    const count = countField("individuals to inject");
     const fork = nameField("name of the fork", `${swarm.slice(0, 58)}-fork`);
-    const remove = el("button", { type: "button", class: "danger" }, "Delete …");
-    const reset = el("button", { type: "button" }, "Reset …");
-    remove.addEventListener("click", () => void this.delete());
-    reset.addEventListener("click", () => void this.reset());
+    const remove = button("Delete …", () => this.delete(), "danger");
+    const reset = button("Reset …", () => this.reset());
     const inject = () =>
       attempt(
         () => command(swarm, "inject", { count: count.input.valueAsNumber }),
         `${plural(count.input.valueAsNumber, "individual")} injected`,
       );
     this.changing = [
-      form({ class: "row" }, inject, count.label, el("button", {}, "Inject")),
-      form(
-        { class: "row" },
-        () => this.fork(fork.input.value),
-        fork.label,
-        el("button", {}, "Fork"),
-      ),
+      rowForm(inject, count.label, el("button", {}, "Inject")),
+      rowForm(() => this.fork(fork.input.value), fork.label, el("button", {}, "Fork")),
     ];
     this.fields = el(
       "fieldset",
       { class: "controls" },
       el("legend", { class: "hidden" }, "commands"),
       this.runs,
-      form(
-        { class: "row" },
-        () => this.setRate(),
-        this.rate.label,
-        el("button", {}, "Run at rate"),
-      ),
-      form({ class: "row" }, () => this.step(), this.steps.label, this.stepButton),
+      rowForm(() => this.setRate(), this.rate.label, el("button", {}, "Run at rate")),
+      rowForm(() => this.step(), this.steps.label, this.stepButton),
       ...this.changing,
       el("p", { class: "buttons" }, reset, remove),
     );
@@ -89,16 +66,16 @@ export class Controls {
       "fieldset",
       { class: "controls" },
       el("legend", { class: "hidden" }, "notes"),
-      form({ class: "row" }, () => this.annotate(), this.text.label, el("button", {}, "Add note")),
+      rowForm(() => this.annotate(), this.text.label, el("button", {}, "Add note")),
     );
     this.element = el("div", {}, this.note, this.fields, this.notes);
     this.rate.input.title = "empty: as fast as possible";
   }
 
-  /** Shows what can be done in a phase; nothing when the swarm is not there. */
+  /** Enables what the phase permits; nothing if there is no such swarm. */
   show(row: Pick<SwarmRow, "phase" | "rate" | "replay"> | undefined): void {
     this.there = row !== undefined;
-    // A recording has no future that could be changed.
+    // The individuals of a recording cannot be changed.
     for (const part of this.changing) {
       part.hidden = row?.replay ?? false;
     }
@@ -116,12 +93,12 @@ export class Controls {
       this.rate.input.value = text;
     }
     this.phase = phase;
-    say(this.runs, phase === "running" ? "❚❚ Pause" : "▶ Run");
+    setText(this.runs, phase === "running" ? "❚❚ Pause" : "▶ Run");
     this.runs.disabled = phase === "faulted";
     this.stepButton.disabled = phase !== "paused";
   }
 
-  /** Without a token nothing here can be used, and it says how to get one. */
+  /** Disables everything in a tab without permission, and shows how to get it. */
   allow(): void {
     this.note.hidden = this.session.mayCommand;
     this.fields.disabled = !this.session.mayCommand || !this.there;
@@ -129,18 +106,16 @@ export class Controls {
   }
 
   async toggle(): Promise<void> {
-    if (!this.session.mayCommand) {
-      announce(this.session.refusal);
-    } else if (this.phase === "running") {
-      await attempt(() => command(this.swarm, "pause"), "paused");
-    } else {
-      await attempt(() => command(this.swarm, "run", {}), "running");
+    if (!checkMayCommand(this.session)) {
+      return;
     }
+    const isRunning = this.phase === "running";
+    const done = isRunning ? "paused" : "running";
+    await attempt(() => command(this.swarm, isRunning ? "pause" : "run"), done);
   }
 
   async step(): Promise<void> {
-    if (!this.session.mayCommand) {
-      announce(this.session.refusal);
+    if (!checkMayCommand(this.session)) {
       return;
     }
     const steps = Math.max(1, numberIn(this.steps.input) ?? 1);
@@ -152,9 +127,9 @@ export class Controls {
 
   private async setRate(): Promise<void> {
     const rate = numberIn(this.rate.input) ?? null;
-    const said = rate === null ? "as fast as possible" : `${rate} time units a second`;
-    // `run` is what changes a rate; a swarm that stands still is told when it is run.
-    await attempt(() => command(this.swarm, "run", { rate }), `running, ${said}`);
+    const speed = rate === null ? "as fast as possible" : `${rate} time units per second`;
+    // The rate is an argument of `run`: a paused swarm starts.
+    await attempt(() => command(this.swarm, "run", { rate }), `running, ${speed}`);
   }
 
   private async annotate(): Promise<void> {
@@ -171,9 +146,9 @@ export class Controls {
   }
 
   private async reset(): Promise<void> {
-    const text = `${this.swarm} goes back to its start: step 0, as it was created.`;
+    const text = `${this.swarm} returns to step 0, as it was created.`;
     if (await confirmDialog(`Reset ${this.swarm}?`, text, "Reset")) {
-      await attempt(() => command(this.swarm, "reset"), "back at the start");
+      await attempt(() => command(this.swarm, "reset"), "reset to step 0");
     }
   }
 

@@ -1,37 +1,39 @@
-/** The event log: numbered, and caught up where the socket could not keep up. */
-import { el } from "../parts/dom.ts";
-import { short, time, when } from "../parts/format.ts";
+/** The event log. Events that the WebSocket skipped are requested over HTTP. */
+import { el } from "../ui/dom.ts";
+import { short, time, when } from "../ui/format.ts";
 import { get } from "../wire/http.ts";
 import type { EventsResult, SwarmEvent } from "../wire/messages.ts";
 
-/** Lines that are kept, and events that are asked for when the page is opened. */
-const MOST_LINES = 300;
-const AT_FIRST = 100;
-const ASKED_AT_ONCE = 256;
+/** Lines that are kept. */
+const MAX_LINES = 300;
+/** Events that are requested when the page is opened. */
+const INITIAL_EVENTS = 100;
+/** Events per request. */
+const MAX_EVENTS = 256;
 
-/** An event in words. */
+/** An event as text. */
 export function describe({ event, phase }: SwarmEvent): string {
-  const said = (name: string) =>
+  const field = (name: string) =>
     event[name] === null || event[name] === undefined ? "" : String(event[name]);
-  const by = said("client") === "" ? "" : ` · by ${said("client")}`;
+  const by = field("client") === "" ? "" : ` · by ${field("client")}`;
   switch (event.kind) {
     case "command":
       if (event.verb === "annotate") {
         return `note: ${String((event.args as { text?: unknown } | null)?.text)}${by}`;
       }
-      return `${said("verb")} ${args(event.args)}${by}`;
+      return `${field("verb")} ${args(event.args)}${by}`;
     case "phase":
-      return said("reason") === "" ? phase : `${phase}: ${said("reason")}`;
+      return field("reason") === "" ? phase : `${phase}: ${field("reason")}`;
     case "fault":
-      return `fault: ${said("reason")}`;
+      return `fault: ${field("reason")}`;
     case "scheduled":
-      return `${said("verb")} ${args(event.args)} is to apply at step ${said("applies_at_step")}${by}`;
+      return `${field("verb")} ${args(event.args)} scheduled for step ${field("applies_at_step")}${by}`;
     case "refused": {
       const error = event.error as { message?: string } | undefined;
-      return `${said("verb")} refused: ${error?.message ?? ""}${by}`;
+      return `${field("verb")} rejected: ${error?.message ?? ""}${by}`;
     }
     case "lapsed":
-      return `uninformed, their time being over: ${brief(event.ids)}`;
+      return `inform expired, uninformed: ${brief(event.ids)}`;
     default: {
       const rest = Object.entries(event).filter(([name]) => name !== "kind");
       return `${event.kind} ${rest.map(([name, value]) => `${name} ${brief(value)}`).join(", ")}`;
@@ -63,28 +65,28 @@ export class Events {
   });
   private last = 0;
   private reading = false;
-  private wanted = false;
+  private repeat = false;
   private ended = false;
 
   constructor(private readonly swarm: string) {}
 
-  /** Shows the newest of those the daemon remembers, or what came since. */
+  /** Requests the newest events, or those after the last one shown. */
   async catchUp(): Promise<void> {
     if (this.ended) {
       return;
     }
     if (this.reading) {
-      this.wanted = true;
+      this.repeat = true;
       return;
     }
     this.reading = true;
     try {
       do {
-        this.wanted = false;
+        this.repeat = false;
         await this.read();
-      } while (this.wanted && !this.ended);
+      } while (this.repeat && !this.ended);
     } catch {
-      // The daemon is away, or the swarm gone: the next connection asks again.
+      // No connection, or no such swarm: the next connection requests them again.
     } finally {
       this.reading = false;
     }
@@ -110,10 +112,10 @@ export class Events {
 
   private async read(): Promise<void> {
     for (;;) {
-      const noun = `events?after=${this.last}&limit=${ASKED_AT_ONCE}`;
+      const noun = `events?after=${this.last}&limit=${MAX_EVENTS}`;
       const { events, newest } = (await get<EventsResult>(this.swarm, noun)).result;
-      if (this.last === 0 && newest > AT_FIRST + ASKED_AT_ONCE) {
-        this.last = newest - AT_FIRST;
+      if (this.last === 0 && newest > INITIAL_EVENTS + MAX_EVENTS) {
+        this.last = newest - INITIAL_EVENTS;
         continue;
       }
       for (const event of events) {
@@ -146,7 +148,7 @@ export class Events {
       el("span", { class: "what" }, describe(event)),
     );
     this.element.prepend(line);
-    while (this.element.childElementCount > MOST_LINES) {
+    while (this.element.childElementCount > MAX_LINES) {
       this.element.lastElementChild?.remove();
     }
   }

@@ -1,15 +1,15 @@
-/** What the charts show: the newest numbers of a swarm over its time. */
+/** The data of the charts: the newest numbers of a swarm over its simulated time. */
 import type { OrderMessage } from "../wire/messages.ts";
 import type { State } from "../wire/state.ts";
 
-export const MOST_POINTS = 2000;
-/** Wall time between two points: states may come fifty times a second. */
+export const MAX_POINTS = 2000;
+/** Wall time between two points: the daemon sends up to fifty states a second. */
 const SPACING_MS = 100;
 
 export const SERIES = ["order", "drift", "contacts", "real_time_factor"] as const;
 export type Series = (typeof SERIES)[number];
 
-/** A swarm at one moment: what the numbers and the charts show are the same values of the same one. */
+/** The numbers of a swarm at one step; the panel and the charts show the same moment. */
 export interface Moment extends Record<Series, number | null> {
   epoch: number;
   step: number;
@@ -20,27 +20,18 @@ export interface Moment extends Record<Series, number | null> {
 
 export function momentOfState(state: State, real_time_factor: number | null): Moment {
   const informed = state.weight.reduce((sum, it) => sum + (it > 0 ? 1 : 0), 0);
-  return moment({ ...state, n: state.id.length, informed, real_time_factor });
+  return momentOfOrder({ ...state, n: state.id.length, informed, real_time_factor });
 }
 
-export function momentOfOrder(message: OrderMessage): Moment {
-  return moment(message);
-}
-
-function moment(
-  it: Pick<
-    OrderMessage,
-    "epoch" | "step" | "time" | "n" | "informed" | "order" | "certificate" | "real_time_factor"
-  >,
-): Moment {
+export function momentOfOrder(it: OrderMessage): Moment {
   const { epoch, step, time, n, informed, real_time_factor } = it;
   const { order, drift } = it.order;
   const { contacts } = it.certificate;
   return { epoch, step, time, n, informed, order, drift, contacts, real_time_factor };
 }
 
-/** The places of values without one before or after them. */
-export function alone(column: ArrayLike<number | null | undefined>): number[] {
+/** The indices of values without a neighbour. */
+export function isolated(column: ArrayLike<number | null | undefined>): number[] {
   const is = (k: number) => typeof column[k] === "number";
   return Array.from({ length: column.length }, (_, k) => k).filter(
     (k) => is(k) && !is(k - 1) && !is(k + 1),
@@ -59,13 +50,13 @@ export class History {
   private began = Number.NEGATIVE_INFINITY;
 
   /**
-   * Adds what is newest, which is the last point from then on. One that comes soon after the last
-   * point began replaces it, and so does one of the same time: a swarm that stands still changes, too.
+   * Adds the newest moment as the last point. It replaces the previous point if that began less than
+   * SPACING_MS ago or has the same time: commands change a paused swarm, too.
    */
   add(newest: Moment, now: number): void {
     const last = this.time.at(-1);
     if (newest.epoch !== this.epoch || (last !== undefined && newest.time <= last)) {
-      // After a reset or a restart time goes back: what is told again replaces what was told.
+      // After a reset or a restart time goes back: new points replace those from this time on.
       this.dropFrom(newest.time);
       this.epoch = newest.epoch;
       this.began = now;
@@ -78,7 +69,7 @@ export class History {
     for (const name of SERIES) {
       this.columns[name].push(newest[name]);
     }
-    const surplus = this.time.length - MOST_POINTS;
+    const surplus = this.time.length - MAX_POINTS;
     if (surplus > 0) {
       this.time.splice(0, surplus);
       for (const name of SERIES) {

@@ -1,7 +1,7 @@
-/** Gives individuals a direction of their own, and offers to undo exactly that. */
-import { announce, attempt } from "../parts/announce.ts";
-import { degrees, fixed, plural } from "../parts/format.ts";
-import type { Session } from "../parts/session.ts";
+/** Sends `inform`, and offers to undo exactly that command. */
+import { announce, attempt, checkMayCommand } from "../ui/announce.ts";
+import { degrees, fixed, plural } from "../ui/format.ts";
+import type { Session } from "../ui/session.ts";
 import { command, currentState } from "../wire/http.ts";
 import type { Reply } from "../wire/messages.ts";
 
@@ -17,7 +17,7 @@ export interface Preference {
   weight?: number;
 }
 
-/** Informs individuals; the message offers to uninform those of them who were not informed before. */
+/** Informs individuals. The message offers to uninform those that were not informed before. */
 export async function inform(
   swarm: string,
   session: Session,
@@ -25,11 +25,10 @@ export async function inform(
   preference: Preference,
 ): Promise<void> {
   if (ids.length === 0) {
-    announce("no one is selected");
+    announce("no individual is selected");
     return;
   }
-  if (!session.mayCommand) {
-    announce(session.refusal);
+  if (!checkMayCommand(session)) {
     return;
   }
   await attempt(async () => {
@@ -48,18 +47,18 @@ export async function inform(
   });
 }
 
-/** Replaced directions cannot be undone: a state does not contain when they were to lapse. */
+/** Replaced directions cannot be restored: a state does not contain when they lapse. */
 function changed(count: number): string {
-  return count === 0 ? "" : `, ${count} of them in place of a direction that they had`;
+  return count === 0 ? "" : `, ${count} of them replacing another direction`;
 }
 
 /** Uninforms individuals; fails after a reset, which assigns the ids to other individuals. */
 async function undo(swarm: string, { epoch }: Reply<Chosen>, ids: number[]): Promise<void> {
   await attempt(async () => {
-    const there = new Set((await currentState(swarm)).id);
-    const left = ids.filter((id) => there.has(id));
+    const present = new Set((await currentState(swarm)).id);
+    const left = ids.filter((id) => present.has(id));
     if (left.length === 0) {
-      announce("none of them is in the swarm any more");
+      announce("none of these individuals is left in the swarm");
       return;
     }
     await command(swarm, "uninform", { select: { ids: left } }, { expect_epoch: epoch });

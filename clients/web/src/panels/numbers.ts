@@ -1,17 +1,17 @@
-/** What a swarm is at now, in numbers. */
-import { el, say } from "../parts/dom.ts";
-import { fixed, signed, time } from "../parts/format.ts";
+/** The current numbers of a swarm. */
+import { el, setText } from "../ui/dom.ts";
+import { fixed, signed, time } from "../ui/format.ts";
 import type { Moment } from "./history.ts";
 
 const NAMES = {
   order: "alignment of the group, from 0 to 1",
-  drift: "speed along the informed's common direction",
+  drift: "speed along the common direction of the informed",
   contacts: "pairs near enough to constrain, of the last step",
   n: "individuals",
-  informed: "individuals with a direction of their own",
-  time: "step · dt",
+  informed: "individuals with a preferred direction",
+  time: "simulated time, step · dt",
   step: "steps taken",
-  "real-time factor": "time units a second",
+  "real-time factor": "time units per second",
 } as const;
 
 type Name = keyof typeof NAMES;
@@ -40,6 +40,6 @@ export class Numbers {
   }
 
   private put(name: Name, text: string): void {
-    say(this.places.get(name)!, text);
+    setText(this.places.get(name)!, text);
   }
 }

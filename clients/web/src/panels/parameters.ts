@@ -1,21 +1,21 @@
-/** Every parameter: value, range, unit; a field for those that `set` changes. */
-import { announce, attempt } from "../parts/announce.ts";
-import { el, say } from "../parts/dom.ts";
-import { form } from "../parts/field.ts";
-import { short } from "../parts/format.ts";
+/** All parameters with value, range and unit; a field for each that `set` changes. */
+import { announce, attempt } from "../ui/announce.ts";
+import { el, setText } from "../ui/dom.ts";
+import { rowForm } from "../ui/field.ts";
+import { short } from "../ui/format.ts";
 import { command } from "../wire/http.ts";
 import type { Parameter } from "../wire/messages.ts";
 import { rangeOf } from "./ranges.ts";
 
-/** What an attraction of each kind needs besides. */
+/** The additional argument of each kind of attraction. */
 const NEEDS: Record<string, { name: string; usual: string }> = {
   metric: { name: "radius", usual: "3" },
   topological: { name: "neighbours", usual: "7" },
   power: { name: "exponent", usual: "-1" },
 };
 
-/** Who changes it, in words. */
-function fate(it: Parameter): string {
+/** Which commands change a parameter. */
+function changes(it: Parameter): string {
   if (!it.live) {
     return "chosen at creation";
   }
@@ -34,7 +34,7 @@ export class Parameters {
 
   constructor(private readonly swarm: string) {}
 
-  /** Shows them; fields stand when only values have changed, and keep what is being typed. */
+  /** Shows the parameters. If only values changed, the fields are kept, with what is being typed. */
   show(parameters: Parameter[], mayCommand: boolean): void {
     const key = `${mayCommand} ${parameters.map((it) => it.name).join(" ")}`;
     if (key !== this.key) {
@@ -49,7 +49,7 @@ export class Parameters {
 
   private row(it: Parameter, mayCommand: boolean): HTMLElement {
     const value = el("output", { class: "value" });
-    const about = el("small", {}, [rangeOf(it), fate(it)].filter(Boolean).join(" · "));
+    const about = el("small", {}, [rangeOf(it), changes(it)].filter(Boolean).join(" · "));
     const label = el("b", { id: `parameter-${it.name}` }, it.name);
     const head = el("div", { class: "head", title: it.doc }, label, value);
     const doc = el("small", { class: "doc" }, it.doc);
@@ -64,7 +64,7 @@ export class Parameters {
       const text =
         it.value === null && it.name === "rate" ? "as fast as possible" : short(it.value);
       if (value.textContent !== text) {
-        say(value, text);
+        setText(value, text);
         fill(it);
       }
     };
@@ -110,7 +110,7 @@ export class Parameters {
         extra.value = needs ? short((value as Record<string, unknown>)[needs.name]) : "";
         adapt();
       };
-      return { form: form({ class: "row" }, send, select, extra, button), fill };
+      return { form: rowForm(send, select, extra, button), fill };
     }
     const input = el("input", {
       ...labelled,
@@ -121,17 +121,20 @@ export class Parameters {
       required: true,
     });
     const parts: Node[] = [input];
-    const room = el("input", { type: "checkbox" });
+    const makeRoom = el("input", { type: "checkbox" });
     if (it.name === "pi1") {
       const title = "scale the positions by the least factor that lets the new bodies fit";
-      parts.push(el("label", { class: "check", title }, room, "make room"));
+      parts.push(el("label", { class: "check", title }, makeRoom, "make room"));
     }
     const send = () =>
-      this.set({ [it.name]: input.valueAsNumber, ...(room.checked ? { make_room: true } : {}) });
+      this.set({
+        [it.name]: input.valueAsNumber,
+        ...(makeRoom.checked ? { make_room: true } : {}),
+      });
     const fill = ({ value }: Parameter) => {
       input.value = short(value);
     };
-    return { form: form({ class: "row" }, send, ...parts, button), fill };
+    return { form: rowForm(send, ...parts, button), fill };
   }
 
   private async set(args: Record<string, unknown>): Promise<void> {

@@ -1,5 +1,5 @@
-/** The range of a parameter and its unit, in words. */
-import { short } from "../parts/format.ts";
+/** The range and unit of a parameter, as text. */
+import { short } from "../ui/format.ts";
 import type { Parameter } from "../wire/messages.ts";
 
 export function rangeOf(it: Parameter): string {

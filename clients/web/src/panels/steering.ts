@@ -1,16 +1,25 @@
-/** Who is selected, and what they are told: a direction of their own, or none. */
-import { attempt } from "../parts/announce.ts";
-import { el, say } from "../parts/dom.ts";
-import { form, numberField, numberIn } from "../parts/field.ts";
-import { degrees, plural } from "../parts/format.ts";
-import type { Session } from "../parts/session.ts";
-import type { Stage } from "../stage/stage.ts";
+/** The inform panel: selects individuals, and sends `inform` and `uninform` for them. */
+
+import type { Mode } from "../canvas/gestures.ts";
+import type { View } from "../canvas/view.ts";
+import { attempt } from "../ui/announce.ts";
+import { button, el, setText } from "../ui/dom.ts";
+import { numberField, numberIn, rowForm } from "../ui/field.ts";
+import { degrees, plural } from "../ui/format.ts";
+import type { Session } from "../ui/session.ts";
 import { command } from "../wire/http.ts";
 import { inform } from "./inform.ts";
 
+/** What a drag on the picture does in each mode. */
+const MODES: Record<Mode, string> = {
+  look: "",
+  lasso: "A drag on the picture selects.",
+  direct: "A drag on the picture informs.",
+};
+
 export class Steering {
   readonly element: HTMLElement;
-  private readonly who = el("p", { class: "who", "aria-live": "polite" });
+  private readonly selection = el("p", { class: "selection", "aria-live": "polite" });
   private readonly direction = numberField({
     label: "direction",
     unit: "(°)",
@@ -19,29 +28,26 @@ export class Steering {
   });
   private readonly weight = numberField({ label: "weight", min: "0", placeholder: "pi2" });
   private readonly fields: HTMLFieldSetElement;
-  private readonly clear = el("button", { type: "button" }, "Nobody");
-  private readonly all = el("button", { type: "button" }, "Everybody");
-  private readonly lasso = el("button", { type: "button" }, "Lasso");
-  private readonly drag = el("button", { type: "button" }, "Drag a direction");
-  private readonly uninform = el("button", { type: "button" }, "Uninform");
+  private readonly clear: HTMLButtonElement;
+  private readonly lasso = button("Lasso", () => this.enter("lasso"));
+  private readonly drag = button("Drag a direction", () => this.enter("direct"));
+  /** Shown while a drag on the picture selects or informs. */
+  private readonly mode = el("p", { class: "mode", hidden: true });
+  private readonly modeText = el("span", {});
 
   constructor(
     private readonly swarm: string,
     private readonly session: Session,
-    private readonly stage: Stage,
+    private readonly view: View,
   ) {
-    const { selected } = stage;
-    this.clear.addEventListener("click", () => stage.change(() => selected.clear()));
-    this.all.addEventListener("click", () =>
-      stage.change(() => {
-        for (const id of stage.state?.id ?? []) {
-          selected.add(id);
-        }
-      }),
+    const { selected } = view;
+    this.clear = button("Clear", () => view.change(() => selected.clear()));
+    const all = button("Select all", () => this.select(view.state?.id ?? []));
+    this.mode.append(
+      this.modeText,
+      button("Cancel (Esc)", () => this.leave()),
     );
-    this.lasso.addEventListener("click", () => this.enter("lasso"));
-    this.drag.addEventListener("click", () => this.enter("direct"));
-    this.uninform.addEventListener("click", () => void this.takeAway());
+    const uninform = button("Uninform", () => this.uninformSelected());
     const ids = el("input", {
       type: "text",
       inputmode: "numeric",
@@ -49,9 +55,8 @@ export class Steering {
       title: "numbers, with commas between them",
       autocomplete: "off",
     });
-    const select = form(
-      { class: "row" },
-      async () => this.select(ids.value),
+    const select = rowForm(
+      async () => this.select(ids.value.split(/[ ,]+/).filter(Boolean).map(Number)),
       el("label", {}, el("span", {}, "ids"), ids),
       el("button", {}, "Select"),
     );
@@ -59,48 +64,51 @@ export class Steering {
       "fieldset",
       {},
       el("legend", { class: "hidden" }, "inform"),
-      form(
-        { class: "row" },
+      rowForm(
         () => this.inform(((numberIn(this.direction.input) ?? 0) * Math.PI) / 180),
         this.direction.label,
         this.weight.label,
         el("button", { class: "primary" }, "Inform"),
       ),
-      el("p", { class: "buttons" }, this.drag, this.uninform),
+      el("p", { class: "buttons" }, this.drag, uninform),
     );
     this.element = el(
       "div",
       { class: "steering" },
-      this.who,
-      el("p", { class: "buttons" }, this.lasso, this.all, this.clear),
+      this.selection,
+      el("p", { class: "buttons" }, this.lasso, all, this.clear),
       select,
       this.fields,
+      this.mode,
     );
     this.show();
   }
 
-  enter(mode: "look" | "lasso" | "direct"): void {
-    this.stage.mode = this.stage.mode === mode ? "look" : mode;
-    this.stage.canvas.focus();
+  enter(mode: Mode): void {
+    this.view.mode = this.view.mode === mode ? "look" : mode;
+    this.view.canvas.focus();
   }
 
   show(): void {
-    const { selected, mode } = this.stage;
-    const ids = [...selected].sort((a, b) => a - b);
+    const { mode } = this.view;
+    const ids = this.ids();
     const named = ids.length > 12 ? `${ids.slice(0, 12).join(", ")}, …` : ids.join(", ");
-    say(
-      this.who,
+    setText(
+      this.selection,
       ids.length === 0
-        ? "Nobody is selected: click bodies, or draw a lasso around some."
+        ? "No individual is selected: click bodies, or draw a lasso around them."
         : `${plural(ids.length, "individual")} selected: ${named}`,
     );
     this.fields.disabled = !this.session.mayCommand || ids.length === 0;
     this.clear.disabled = ids.length === 0;
+    this.element.dataset.mode = mode;
+    this.mode.hidden = mode === "look";
+    setText(this.modeText, MODES[mode]);
     this.lasso.setAttribute("aria-pressed", String(mode === "lasso"));
     this.drag.setAttribute("aria-pressed", String(mode === "direct"));
   }
 
-  /** Informs the selected; the direction in radians. */
+  /** Informs the selected individuals; the direction in radians. */
   async inform(direction: number): Promise<void> {
     this.leave();
     this.direction.input.value = degrees(direction).toFixed(1);
@@ -111,26 +119,26 @@ export class Steering {
 
   /** A command ends the lasso or direction mode: the next drag pans. */
   private leave(): void {
-    if (this.stage.mode !== "look") {
-      this.stage.mode = "look";
+    if (this.view.mode !== "look") {
+      this.view.mode = "look";
     }
   }
 
-  private async takeAway(): Promise<void> {
+  private async uninformSelected(): Promise<void> {
     this.leave();
     const ids = this.ids();
-    const said = `${plural(ids.length, "individual")} uninformed`;
-    await attempt(() => command(this.swarm, "uninform", { select: { ids } }), said);
+    const text = `${plural(ids.length, "individual")} uninformed`;
+    await attempt(() => command(this.swarm, "uninform", { select: { ids } }), text);
   }
 
-  /** Selects by number, for those who do not point. */
-  private select(text: string): void {
-    const there = new Set(this.stage.state?.id);
-    const { selected } = this.stage;
-    this.stage.change(() => {
+  /** Selects those of the individuals that exist, without a pointer. */
+  private select(ids: ArrayLike<number>): void {
+    const wanted = new Set(Array.from(ids));
+    const { selected, state } = this.view;
+    this.view.change(() => {
       selected.clear();
-      for (const id of text.split(/[ ,]+/).filter(Boolean).map(Number)) {
-        if (there.has(id)) {
+      for (const id of state?.id ?? []) {
+        if (wanted.has(id)) {
           selected.add(id);
         }
       }
@@ -138,6 +146,6 @@ export class Steering {
   }
 
   private ids(): number[] {
-    return [...this.stage.selected].sort((a, b) => a - b);
+    return [...this.view.selected].sort((a, b) => a - b);
   }
 }

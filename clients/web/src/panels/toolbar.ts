@@ -1,17 +1,18 @@
-/** Buttons beside the picture, each with its key. */
-import { el } from "../parts/dom.ts";
-import { icon, type Sign } from "../parts/icons.ts";
-import type { Shows } from "../stage/painting.ts";
-import type { Stage } from "../stage/stage.ts";
+/** The buttons on the picture and their keys. */
 
-const LAYERS: [keyof Shows, string, string, Sign][] = [
+import type { Layers } from "../canvas/painting.ts";
+import type { View } from "../canvas/view.ts";
+import { el } from "../ui/dom.ts";
+import { icon, type Sign } from "../ui/icons.ts";
+
+const LAYERS: [keyof Layers, string, string, Sign][] = [
   ["contacts", "c", "Contacts", "contacts"],
   ["clusters", "k", "Clusters", "clusters"],
   ["trails", "t", "Trails", "trails"],
-  ["preferences", "p", "Preference of everybody", "preferences"],
+  ["preferences", "p", "Preferences", "preferences"],
 ];
 
-/** Part of the picture's width that an arrow key pans by. */
+/** The share of the picture's shorter side by which an arrow key pans. */
 const PAN = 0.08;
 const ZOOM = 1.25;
 
@@ -20,10 +21,10 @@ export class Toolbar {
   private readonly pressed: { button: HTMLButtonElement; is: () => boolean }[] = [];
 
   constructor(
-    private readonly stage: Stage,
+    private readonly view: View,
     lasso: () => void,
   ) {
-    const { shows } = stage;
+    const { layers } = view;
     this.element = el(
       "div",
       {
@@ -37,7 +38,7 @@ export class Toolbar {
         "f",
         "follow",
         () => this.follow(),
-        () => stage.camera.following,
+        () => view.camera.following,
       ),
       ...LAYERS.map(([name, key, title, sign]) =>
         this.button(
@@ -45,14 +46,14 @@ export class Toolbar {
           key,
           sign,
           () => this.toggle(name),
-          () => shows[name],
+          () => layers[name],
         ),
       ),
-      this.button("Lasso", "l", "lasso", lasso, () => stage.mode === "lasso"),
+      this.button("Lasso", "l", "lasso", lasso, () => view.mode === "lasso"),
       this.button("Zoom in", "+", "more", () => this.zoom(ZOOM)),
       this.button("Zoom out", "−", "less", () => this.zoom(1 / ZOOM)),
     );
-    // A click leaves the focus where it is, so that space goes on meaning run and pause.
+    // A click must not move the focus: space runs and pauses.
     this.element.addEventListener("mousedown", (event) => event.preventDefault());
     this.show();
   }
@@ -64,24 +65,24 @@ export class Toolbar {
   }
 
   follow(): void {
-    this.stage.change(() => this.stage.camera.follow());
+    this.view.change(() => this.view.camera.follow());
   }
 
-  toggle(name: keyof Shows): void {
-    this.stage.change(() => {
-      this.stage.shows[name] = !this.stage.shows[name];
+  toggle(name: keyof Layers): void {
+    this.view.change(() => {
+      this.view.layers[name] = !this.view.layers[name];
     });
   }
 
   zoom(factor: number): void {
-    const { camera } = this.stage;
-    this.stage.change(() => camera.zoomAt(camera.width / 2, camera.height / 2, factor));
+    const { camera } = this.view;
+    this.view.change(() => camera.zoomAt(camera.width / 2, camera.height / 2, factor));
   }
 
-  /** What a key means for the picture; whether it means anything. */
+  /** Handles a key; returns whether it did. */
   key(key: string): boolean {
     const layer = LAYERS.find(([, it]) => it === key);
-    const { camera } = this.stage;
+    const { camera } = this.view;
     const far = PAN * Math.min(camera.width, camera.height);
     const pans: Record<string, [number, number]> = {
       ArrowLeft: [far, 0],
@@ -93,7 +94,7 @@ export class Toolbar {
     if (layer) {
       this.toggle(layer[0]);
     } else if (pan) {
-      this.stage.change(() => camera.pan(...pan));
+      this.view.change(() => camera.pan(...pan));
     } else if (key === "f") {
       this.follow();
     } else if (key === "+" || key === "=") {

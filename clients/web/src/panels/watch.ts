@@ -1,48 +1,46 @@
-/**
- * A swarm on the screen: its picture, its numbers, and what keeps both up to date. The page of a
- * swarm and the gallery build on it.
- */
-import { complain } from "../parts/announce.ts";
-import { el, say } from "../parts/dom.ts";
-import { fixed, plural, rates } from "../parts/format.ts";
-import type { Session } from "../parts/session.ts";
-import { Stage } from "../stage/stage.ts";
+/** The picture of a swarm and its subscription; used by the page of a swarm and by the gallery. */
+
+import { View } from "../canvas/view.ts";
+import { announceError } from "../ui/announce.ts";
+import { button, el, setText } from "../ui/dom.ts";
+import { fixed, plural, rates } from "../ui/format.ts";
+import type { Session } from "../ui/session.ts";
 import { get } from "../wire/http.ts";
 import type { Connection } from "../wire/live.ts";
 import type { OrderMessage, Parameter, SwarmEvent, SwarmRow } from "../wire/messages.ts";
 import type { State } from "../wire/state.ts";
 import { Toolbar } from "./toolbar.ts";
 
-/** Verbs after which the parameters may be others. */
+/** Verbs that may change parameters. */
 const CHANGES = ["set", "batch", "reset", "run", "inject", "remove"];
 const METER_MS = 1000;
 
 export interface WatchEvents {
   state(state: State): void;
-  order(message: OrderMessage): void;
-  /** What the list says of it; nothing when it is not there. */
+  order?(message: OrderMessage): void;
+  /** The swarm's row in the list; undefined if there is no such swarm. */
   row(row: SwarmRow | undefined): void;
-  parameters(parameters: Parameter[]): void;
-  event(event: SwarmEvent): void;
-  /** It was gone, and there is one of its name: perhaps another one. */
-  another(): void;
-  /** Events were lost, or the connection is new: there is something to catch up. */
-  catchUp(): void;
-  changed(): void;
+  parameters?(parameters: Parameter[]): void;
+  event?(event: SwarmEvent): void;
+  /** The swarm was missing and its name exists again, perhaps as another swarm. */
+  replaced?(): void;
+  /** Events were skipped, or the connection is new. */
+  catchUp?(): void;
+  changed?(): void;
   directed(direction: number): void;
 }
 
 export class Watch {
   readonly element: HTMLElement;
-  readonly stage: Stage;
+  readonly view: View;
   readonly toolbar: Toolbar;
   parameters: Parameter[] = [];
-  /** Whether it is a recording, which nobody can change. */
+  /** Whether the swarm is a playback, whose individuals cannot be changed. */
   replay = false;
 
   private readonly hint = el("span", {});
   private readonly mode = el("p", { class: "hint", role: "status", hidden: true });
-  private readonly curtain = el("p", { class: "curtain", role: "status", hidden: true });
+  private readonly overlay = el("p", { class: "overlay", role: "status", hidden: true });
   private readonly meter = el("p", { class: "meter", "data-fps": "0" });
   private readonly jumps = el("span", { class: "jumps", hidden: true });
   private readonly rates = el("span", { class: "rates" });
@@ -50,13 +48,13 @@ export class Watch {
   private readonly timer: ReturnType<typeof setInterval>;
   private counted = { drawn: 0, states: 0, at: performance.now() };
   private states = 0;
-  /** The most time between two states that were shown without motion between them. */
+  /** The longest simulated time between two states that were not interpolated. */
   private jumped = 0;
-  private gone = false;
-  /** The other daemon that holds the name. */
+  private missing = false;
+  /** The other daemon that claims the name. */
   private rival: string | null = null;
   private absent = 0;
-  private described = 0;
+  private described = Number.NEGATIVE_INFINITY;
   private connection: Connection = "connecting";
 
   constructor(
@@ -65,97 +63,97 @@ export class Watch {
     private readonly events: WatchEvents,
   ) {
     const { live } = session;
-    this.stage = new Stage({
+    this.view = new View({
       take: () => live.takeState(),
       state: (state) => this.takeState(state),
       changed: () => this.changed(),
       directed: (direction) => events.directed(direction),
-      failed: complain,
+      failed: announceError,
     });
-    const leave = el("button", { type: "button" }, "Cancel (Esc)");
+    this.view.canvas.setAttribute("aria-label", `${swarm}: no state received`);
+    const leave = button("Cancel (Esc)", () => this.enter("look"));
     leave.addEventListener("mousedown", (event) => event.preventDefault());
-    leave.addEventListener("click", () => this.enter("look"));
     this.mode.append(this.hint, " ", leave);
     this.jumps.title =
-      "Between states so far apart bodies would be drawn where they never were: " +
-      "each state is drawn as it is. A lower rate shows the motion.";
+      "Straight lines between states so far apart would show bodies where they never were, so " +
+      "positions are not interpolated. A lower rate shows the motion.";
     this.meter.append(this.jumps, this.rates);
-    this.toolbar = new Toolbar(this.stage, () => this.enter("lasso"));
+    this.toolbar = new Toolbar(this.view, () => this.enter("lasso"));
     this.element = el(
       "figure",
-      { class: "stage", "aria-label": `picture of ${swarm}` },
-      this.stage.canvas,
+      { class: "view", "aria-label": `picture of ${swarm}` },
+      this.view.canvas,
       this.toolbar.element,
       this.mode,
-      this.curtain,
+      this.overlay,
       this.meter,
     );
     this.unlisten = live.listen({
       state: () => {
         this.states += 1;
-        this.stage.ask();
+        this.view.requestDraw();
       },
-      order: (message) => events.order(message),
+      order: (message) => events.order?.(message),
       event: (event) => this.takeEvent(event),
-      missed: () => events.catchUp(),
+      missed: () => events.catchUp?.(),
       gone: () => {
-        this.miss();
+        this.markMissing();
         events.row(undefined);
       },
       swarms: (rows) => {
         const row = rows.find((it) => it.swarm === swarm);
         this.replay = row?.replay ?? this.replay;
-        this.contest(row?.contested_by ?? null);
-        // One list without it may be older than the swarm.
+        this.setRival(row?.contested_by ?? null);
+        // A single list without the swarm may predate its creation.
         this.absent = row ? 0 : this.absent + 1;
-        if (row && this.gone) {
-          // Another one of this name, which may stand still: its state is asked for.
-          live.look();
-          this.find();
+        if (row && this.missing) {
+          // A new swarm of this name may be paused: only a new connection sends its state.
+          live.reconnect();
+          this.markPresent();
         }
         if (this.absent > 1) {
-          this.miss();
+          this.markMissing();
         }
         events.row(row);
       },
       connection: (connection) => {
         this.connection = connection;
-        this.veil();
-        if (connection === "here") {
+        this.showAvailability();
+        if (connection === "open") {
           void this.readParameters();
-          events.catchUp();
+          events.catchUp?.();
         }
       },
     });
     live.watch(swarm);
-    if (live.connection === "here") {
+    if (live.connection === "open") {
       void this.readParameters();
     }
     this.timer = setInterval(() => this.measure(), METER_MS);
-    this.veil();
+    this.showAvailability();
   }
 
   enter(mode: "look" | "lasso" | "direct"): void {
-    this.stage.mode = this.stage.mode === mode ? "look" : mode;
+    this.view.mode = this.view.mode === mode ? "look" : mode;
   }
 
-  /** What a key means for the picture; whether it means anything. */
+  /** Handles a key; returns whether it did. */
   key(event: KeyboardEvent): boolean {
     if (event.key === "l") {
       this.enter("lasso");
     } else if (event.key === "d") {
-      // A lasso leads there by itself: whoever presses it then means the same.
-      if (this.stage.mode !== "direct") {
+      // A lasso enters this mode: the key must not leave it again.
+      if (this.view.mode !== "direct") {
         this.enter("direct");
       }
     } else if (event.key === "Escape") {
       const isTyping = (event.target as Element).closest("input, select, textarea");
-      if (this.stage.mode !== "look") {
+      if (this.view.mode !== "look") {
         this.enter("look");
       } else if (isTyping) {
         return false;
       } else {
-        this.stage.change(() => this.stage.selected.clear());
+        this.view.change(() => this.view.selected.clear());
       }
     } else {
       return this.toolbar.key(event.key);
@@ -169,88 +167,87 @@ export class Watch {
       this.parameters = result.parameters;
       const pi1 = result.parameters.find((it) => it.name === "pi1")?.value;
       if (typeof pi1 === "number") {
-        this.stage.setPi1(pi1);
+        this.view.setPi1(pi1);
       }
-      this.events.parameters(result.parameters);
+      this.events.parameters?.(result.parameters);
     } catch {
-      // The daemon is away, or the swarm gone: it is asked again when they are back.
+      // No connection, or no such swarm: the next connection requests them again.
     }
   }
 
   end(): void {
     clearInterval(this.timer);
     this.unlisten();
-    this.stage.end();
+    this.view.end();
   }
 
   private takeState(state: State): void {
-    this.find();
-    this.veil();
-    if (this.stage.apart >= this.stage.limit) {
-      this.jumped = Math.max(this.jumped, this.stage.apart);
+    this.markPresent();
+    this.showAvailability();
+    if (this.view.apart >= this.view.limit) {
+      this.jumped = Math.max(this.jumped, this.view.apart);
     }
     this.describe(state);
     this.events.state(state);
   }
 
-  /** Shows or hides the notice that another daemon holds the name. */
-  private contest(rival: string | null): void {
+  /** Shows or hides the notice that another daemon claims the name. */
+  private setRival(rival: string | null): void {
     if (rival === this.rival) {
       return;
     }
     this.rival = rival;
-    this.veil();
+    this.showAvailability();
     if (rival === null) {
-      this.session.live.look();
+      this.session.live.reconnect();
     }
   }
 
-  private miss(): void {
-    this.gone = true;
-    this.veil();
+  private markMissing(): void {
+    this.missing = true;
+    this.showAvailability();
   }
 
-  /** It is there; if it was gone, somebody made one of this name: what is known of the last is of
-   * no use. */
-  private find(): void {
-    if (this.gone) {
-      this.gone = false;
-      this.veil();
+  /** The swarm exists. If it was missing, it may be another one of this name. */
+  private markPresent(): void {
+    if (this.missing) {
+      this.missing = false;
+      this.showAvailability();
       void this.readParameters();
-      this.events.another();
+      this.events.replaced?.();
     }
   }
 
   private takeEvent(event: SwarmEvent): void {
     const { kind, verb } = event.event;
     if (kind === "deleted") {
-      // Discard the state that is not drawn yet: it is of the deleted swarm.
+      // A state that is not drawn yet belongs to the deleted swarm.
       this.session.live.takeState();
-      this.miss();
+      this.markMissing();
       this.events.row(undefined);
     } else if (kind !== "command" || CHANGES.includes(String(verb))) {
       void this.readParameters();
     }
-    this.events.event(event);
+    this.events.event?.(event);
   }
 
-  /** Says for those who do not see it what the picture shows, now and then. */
+  /** Describes the picture for screen readers, at most every two seconds. */
   private describe(state: State): void {
     const now = performance.now();
     if (now - this.described > 2000) {
       this.described = now;
       const informed = state.weight.filter((it) => it > 0).length;
-      const said = [
+      const parts = [
         `${plural(state.id.length, "individual")}, ${informed} informed, ${state.phase}`,
         `order ${fixed(state.order.order, 2)}`,
       ];
-      this.stage.canvas.setAttribute("aria-label", `${this.swarm}: ${said.join(", ")}`);
+      this.view.canvas.setAttribute("aria-label", `${this.swarm}: ${parts.join(", ")}`);
     }
   }
 
   private changed(): void {
     this.toolbar.show();
-    const { mode, selected } = this.stage;
+    const { mode, selected } = this.view;
     const count = plural(selected.size, "individual");
     const hints = {
       look: "",
@@ -261,46 +258,48 @@ export class Watch {
           ? `Selected. ${this.session.refusal}.`
           : selected.size === 0
             ? "Click the individuals to inform, then drag the direction."
-            : `Drag the direction that ${count} ${selected.size === 1 ? "is" : "are"} to prefer: one drag, one command.`,
+            : `Drag the direction for ${count}.`,
     };
-    say(this.hint, hints[mode]);
+    setText(this.hint, hints[mode]);
     this.mode.hidden = mode === "look";
     this.element.dataset.mode = mode;
-    this.events.changed();
+    this.events.changed?.();
   }
 
-  /** Dims the last picture while it is not the present one. */
-  private veil(): void {
-    const away = this.connection === "away";
-    const missing = this.gone && !away;
-    const contested = this.rival !== null && !away;
-    const unserved = away || missing || contested;
+  /** Dims the picture while it is not current, and shows why. */
+  private showAvailability(): void {
+    const lost = this.connection === "lost";
+    const missing = this.missing && !lost;
+    const contested = this.rival !== null && !lost;
+    const unserved = lost || missing || contested;
     this.element.classList.toggle("dimmed", unserved);
-    this.curtain.hidden = !unserved && this.stage.state !== null;
-    const words = contested
-      ? `Contested: daemon ${this.rival} has a swarm ${this.swarm}, too. This daemon executes no command on it now.`
+    this.overlay.hidden = !unserved && this.view.state !== null;
+    const text = contested
+      ? `Contested: daemon ${this.rival} also has a swarm ${this.swarm}. This daemon executes no commands on it now.`
       : missing
-        ? `There is no swarm ${this.swarm} now.`
-        : away
-          ? "The daemon is away, trying again …"
-          : "Asking the daemon …";
-    say(this.curtain, words);
+        ? `No swarm ${this.swarm} on this daemon.`
+        : lost
+          ? "No connection to the daemon, reconnecting …"
+          : "Requesting the state …";
+    setText(this.overlay, text);
   }
 
   private measure(): void {
     const now = performance.now();
     const secs = (now - this.counted.at) / 1000;
-    const drawn = (this.stage.drawn - this.counted.drawn) / secs;
+    const drawn = (this.view.drawn - this.counted.drawn) / secs;
     const states = (this.states - this.counted.states) / secs;
-    this.counted = { drawn: this.stage.drawn, states: this.states, at: now };
+    this.counted = { drawn: this.view.drawn, states: this.states, at: now };
     this.meter.dataset.fps = drawn.toFixed(1);
     const jumped = this.jumped.toPrecision(2);
     this.jumps.hidden = this.jumped === 0;
-    say(
+    setText(
       this.jumps,
-      this.jumped === 0 ? "" : `no motion drawn between states: ${Number(jumped)} time units apart`,
+      this.jumped === 0
+        ? ""
+        : `positions not interpolated: states ${Number(jumped)} time units apart`,
     );
     this.jumped = 0;
-    say(this.rates, drawn < 0.5 ? "" : rates(drawn, states));
+    setText(this.rates, drawn < 0.5 ? "" : rates(drawn, states));
   }
 }

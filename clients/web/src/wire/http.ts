@@ -4,8 +4,8 @@ import type { ErrorBody, Hello, Reply } from "./messages.ts";
 import { decodeState, type State } from "./state.ts";
 import { currentToken } from "./token.ts";
 
-/** A refusal, in the daemon's words; `code` is `away` when nobody answered. */
-export class Refused extends Error {
+/** An error reply of the daemon; `code` is `no_reply` if the request failed or timed out. */
+export class RequestError extends Error {
   readonly code: string;
   readonly body: ErrorBody;
 
@@ -16,15 +16,15 @@ export class Refused extends Error {
   }
 }
 
-const AWAY: ErrorBody = {
-  code: "away",
-  message: "the daemon does not answer: is it still running?",
+const NO_REPLY: ErrorBody = {
+  code: "no_reply",
+  message: "no reply from the daemon: check that it is running",
   details: {},
   step: null,
 };
 
-/** How long a question may take; a command's own deadline is 5 s. */
-const PATIENCE_MS = 15_000;
+/** Longer than the daemon's own deadline for commands, 5 s. */
+const REQUEST_TIMEOUT_MS = 15_000;
 
 async function send(path: string, init: RequestInit): Promise<[Response, ArrayBuffer]> {
   const headers = new Headers(init.headers);
@@ -33,15 +33,15 @@ async function send(path: string, init: RequestInit): Promise<[Response, ArrayBu
     headers.set("Authorization", `Bearer ${token}`);
   }
   try {
-    const signal = AbortSignal.timeout(PATIENCE_MS);
+    const signal = AbortSignal.timeout(REQUEST_TIMEOUT_MS);
     const response = await fetch(path, { ...init, headers, signal, cache: "no-store" });
     return [response, await response.arrayBuffer()];
   } catch {
-    throw new Refused(AWAY);
+    throw new RequestError(NO_REPLY);
   }
 }
 
-async function ask<T>(path: string, init: RequestInit = {}): Promise<T> {
+async function request<T>(path: string, init: RequestInit = {}): Promise<T> {
   const [response, bytes] = await send(path, init);
   return read<T>(response, bytes);
 }
@@ -52,54 +52,55 @@ function read<T>(response: Response, bytes: ArrayBuffer): T {
   try {
     body = JSON.parse(text);
   } catch {
-    const message = `the daemon answered ${response.status} ${text.slice(0, 200)}`.trim();
-    throw new Refused({ code: "internal", message, details: {}, step: null });
+    const message =
+      `the daemon replied with status ${response.status} ${text.slice(0, 200)}`.trim();
+    throw new RequestError({ code: "internal", message, details: {}, step: null });
   }
   if (!response.ok) {
-    throw new Refused(body as ErrorBody);
+    throw new RequestError(body as ErrorBody);
   }
   return body as T;
 }
 
 export function hello(): Promise<Hello> {
-  return ask("/api/hello");
+  return request("/api/hello");
 }
 
-/** Asks a swarm: `what` is a noun, with its parameters as in `events?after=12`. */
+/** Queries a swarm; `what` is a noun with its parameters, such as `events?after=12`. */
 export function get<T>(swarm: string, what: string): Promise<Reply<T>> {
-  return ask(`/api/get/${encodeURIComponent(swarm)}/get/${what}`);
+  return request(`/api/get/${encodeURIComponent(swarm)}/get/${what}`);
 }
 
-/** The state of a swarm as it is now. */
+/** The current state of a swarm. */
 export async function currentState(swarm: string): Promise<State> {
   const [response, bytes] = await send(`/api/get/${encodeURIComponent(swarm)}/state`, {});
   return response.ok ? decodeState(bytes) : read<never>(response, bytes);
 }
 
-/** Names a request, so that one sent twice is carried out once. */
+/** A new request id: the daemon executes a request that is sent twice once. */
 function requestId(): string {
   const bytes = crypto.getRandomValues(new Uint8Array(12));
   return Array.from(bytes, (byte) => byte.toString(16).padStart(2, "0")).join("");
 }
 
-/** What a command may demand of the swarm that executes it. */
-export interface Demands {
+/** Preconditions of a command. */
+export interface Preconditions {
   expect_epoch?: number;
 }
 
-function post<T>(path: string, args: object, demands: Demands = {}): Promise<T> {
-  const request = { request_id: requestId(), client: "page", ...demands, args };
+function post<T>(path: string, args: object, preconditions: Preconditions = {}): Promise<T> {
+  const envelope = { request_id: requestId(), client: "page", ...preconditions, args };
   const headers = { "Content-Type": "application/json" };
-  return ask(path, { method: "POST", headers, body: JSON.stringify(request) });
+  return request(path, { method: "POST", headers, body: JSON.stringify(envelope) });
 }
 
 export function command<T>(
   swarm: string,
   verb: string,
   args: object = {},
-  demands: Demands = {},
+  preconditions: Preconditions = {},
 ): Promise<Reply<T>> {
-  return post(`/api/cmd/${encodeURIComponent(swarm)}/${verb}`, args, demands);
+  return post(`/api/cmd/${encodeURIComponent(swarm)}/${verb}`, args, preconditions);
 }
 
 export function commandNode<T>(verb: string, args: object): Promise<T> {

@@ -1,24 +1,24 @@
 /**
- * The page's one WebSocket: what the daemon tells of all swarms and of the one that is watched.
+ * The page's WebSocket: the list of swarms, and the states and events of the watched swarm.
  *
- * Of states that come faster than they are taken only the newest is kept, undecoded. A connection
- * that ends is made again, with a pause that grows; so is one without a sign of life.
+ * Only the newest state is kept, undecoded, until it is taken. A lost or silent connection is retried
+ * with exponential backoff.
  */
 import type { LiveText, OrderMessage, SwarmEvent, SwarmRow } from "./messages.ts";
 import { currentToken } from "./token.ts";
 
-const FIRST_PAUSE_MS = 500;
-const LONGEST_PAUSE_MS = 4000;
-/** The daemon says something every second. */
-const SILENCE_MS = 6000;
-/** A swarm that is not there may be created by somebody. */
-const GONE_PAUSE_MS = 2000;
+const MIN_RETRY_MS = 500;
+const MAX_RETRY_MS = 4000;
+/** The daemon sends a message every second. */
+const SILENCE_TIMEOUT_MS = 6000;
+/** A missing swarm may be created later. */
+const MISSING_RETRY_MS = 2000;
 
-export type Connection = "connecting" | "here" | "away";
+export type Connection = "connecting" | "open" | "lost";
 
 export interface Listener {
   swarms?(rows: SwarmRow[]): void;
-  /** A newer state is there: `takeState` has it. */
+  /** A newer state has arrived; `takeState` returns it. */
   state?(): void;
   order?(message: OrderMessage): void;
   event?(event: SwarmEvent): void;
@@ -35,8 +35,8 @@ export class Live {
   private watched: string | null = null;
   private socket: WebSocket | null = null;
   private newest: ArrayBuffer | null = null;
-  private pause = FIRST_PAUSE_MS;
-  private again: ReturnType<typeof setTimeout> | undefined;
+  private pause = MIN_RETRY_MS;
+  private retryTimer: ReturnType<typeof setTimeout> | undefined;
   private silence: ReturnType<typeof setTimeout> | undefined;
 
   listen(listener: Listener): () => void {
@@ -48,46 +48,42 @@ export class Live {
     return () => this.listeners.delete(listener);
   }
 
-  /** Watches one swarm beside the list of all, or none. */
+  /** Subscribes to one swarm in addition to the list, or to none. */
   watch(swarm: string | null): void {
     if (swarm === this.watched && this.socket) {
       return;
     }
     this.watched = swarm;
     this.newest = null;
-    this.pause = FIRST_PAUSE_MS;
-    this.connect();
+    this.pause = MIN_RETRY_MS;
+    this.reconnect();
   }
 
-  /** Asks again for a swarm that was gone, since somebody made it. */
-  look(): void {
-    this.connect();
-  }
-
-  /** The newest state that was not taken yet, as it came. */
+  /** Removes and returns the newest undecoded state, if there is one. */
   takeState(): ArrayBuffer | null {
     const newest = this.newest;
     this.newest = null;
     return newest;
   }
 
-  private connect(): void {
-    clearTimeout(this.again);
+  /** Connects again, for example to subscribe to a swarm that did not exist before. */
+  reconnect(): void {
+    clearTimeout(this.retryTimer);
     this.drop();
     const about = this.watched === null ? "" : `?swarm=${encodeURIComponent(this.watched)}`;
     const scheme = location.protocol === "https:" ? "wss" : "ws";
-    // A socket takes no header, and a token in its address would be written down on the way.
+    // A WebSocket request takes no headers, and proxies log URLs: the token is sent as a subprotocol.
     const token = currentToken();
     const protocols = token ? ["jostle", `token.${token}`] : ["jostle"];
     const socket = new WebSocket(`${scheme}://${location.host}/api/ws${about}`, protocols);
     socket.binaryType = "arraybuffer";
-    socket.onmessage = ({ data }) => this.hear(data as string | ArrayBuffer);
+    socket.onmessage = ({ data }) => this.receive(data as string | ArrayBuffer);
     socket.onclose = () => this.lose();
     this.socket = socket;
-    this.expectWord();
+    this.expectMessage();
   }
 
-  /** Lets go of the socket without another word from it. */
+  /** Closes the socket and ignores further messages. */
   private drop(): void {
     clearTimeout(this.silence);
     if (this.socket) {
@@ -98,62 +94,62 @@ export class Live {
     }
   }
 
-  private expectWord(): void {
+  private expectMessage(): void {
     clearTimeout(this.silence);
-    this.silence = setTimeout(() => this.lose(), SILENCE_MS);
+    this.silence = setTimeout(() => this.lose(), SILENCE_TIMEOUT_MS);
   }
 
   private lose(): void {
     this.drop();
-    this.say("away");
+    this.setConnection("lost");
     this.retry(this.pause);
-    this.pause = Math.min(2 * this.pause, LONGEST_PAUSE_MS);
+    this.pause = Math.min(2 * this.pause, MAX_RETRY_MS);
   }
 
   private retry(pause: number): void {
-    clearTimeout(this.again);
-    this.again = setTimeout(() => this.connect(), pause);
+    clearTimeout(this.retryTimer);
+    this.retryTimer = setTimeout(() => this.reconnect(), pause);
   }
 
-  private hear(data: string | ArrayBuffer): void {
-    this.expectWord();
-    this.pause = FIRST_PAUSE_MS;
-    this.say("here");
+  private receive(data: string | ArrayBuffer): void {
+    this.expectMessage();
+    this.pause = MIN_RETRY_MS;
+    this.setConnection("open");
     if (typeof data !== "string") {
       this.newest = data;
-      this.tell((listener) => listener.state?.());
+      this.notify((listener) => listener.state?.());
       return;
     }
     const text = JSON.parse(data) as LiveText;
     const { swarms, order, event, missed } = text;
     if (swarms) {
       this.rows = swarms;
-      this.tell((listener) => listener.swarms?.(swarms));
+      this.notify((listener) => listener.swarms?.(swarms));
     }
     if (order) {
-      this.tell((listener) => listener.order?.(order));
+      this.notify((listener) => listener.order?.(order));
     }
     if (event) {
-      this.tell((listener) => listener.event?.(event));
+      this.notify((listener) => listener.event?.(event));
     }
     if (missed) {
-      this.tell((listener) => listener.missed?.(missed));
+      this.notify((listener) => listener.missed?.(missed));
     }
     if (text.gone) {
       this.drop();
-      this.retry(GONE_PAUSE_MS);
-      this.tell((listener) => listener.gone?.());
+      this.retry(MISSING_RETRY_MS);
+      this.notify((listener) => listener.gone?.());
     }
   }
 
-  private say(connection: Connection): void {
+  private setConnection(connection: Connection): void {
     if (connection !== this.connection) {
       this.connection = connection;
-      this.tell((listener) => listener.connection?.(connection));
+      this.notify((listener) => listener.connection?.(connection));
     }
   }
 
-  private tell(what: (listener: Listener) => void): void {
+  private notify(what: (listener: Listener) => void): void {
     for (const listener of [...this.listeners]) {
       what(listener);
     }

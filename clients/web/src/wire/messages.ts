@@ -1,15 +1,18 @@
-/** What the daemon says, as far as the page reads it. `proto/README.md` is the contract. */
+/** The daemon's messages, as far as the page reads them; specified in `proto/README.md`. */
 
 export type Phase = "paused" | "running" | "faulted";
 
-/** The answer to a query or a command about a swarm. */
-export interface Reply<T> {
+/** The swarm that a message is about, and when it was sent. */
+export interface Stamp {
   swarm: string;
   epoch: number;
   step: number;
   time: number;
   phase: Phase;
-  seq: number;
+}
+
+/** The reply to a query or a command of a swarm. */
+export interface Reply<T> extends Stamp {
   result: T;
 }
 
@@ -22,14 +25,12 @@ export interface ErrorBody {
 
 export interface Hello {
   node: string;
-  prefix: string;
-  version: string;
   may_watch: boolean;
   may_command: boolean;
-  /** Who the token is of, where the daemon knows people. */
+  /** The user of the token; null if the daemon has no users. */
   person: string | null;
   role: string | null;
-  /** Where the page's own token is, and whether it takes root to read it; none with people. */
+  /** The path of the page token, and whether only root can read it; none if the daemon has users. */
   token_file?: string | null;
   token_needs_root?: boolean | null;
 }
@@ -46,52 +47,33 @@ export interface SwarmRow {
   order: number;
   rate: number | null;
   real_time_factor: number | null;
-  /** Whether it is the replay of a recording. */
+  /** Whether the swarm is a playback of a recording. */
   replay?: boolean;
-  /** Another daemon that holds the name; at most one of the two serves it. */
+  /** Another daemon that claims the name; at most one of the two serves it. */
   contested_by?: string | null;
 }
 
-/** Where a replay is. */
-export interface Replay {
+/** The position of a playback. */
+export interface PlaybackPosition {
   of: string;
-  frame: number;
-  frames: number;
   position: number;
   duration: number;
 }
 
 export interface OrderNumbers {
   order: number;
-  mean_order: number | null;
-  velocity: [number, number];
-  mean_velocity: [number, number] | null;
-  direction: number | null;
   drift: number | null;
-  mean_drift: number | null;
 }
 
 export interface Certificate {
-  worst_gap: number | null;
-  residual: number;
-  degraded: number;
-  crossed: number;
   contacts: number;
-  iterations: number;
 }
 
-export interface OrderMessage {
-  swarm: string;
-  epoch: number;
-  frame: number;
-  step: number;
-  time: number;
-  phase: Phase;
+export interface OrderMessage extends Stamp {
   n: number;
   informed: number;
   order: OrderNumbers;
   certificate: Certificate;
-  rate: number | null;
   real_time_factor: number | null;
 }
 
@@ -107,19 +89,13 @@ export interface Parameter {
   maximum: number | null;
   choices: Choice[];
   nullable: boolean;
-  default: unknown;
   value: unknown;
   live: boolean;
   changed_by: string[];
 }
 
-export interface SwarmEvent {
-  swarm: string;
+export interface SwarmEvent extends Stamp {
   number: number;
-  epoch: number;
-  step: number;
-  time: number;
-  phase: Phase;
   /** The daemon's wall clock, seconds since 1970; older daemons send none. */
   unix_secs?: number | null;
   event: { kind: string } & Record<string, unknown>;
@@ -127,7 +103,6 @@ export interface SwarmEvent {
 
 export interface EventsResult {
   events: SwarmEvent[];
-  oldest: number;
   newest: number;
 }
 
@@ -144,7 +119,7 @@ export interface Spec {
   publish_every?: number;
 }
 
-/** The text messages of the socket; each has one of these fields. */
+/** A text message of the WebSocket; each has one of these fields. */
 export interface LiveText {
   swarms?: SwarmRow[];
   order?: OrderMessage;

@@ -1,24 +1,18 @@
 /**
- * Reads a state: a CBOR map whose columns are typed arrays of RFC 8746.
+ * Decodes a state: a CBOR map whose columns are typed arrays of RFC 8746.
  *
- * Positions are `1024 · origin + (x, y)`. The columns stay relative to the origin, whose integers
- * are exact: nothing here or later adds the two up in one double.
+ * Positions are `1024 · origin + (x, y)`. The page keeps them relative to the origin and never adds
+ * the two, which would lose precision.
  */
 import { decode } from "cborg";
-import type { Certificate, OrderNumbers, Phase } from "./messages.ts";
+import type { Certificate, OrderNumbers, Stamp } from "./messages.ts";
 
-/** What one unit of the origin is, in body sizes. */
+/** The unit of the origin, in body sizes. */
 export const ORIGIN_UNIT = 1024;
 
 export type Origin = readonly [number, number];
 
-export interface State {
-  swarm: string;
-  epoch: number;
-  frame: number;
-  step: number;
-  time: number;
-  phase: Phase;
+export interface State extends Stamp {
   origin: Origin;
   id: Uint32Array;
   x: Float64Array;
@@ -45,7 +39,7 @@ const tags: ((inner: Inner) => unknown)[] = [];
 tags[UINT32_LITTLE] = (inner) => new Uint32Array(bytesOf(inner));
 tags[FLOAT64_LITTLE] = (inner) => new Float64Array(bytesOf(inner));
 
-/** Decodes a state; throws when it is none. */
+/** Decodes a state; throws if it is invalid. */
 export function decodeState(bytes: ArrayBuffer | Uint8Array): State {
   const view = bytes instanceof Uint8Array ? bytes : new Uint8Array(bytes);
   const state = decode(view, { tags } as unknown as Parameters<typeof decode>[1]) as State;
@@ -58,7 +52,7 @@ export function decodeState(bytes: ArrayBuffer | Uint8Array): State {
   return state;
 }
 
-/** By how much positions relative to `from` grow when they are told relative to `to`: exact. */
+/** The exact shift of positions when the origin changes. */
 export function shift(from: Origin, to: Origin): [number, number] {
   return [ORIGIN_UNIT * (from[0] - to[0]), ORIGIN_UNIT * (from[1] - to[1])];
 }

@@ -1,12 +1,14 @@
 /**
- * The token that lets the page command. It comes in the link that jostled prints, in the fragment,
- * which no server is ever sent; it is kept for this tab alone.
+ * The token that authorizes commands. The link that jostled prints contains it in the fragment, which
+ * browsers do not send to servers. It is stored for this tab only.
  */
+import { store, stored } from "./storage.ts";
+
 const KEY = "jostle-token";
 
 let token: string | null = null;
 
-/** Takes the token out of the address bar, or out of what this tab keeps. */
+/** Reads the token from the address bar, and removes it there, or from session storage. */
 export function findToken(): void {
   const found = /^#(?:.*&)?token=([0-9A-Za-z_-]+)(?:&(.*))?$/.exec(location.hash);
   if (found?.[1]) {
@@ -18,26 +20,14 @@ export function findToken(): void {
     );
     return;
   }
-  try {
-    token = sessionStorage.getItem(KEY);
-  } catch {
-    token = null;
-  }
+  token = stored(KEY);
 }
 
-/** Keeps a token, also one pasted with the link around it; an empty one is forgotten. */
+/** Stores a token or the token of a pasted link; an empty text removes it. */
 export function keepToken(pasted: string): void {
   const bare = pasted.trim().replace(/^.*token=/, "");
   token = bare === "" ? null : bare;
-  try {
-    if (token) {
-      sessionStorage.setItem(KEY, token);
-    } else {
-      sessionStorage.removeItem(KEY);
-    }
-  } catch {
-    // A browser that keeps nothing still has it until the tab is closed.
-  }
+  store(KEY, token);
 }
 
 export function currentToken(): string | null {

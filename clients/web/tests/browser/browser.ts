@@ -1,4 +1,4 @@
-/** Chromium without a GPU, and the errors that its pages report. */
+/** Launches Chromium without a GPU, and records the errors of its pages. */
 import assert from "node:assert/strict";
 import { existsSync, readFileSync } from "node:fs";
 import { extname, join } from "node:path";
@@ -22,8 +22,8 @@ const ARGS = [
   "--disable-sync",
 ];
 
-/** A document that a test brings along counts as one from afar, which may not ask this machine. */
-const BROUGHT = process.env.PAGE_DIST ? ["--disable-features=LocalNetworkAccessChecks"] : [];
+/** Chromium treats a document from `route.fulfill` as remote, and blocks its requests to loopback. */
+const LOCAL_PAGE = process.env.PAGE_DIST ? ["--disable-features=LocalNetworkAccessChecks"] : [];
 
 export function launch(): Promise<Browser> {
   const executablePath = process.env.CHROMIUM ?? "/usr/bin/chromium";
@@ -31,7 +31,7 @@ export function launch(): Promise<Browser> {
     existsSync(executablePath),
     `no chromium at ${executablePath}: apt-get install chromium, or set CHROMIUM`,
   );
-  return chromium.launch({ executablePath, args: [...ARGS, ...BROUGHT] });
+  return chromium.launch({ executablePath, args: [...ARGS, ...LOCAL_PAGE] });
 }
 
 /** An error that a test expects, and how often. */
@@ -64,18 +64,18 @@ export class Tab {
     page.on("pageerror", (error) => this.errors.push(String(error)));
   }
 
-  /** Declares an error that the test causes, at least once and at most `most` times. */
+  /** Declares an error that must occur, at least once and at most `most` times. */
   expectsError(pattern: RegExp, most = 1): void {
     this.expected.push({ pattern, least: 1, most });
   }
 
-  /** Declares an error that the test may cause, depending on timing. */
+  /** Declares an error that may occur, depending on timing. */
   allowsError(pattern: RegExp): void {
     this.expected.push({ pattern, least: 0, most: Number.POSITIVE_INFINITY });
   }
 
   /** Closes the tab. Fails if there was an error that the test did not declare, or a declared one
-   * occurred too seldom or too often. */
+   * did not occur as often as declared. */
   async close(): Promise<void> {
     await this.context.close();
     const others = this.errors.filter(
@@ -112,13 +112,15 @@ export async function openTab(browser: Browser, options = WIDE): Promise<Tab> {
   const tab = new Tab(await context.newPage(), context);
   await tab.page.addInitScript(() => {
     addEventListener("securitypolicyviolation", (event) => {
-      console.error(`violation of ${event.violatedDirective}: ${event.blockedURI}`);
+      console.error(
+        `content security policy violated: ${event.violatedDirective}: ${event.blockedURI}`,
+      );
     });
   });
   return tab;
 }
 
-/** A browser for the tests of a file. Returns what opens a tab in it; it is closed after its test. */
+/** Launches a browser for the tests of a file. Returns a function that opens a tab until its test ends. */
 export function tabsOfEachTest(): (options?: BrowserContextOptions) => Promise<Tab> {
   let browser: Browser;
   const tabs: Tab[] = [];
@@ -140,7 +142,7 @@ export function tabsOfEachTest(): (options?: BrowserContextOptions) => Promise<T
   };
 }
 
-/** Serves a newer build than the one inside the daemon, under the daemon's policy. */
+/** Serves the page from a folder instead of the daemon's binary, with the daemon's policy. */
 async function serveFrom(
   dist: string | undefined,
   context: { route: Page["route"] },
@@ -165,7 +167,7 @@ async function serveFrom(
   });
 }
 
-/** Waits for something, with a deadline. */
+/** Polls until the result is truthy; fails after the timeout. */
 export async function until<T>(
   what: string,
   ask: () => Promise<T | null | undefined | false>,
@@ -177,7 +179,7 @@ export async function until<T>(
     if (found) {
       return found;
     }
-    assert(Date.now() < ends, `waited in vain for ${what}`);
+    assert(Date.now() < ends, `timed out waiting for ${what}`);
     await new Promise((resolve) => setTimeout(resolve, 50));
   }
 }

@@ -1,4 +1,4 @@
-/** A daemon of its own for each test: the binary that JOSTLED names, on ports of its own. */
+/** Runs the daemon's binary, the environment variable JOSTLED, on free ports. */
 import assert from "node:assert/strict";
 import { type ChildProcess, execFile, execFileSync, spawn } from "node:child_process";
 import {
@@ -15,13 +15,13 @@ import { tmpdir } from "node:os";
 import { dirname, join } from "node:path";
 import { promisify } from "node:util";
 
-export interface Told {
+export interface Addresses {
   zenoh: string;
   http: string;
   token: string;
 }
 
-/** A user such as systemd allocates for a unit with DynamicUser. */
+/** A user id as systemd allocates for a unit with DynamicUser. */
 export const DYNAMIC_USER = 61_200;
 
 export const isRoot = process.getuid?.() === 0;
@@ -30,12 +30,12 @@ export const isRoot = process.getuid?.() === 0;
 const CLOSE = { Connection: "close" };
 
 export class Daemon {
-  told: Told = { zenoh: "", http: "", token: "" };
+  addresses: Addresses = { zenoh: "", http: "", token: "" };
   private process: ChildProcess | null = null;
   private auth: string | null = null;
   private readonly folder = mkdtempSync(join(tmpdir(), "jostle-page-"));
 
-  /** A daemon; with `auth`, the folder of its people, one that knows them. */
+  /** Starts a daemon; `auth` is its folder of users, if it has any. */
   static async start(auth: string | null = null): Promise<Daemon> {
     const daemon = new Daemon();
     daemon.auth = auth;
@@ -44,9 +44,8 @@ export class Daemon {
   }
 
   /**
-   * One that runs as packaging/jostled.service runs it, as far as that takes no systemd: `serve` with
-   * the settings of the package, its data below $STATE_DIRECTORY, nothing of it for others to read,
-   * and, where the tests are root's, a user of its own.
+   * Starts a daemon as packaging/jostled.service does, without systemd: `serve` with the settings of
+   * the package, data below $STATE_DIRECTORY, umask 0077 and, if the tests run as root, another user.
    */
   static async startAsService(): Promise<Daemon> {
     const daemon = new Daemon();
@@ -58,10 +57,10 @@ export class Daemon {
     const user = isRoot ? { uid: DYNAMIC_USER, gid: DYNAMIC_USER } : {};
     let program = binary();
     if (isRoot) {
-      // Every user may enter the folder itself, as /var/lib.
+      // The folder is accessible to every user, like /var/lib.
       chmodSync(folder, 0o755);
       chownSync(state, DYNAMIC_USER, DYNAMIC_USER);
-      // The checkout may be in a folder that only root may enter.
+      // The checkout may be in a folder that only root can access.
       program = join(folder, "jostled");
       copyFileSync(binary(), program);
     }
@@ -80,13 +79,13 @@ export class Daemon {
         },
       },
     );
-    await daemon.hear(child);
+    await daemon.waitUntilListening(child);
     return daemon;
   }
 
-  /** Starts it again where it was, with what it kept. */
-  async again(): Promise<void> {
-    await this.begin(this.told.zenoh, this.told.http.replace("http://", ""));
+  /** Restarts it with the same addresses and data. */
+  async restart(): Promise<void> {
+    await this.begin(this.addresses.zenoh, this.addresses.http.replace("http://", ""));
   }
 
   async kill(): Promise<void> {
@@ -105,20 +104,24 @@ export class Daemon {
   }
 
   get link(): string {
-    return `${this.told.http}/#token=${this.told.token}`;
+    return `${this.addresses.http}/#token=${this.addresses.token}`;
   }
 
   async get<T>(path: string): Promise<T> {
-    const response = await fetch(`${this.told.http}/api/get/${path}`, { headers: CLOSE });
+    const response = await fetch(`${this.addresses.http}/api/get/${path}`, { headers: CLOSE });
     return (await response.json()) as T;
   }
 
-  post(path: string, args: object, token: string | null = this.told.token): Promise<Response> {
+  post(path: string, args: object, token: string | null = this.addresses.token): Promise<Response> {
     const headers: Record<string, string> = { ...CLOSE, "Content-Type": "application/json" };
     if (token !== null) {
       headers.Authorization = `Bearer ${token}`;
     }
-    return fetch(this.told.http + path, { method: "POST", headers, body: JSON.stringify(args) });
+    return fetch(this.addresses.http + path, {
+      method: "POST",
+      headers,
+      body: JSON.stringify(args),
+    });
   }
 
   async command<T>(swarm: string, verb: string, args: object = {}): Promise<T> {
@@ -132,45 +135,45 @@ export class Daemon {
     assert.equal(response.status, 200, `create: ${await response.clone().text()}`);
   }
 
-  /** Carries out a line of the command line, which lies beside the daemon. */
+  /** Runs the `jostle` command line, which is in the daemon's folder. */
   async jostle(...line: string[]): Promise<string> {
     const jostle = join(dirname(process.env.JOSTLED ?? ""), "jostle");
     const run = promisify(execFile);
-    return (await run(jostle, ["-e", this.told.zenoh, ...line], { cwd: this.folder })).stdout;
+    return (await run(jostle, ["-e", this.addresses.zenoh, ...line], { cwd: this.folder })).stdout;
   }
 
   private begin(listen: string, http: string): Promise<void> {
-    const people = this.auth === null ? [] : ["--auth-dir", this.auth];
-    const args = ["--listen", listen, "--http", http, "--data-dir", this.folder, ...people];
-    return this.hear(spawn(binary(), args, { stdio: ["ignore", "pipe", "pipe"] }));
+    const users = this.auth === null ? [] : ["--auth-dir", this.auth];
+    const args = ["--listen", listen, "--http", http, "--data-dir", this.folder, ...users];
+    return this.waitUntilListening(spawn(binary(), args, { stdio: ["ignore", "pipe", "pipe"] }));
   }
 
-  /** Waits until it says where it listens. */
-  private hear(child: ChildProcess): Promise<void> {
+  /** Waits until the daemon prints its addresses. */
+  private waitUntilListening(child: ChildProcess): Promise<void> {
     this.process = child;
-    let said = "";
+    let output = "";
     return new Promise((resolve, reject) => {
-      const hear = (chunk: Buffer) => {
-        said += chunk;
-        const zenoh = /listening on (\S+)/.exec(said)?.[1];
-        const http = /http on (http:\/\/[^/\s]+)/.exec(said)?.[1];
-        // Told to no terminal, the token is only where it is kept; with people there is none.
-        const page = /with the token in (\S+)\n/.exec(said)?.[1];
+      const read = (chunk: Buffer) => {
+        output += chunk;
+        const zenoh = /listening on (\S+)/.exec(output)?.[1];
+        const http = /http on (http:\/\/[^/\s]+)/.exec(output)?.[1];
+        // Without a terminal the daemon prints the path of the token file; with --auth-dir there is no such file.
+        const page = /with the token in (\S+)\n/.exec(output)?.[1];
         if (zenoh && http && (page || this.auth)) {
           const token = page ? readFileSync(page, "utf8").trim() : "";
-          this.told = { zenoh, http, token };
+          this.addresses = { zenoh, http, token };
           resolve();
         }
       };
-      child.stdout?.on("data", hear);
-      child.stderr?.on("data", hear);
-      child.once("exit", (code) => reject(new Error(`jostled ended with ${code}: ${said}`)));
+      child.stdout?.on("data", read);
+      child.stderr?.on("data", read);
+      child.once("exit", (code) => reject(new Error(`jostled ended with ${code}: ${output}`)));
     });
   }
 }
 
 function binary(): string {
   const binary = process.env.JOSTLED;
-  assert(binary, "JOSTLED names the daemon's binary");
+  assert(binary, "set JOSTLED to the daemon's binary");
   return binary;
 }

@@ -1,4 +1,4 @@
-/** What the picture, the numbers and the charts show is what the daemon says, and no more. */
+/** The picture, the numbers and the charts agree with the daemon. */
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
 import type { Page } from "playwright-core";
@@ -16,7 +16,7 @@ interface Journal {
   result: { entries: { seq: number; verb: string }[] };
 }
 
-/** A picture as it was drawn: the ends of each body's axis on the screen. */
+/** A drawn picture: the ends of each body's axis on the screen. */
 interface Drawn {
   axes: [number, number, number, number][];
   crossed: number;
@@ -41,7 +41,7 @@ async function openTabOf(swarm: string): Promise<Tab> {
 
 const open = async (swarm: string) => (await openTabOf(swarm)).page;
 
-/** Runs in the page: keeps the axes of the bodies of each picture, from the calls to the canvas. */
+/** Runs in the page: records the bodies' axes in each picture, from the canvas calls. */
 function recordBodies(): void {
   const drawn: Drawn[] = [];
   Object.assign(globalThis, { drawn });
@@ -69,7 +69,7 @@ function recordBodies(): void {
     },
     stroke(this: CanvasRenderingContext2D) {
       (stroke as () => void).call(this);
-      // An edge is drawn first, then what is inside it, in another colour; heads have no length.
+      // The edge and the interior stroke the same path; heads have no length.
       const [first] = path;
       const is_axes = first && Math.hypot(first[2] - first[0], first[3] - first[1]) > 1;
       if (this.lineCap === "round" && is_axes && drawn.at(-1)?.axes !== path) {
@@ -100,7 +100,7 @@ const informed = async (name: string) => {
 /** The verbs of the commands that a swarm has applied. */
 const verbs = async (name: string) =>
   (await daemon.get<Journal>(`${name}/get/journal`)).result.entries.map((it) => it.verb);
-/** Whether a press and a pull somewhere on the picture moved it. */
+/** Whether the picture follows the swarm: panning ends that. */
 const follows = (page: Page) =>
   page.getByRole("button", { name: "Follow" }).getAttribute("aria-pressed");
 
@@ -120,7 +120,7 @@ const PULL = [
   [140, 170],
 ] as const;
 
-test("as fast as possible no picture has bodies that cross, and the page says what it leaves out", async (t) => {
+test("at full speed no picture has crossing bodies, and the page shows that it does not interpolate", async (t) => {
   await daemon.create("fast", { n: 30, seed: 2, pi1: 4, rate: null, publish_every: 500 });
   await daemon.command("fast", "step", { steps: 2000 });
   const page = await open("fast");
@@ -136,7 +136,7 @@ test("as fast as possible no picture has bodies that cross, and the page says wh
   const apart = Number(/([\d.]+) time units apart/.exec((await note.textContent()) ?? "")?.[1]);
   assert(apart >= 10, `a state is published each 10 time units, not ${apart}`);
 
-  // States close to one another are connected by motion, and nothing has to be said.
+  // States close to one another are interpolated, without a note.
   await daemon.command("fast", "pause");
   await daemon.command("fast", "set", { publish_every: 10 });
   await daemon.command("fast", "run", { rate: 1 });
@@ -156,12 +156,12 @@ test("a drag informs once, and the next one pans", async () => {
   await daemon.create("once", { n: 30, seed: 8 });
   const page = await open("once");
   const mode = () => page.locator("canvas.picture").getAttribute("data-mode");
-  await page.getByRole("button", { name: "Everybody", exact: true }).click();
+  await page.getByRole("button", { name: "Select all", exact: true }).click();
   await page.getByRole("button", { name: "Drag a direction" }).click();
   await page.locator(".hint", { hasText: "Drag the direction" }).waitFor();
   assert.equal(await mode(), "direct");
   await drag(page, PULL);
-  await page.locator(".words", { hasText: "30 individuals informed: 45°" }).waitFor();
+  await page.locator(".notices", { hasText: "30 individuals informed: 45°" }).waitFor();
   assert.equal(await mode(), "look");
   assert.equal(await page.locator(".hint").isVisible(), false);
   assert.equal(await follows(page), "true");
@@ -169,7 +169,7 @@ test("a drag informs once, and the next one pans", async () => {
   assert.equal(await follows(page), "false", "it pans");
   assert.deepEqual(await verbs("once"), ["inform"]);
 
-  // The button does what the drag would have done, and ends it, too.
+  // The button Inform ends the mode, too.
   await page.keyboard.press("f");
   await page.getByRole("button", { name: "Drag a direction" }).click();
   await page.getByRole("button", { name: "Inform", exact: true }).click();
@@ -182,11 +182,11 @@ test("a drag informs once, and the next one pans", async () => {
   await daemon.command("once", "delete");
 });
 
-test("Esc ends a mode, from a field and in the middle of a drag, and so does its button", async () => {
+test("Esc and the Cancel button end a mode, also from a field and during a drag", async () => {
   await daemon.create("stop", { n: 12, seed: 8 });
   const page = await open("stop");
   const hint = page.locator(".hint");
-  await page.getByRole("button", { name: "Everybody", exact: true }).click();
+  await page.getByRole("button", { name: "Select all", exact: true }).click();
   await page.getByRole("button", { name: "Drag a direction" }).click();
   await page.getByLabel("weight").fill("2");
   await page.keyboard.press("Escape");
@@ -199,6 +199,16 @@ test("Esc ends a mode, from a field and in the middle of a drag, and so does its
   await hint.getByRole("button", { name: "Cancel" }).click();
   await hint.waitFor({ state: "hidden" });
 
+  // The panel shows the mode, and its button ends it, too.
+  const mode = page.locator(".steering .mode");
+  await page.getByRole("button", { name: "Lasso", exact: true }).first().click();
+  await mode.filter({ hasText: "A drag on the picture selects." }).waitFor();
+  await page.getByRole("button", { name: "Drag a direction" }).click();
+  await mode.filter({ hasText: "A drag on the picture informs." }).waitFor();
+  await mode.getByRole("button", { name: "Cancel" }).click();
+  await hint.waitFor({ state: "hidden" });
+  assert.equal(await mode.isVisible(), false);
+
   await page.getByRole("button", { name: "Drag a direction" }).click();
   const box = (await page.locator("canvas.picture").boundingBox())!;
   await page.mouse.move(box.x + 60, box.y + 250);
@@ -207,20 +217,20 @@ test("Esc ends a mode, from a field and in the middle of a drag, and so does its
   await page.keyboard.press("Escape");
   await page.mouse.move(box.x + 200, box.y + 100, { steps: 4 });
   await page.mouse.up();
-  assert.equal(await follows(page), "true", "what is left of the drag does nothing");
+  assert.equal(await follows(page), "true", "the rest of the drag has no effect");
   await page.waitForTimeout(500);
   assert.deepEqual(await verbs("stop"), []);
   await daemon.command("stop", "delete");
 });
 
-test("undo uninforms exactly those whom the command informed", async () => {
+test("undo uninforms exactly the individuals that the command informed", async () => {
   await daemon.create("undo", { n: 20, seed: 8 });
   await daemon.command("undo", "inform", { select: { ids: [2, 5] }, direction: 1 });
   const tab = await openTabOf("undo");
   // The undo after the reset.
   tab.expectsError(/^409 POST \/api\/cmd\/undo\/uninform$/);
   const { page } = tab;
-  const words = page.locator(".words");
+  const words = page.locator(".notices");
   const select = async (ids: string) => {
     await page.getByLabel("ids", { exact: true }).fill(ids);
     await page.getByRole("button", { name: "Select", exact: true }).click();
@@ -228,21 +238,21 @@ test("undo uninforms exactly those whom the command informed", async () => {
     await drag(page, PULL);
   };
   await select("5, 7, 11");
-  await words.filter({ hasText: "1 of them in place of a direction" }).waitFor();
+  await words.filter({ hasText: "1 of them replacing another direction" }).waitFor();
   assert.deepEqual(await informed("undo"), [2, 5, 7, 11]);
-  // What others did meanwhile stays.
+  // Commands of other clients are kept.
   await daemon.command("undo", "inform", { select: { ids: [13] }, direction: 2 });
   await words.getByRole("button", { name: "Undo for 2" }).click();
   await words.filter({ hasText: "undone: 2 individuals uninformed" }).waitFor();
   assert.deepEqual(await informed("undo"), [2, 5, 13]);
   assert.equal(await words.getByRole("button", { name: "Undo" }).count(), 0);
 
-  // Of individuals all of whom had a direction there is nothing to undo.
+  // If all individuals had a direction there is nothing to undo.
   await select("2, 5");
   await words.filter({ hasText: "2 individuals informed" }).waitFor();
   assert.equal(await words.getByRole("button", { name: "Undo" }).count(), 0);
 
-  // After a reset the same numbers are others, and one that was removed is left out.
+  // A removed individual is skipped; after a reset the ids belong to other individuals.
   await select("8, 9");
   await words.getByRole("button", { name: "Undo" }).waitFor();
   await daemon.command("undo", "remove", { select: { ids: [8] } });
@@ -271,7 +281,7 @@ function readBoth(): [string, string][] {
   });
 }
 
-test("numbers and charts show the same values, of a swarm that stands and of one that runs", async () => {
+test("numbers and charts show the same values, paused and running", async () => {
   await daemon.create("both", { n: 30, seed: 8, rate: 20, publish_every: 5 });
   await daemon.command("both", "step", { steps: 300 });
   const page = await open("both");
@@ -285,18 +295,18 @@ test("numbers and charts show the same values, of a swarm that stands and of one
   await until("a step", async () => (await step(page)) === 300);
   await page.locator(".chart").nth(1).scrollIntoViewIfNeeded();
   await none.filter({ visible: true }).waitFor();
-  await same("no one informed");
+  await same("none informed");
 
   await daemon.command("both", "inform", { select: { count: 6 }, direction: 2 });
   await until("a drift", async () => /\d/.test((await drift.textContent()) ?? ""));
-  await same("informed while it stands");
+  await same("informed while paused");
   assert.equal(await none.filter({ visible: true }).count(), 0);
   await daemon.command("both", "step", { steps: 1 });
   await until("a step", async () => (await step(page)) === 301);
-  await same("a step on");
+  await same("after a step");
   await daemon.command("both", "uninform", { select: { fraction: 1 } });
   await until("no drift", async () => (await drift.textContent()) === "–");
-  await same("uninformed while it stands");
+  await same("uninformed while paused");
 
   await daemon.command("both", "inform", { select: { count: 6 }, direction: 2 });
   await daemon.command("both", "run");
@@ -308,8 +318,8 @@ test("numbers and charts show the same values, of a swarm that stands and of one
   await daemon.command("both", "delete");
 });
 
-test("f keeps every body whole inside the picture", async () => {
-  // A block of bodies, and one far from them.
+test("f keeps every body completely inside the picture", async () => {
+  // A block of bodies and one stray.
   const column = (of: (i: number) => number, stray: number) =>
     Array.from({ length: 30 }, (_, i) => (i === 0 ? stray : of(i)));
   const start = {
@@ -330,12 +340,12 @@ test("f keeps every body whole inside the picture", async () => {
     return axes.length === 30 && seen.length === 30;
   };
   const last = async () => (await drawn(page)).at(-1)!;
-  assert.equal(whole(await last()), false, "one has strayed too far for the picture by itself");
+  assert.equal(whole(await last()), false, "by default the stray body is outside");
   await page.keyboard.press("f");
   await until("all bodies", async () => whole(await last()), 3000);
   await daemon.command("stray", "run");
   await page.evaluate("drawn.length = 0");
   await until("many pictures", async () => (await drawn(page)).length >= 30);
-  assert((await drawn(page)).every(whole), "while it runs, too");
+  assert((await drawn(page)).every(whole), "also while it runs");
   await daemon.command("stray", "delete");
 });

@@ -1,5 +1,5 @@
-/** That the page receives and draws the states that are published, and what many tabs cost. Counts
- * are judged; times depend on what else the machine does, and are diagnostics. */
+/** The page receives and draws the published states, also with many tabs. Only counts are asserted;
+ * times depend on the load of the machine and are diagnostics. */
 import assert from "node:assert/strict";
 import { connect, type Socket } from "node:net";
 import { loadavg } from "node:os";
@@ -8,7 +8,7 @@ import type { Page } from "playwright-core";
 import { tabsOfEachTest, until } from "./browser.ts";
 import { Daemon } from "./daemon.ts";
 
-/** States published one by one, each after the one before was seen: every one must be. */
+/** States published one by one, each after the page has received the previous one: none may be lost. */
 const SINGLE = 20;
 /** The number of states that are published during a run. */
 const RUN = 300;
@@ -16,7 +16,7 @@ const RUN = 300;
 const EVERY = 2;
 /** The share of the run's states that the page of a thousand bodies must receive and draw. A slow page
  * receives the newest (docs/page.md), so the share depends on the load: this is six states a second. */
-const LEAST_SHARE = 0.25;
+const MIN_SHARE = 0.25;
 /** The longer run takes 12 s on an idle machine. */
 const RUN_TIMEOUT_MS = 120_000;
 /** The distance in pixels between a body and its expected position; a step moves most bodies further. */
@@ -58,7 +58,7 @@ async function runUntil(swarm: string, step: number): Promise<number> {
   return factor;
 }
 
-/** What a page has received and drawn so far, by the states' steps. */
+/** The steps of the states that a page has received and drawn. */
 interface Seen {
   received: number[];
   /** The newest state received before each frame, which that frame must draw. */
@@ -68,8 +68,8 @@ interface Seen {
   pictures: number;
 }
 
-/** Runs in the page before its scripts: reads the step of a state. In CBOR that is the text "step",
- * then an unsigned integer. */
+/** Runs in the page before its scripts: reads the step of a state from its CBOR, the text "step" and an
+ * unsigned integer. */
 function defineStepOf(): void {
   const stepOf = (data: ArrayBuffer) => {
     const at = new TextDecoder("latin1").decode(data.slice(0, 256)).indexOf("dstep") + 5;
@@ -83,8 +83,8 @@ function defineStepOf(): void {
 
 declare function stepOf(data: ArrayBuffer): number;
 
-/** Runs in the page before its scripts: records the states that its socket gets, and which state's
- * numbers stand when a picture is begun. */
+/** Runs in the page before its scripts: records the states that its WebSocket receives, and the step
+ * in the numbers panel when a picture is drawn. */
 function recordStates(): void {
   const seen: Seen = { received: [], due: [], drawn: [], frames: 0, pictures: 0 };
   Object.assign(globalThis, { seen });
@@ -123,8 +123,8 @@ function recordStates(): void {
   requestAnimationFrame(frame);
 }
 
-/** Runs in the page: keeps where the bodies of the last picture are, which are polygons when there
- * are so many. */
+/** Runs in the page: records the positions of the bodies in the last picture, where so many bodies
+ * are drawn as polygons. */
 function recordPlaces(): void {
   const prototype = CanvasRenderingContext2D.prototype;
   const { beginPath, moveTo, lineTo, fill, fillRect } = prototype;
@@ -160,7 +160,7 @@ function recordPlaces(): void {
   });
 }
 
-/** Whether the last picture is of a state: each body that is drawn is at its place. */
+/** Whether the last picture shows a state: each drawn body is at its position. */
 async function shows(page: Page, { x, y }: StateJson): Promise<boolean> {
   const [places, scale, width, height] = await page.evaluate<
     [[number, number][], number, number, number]
@@ -171,7 +171,7 @@ async function shows(page: Page, { x, y }: StateJson): Promise<boolean> {
   const mean = (column: number[]) => column.reduce((sum, it) => sum + it, 0) / column.length;
   const [mx, my] = [mean(x), mean(y)];
   let next = 0;
-  // Bodies are drawn in their order; those out of sight are left out.
+  // Bodies are drawn in order of their index, without invisible ones.
   x.forEach((_, i) => {
     const place = places[next];
     const left = width / 2 + (x[i]! - mx) * scale;
@@ -183,12 +183,12 @@ async function shows(page: Page, { x, y }: StateJson): Promise<boolean> {
   return next === places.length && next > 0.9 * x.length;
 }
 
-test("of a thousand bodies each frame draws the newest state and no single step is lost, without a GPU", async (t) => {
+test("with 1000 bodies and no GPU each frame draws the newest state, and no single step is lost", async (t) => {
   await daemon.create("thousand", { n: 1000, seed: 1, rate: 0.5, publish_every: 1 });
   const { page } = await openTab();
   await page.addInitScript(defineStepOf);
   await page.addInitScript(recordStates);
-  await page.goto(`${daemon.told.http}/#/swarm/thousand`);
+  await page.goto(`${daemon.addresses.http}/#/swarm/thousand`);
   const seen = () => page.evaluate<Seen>("seen");
   await until("a picture", async () => (await seen()).drawn.at(-1) === 0);
 
@@ -208,12 +208,12 @@ test("of a thousand bodies each frame draws the newest state and no single step 
     `${rate(all.pictures, before.pictures)} pictures and ${rate(all.frames, before.frames)} frames ` +
       `a second; load ${loadavg()[0]?.toFixed(1)}`,
   );
-  // Whatever the load: a frame draws the newest state that is there when it begins.
+  // At any load a frame draws the newest state received before it.
   const left_out = all.due.filter((it) => !all.drawn.includes(it));
   assert.deepEqual(left_out, [], "states that were the newest and were not drawn");
   assert.equal(all.drawn.at(-1), RUN, "the last state is drawn");
-  assert(received >= LEAST_SHARE * RUN, `${received} of ${RUN} states received`);
-  assert(drawn >= LEAST_SHARE * RUN, `${drawn} of ${RUN} states drawn`);
+  assert(received >= MIN_SHARE * RUN, `${received} of ${RUN} states received`);
+  assert(drawn >= MIN_SHARE * RUN, `${drawn} of ${RUN} states drawn`);
 
   await page.evaluate(recordPlaces);
   for (let step = RUN + 1; step <= RUN + SINGLE; step += 1) {
@@ -226,12 +226,12 @@ test("of a thousand bodies each frame draws the newest state and no single step 
   await daemon.command("thousand", "delete");
 });
 
-test("fifty WebSockets receive every single step and the end of a run, and one that is not read blocks no other", async (t) => {
+test("fifty WebSockets receive each single step and the end of a run, and one that is not read blocks no other", async (t) => {
   await daemon.create("crowd", { n: 50, seed: 1, rate: 2, publish_every: EVERY });
-  const asleep = await deaf("crowd");
+  const suspended = await unread("crowd");
   const { page } = await openTab();
   await page.addInitScript(defineStepOf);
-  await page.goto(`${daemon.told.http}/#/`);
+  await page.goto(`${daemon.addresses.http}/#/`);
   await page.evaluate(openSockets, 50);
   const sockets = () => page.evaluate<number[][]>("sockets");
   const all = (step: number) =>
@@ -259,12 +259,12 @@ test("fifty WebSockets receive every single step and the end of a run, and one t
     const sorted = [...steps].sort((a, b) => a - b);
     assert.deepEqual(steps, sorted, "no state after a newer one");
   }
-  assert.equal(asleep.bytesRead, 0);
-  asleep.destroy();
+  assert.equal(suspended.bytesRead, 0);
+  suspended.destroy();
   await daemon.command("crowd", "delete");
 });
 
-/** Runs in the page: opens sockets as so many tabs would, and records the step of each state. */
+/** Runs in the page: opens WebSockets like `count` tabs, and records the step of each state. */
 function openSockets(count: number): void {
   const sockets = Array.from({ length: count }, (): number[] => []);
   Object.assign(globalThis, { sockets });
@@ -279,9 +279,9 @@ function openSockets(count: number): void {
   }
 }
 
-/** A tab that was stopped: it asked for the socket and reads nothing. */
-async function deaf(swarm: string): Promise<Socket> {
-  const { hostname, port } = new URL(daemon.told.http);
+/** Opens a WebSocket and does not read from it, like a suspended tab. */
+async function unread(swarm: string): Promise<Socket> {
+  const { hostname, port } = new URL(daemon.addresses.http);
   const socket = connect(Number(port), hostname);
   socket.pause();
   await new Promise((resolve) => socket.once("connect", resolve));

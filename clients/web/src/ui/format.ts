@@ -1,0 +1,57 @@
+/** Formats numbers. */
+
+const NOTHING = "–";
+
+export function fixed(value: number | null | undefined, digits: number): string {
+  if (value === null || value === undefined || !Number.isFinite(value)) {
+    return NOTHING;
+  }
+  const text = value.toFixed(digits);
+  return /^-0\.?0*$/.test(text) ? text.slice(1) : text.replace("-", "−");
+}
+
+/** Like `fixed`, with an explicit plus sign. */
+export function signed(value: number | null | undefined, digits: number): string {
+  const text = fixed(value, digits);
+  return value !== null && value !== undefined && value > 0 && Number(text) > 0 ? `+${text}` : text;
+}
+
+/** At most six significant digits; integers in full: 0.02, 1e-6, 9007199254740991. */
+export function short(value: unknown): string {
+  if (typeof value === "number") {
+    return Number.isInteger(value) ? String(value) : String(Number(value.toPrecision(6)));
+  }
+  if (value !== null && typeof value === "object") {
+    const entries = Object.entries(value).filter(([, it]) => it !== null);
+    return entries
+      .map(([name, it]) => (name === "kind" ? short(it) : `${name} ${short(it)}`))
+      .join(", ");
+  }
+  return value === null || value === undefined ? NOTHING : String(value);
+}
+
+export function time(value: number): string {
+  return value.toFixed(value < 1000 ? 2 : 1);
+}
+
+/** A wall-clock time in seconds since 1970 as RFC 3339, UTC; empty if unknown. */
+export function when(unixSecs: number | null | undefined): string {
+  const date = new Date(Math.round((unixSecs ?? Number.NaN) * 1000));
+  return Number.isNaN(date.getTime()) ? "" : date.toISOString();
+}
+
+/** Degrees, counter-clockwise from +x, in (-180, 180]. */
+export function degrees(radians: number): number {
+  const turned = ((radians * 180) / Math.PI) % 360;
+  return turned > 180 ? turned - 360 : turned <= -180 ? turned + 360 : turned;
+}
+
+export function plural(count: number, one: string, many = `${one}s`): string {
+  return `${count} ${count === 1 ? one : many}`;
+}
+
+/** Frames drawn and states received per second. */
+export function rates(pictures: number, states: number): string {
+  const [drawn, arrived] = [Math.round(pictures), Math.round(states)];
+  return `${plural(drawn, "picture")}, ${plural(arrived, "state")} a second`;
+}

@@ -1,0 +1,79 @@
+/** axe-core finds nothing serious or critical on any page, light and dark. */
+import assert from "node:assert/strict";
+import { readFileSync } from "node:fs";
+import { createRequire } from "node:module";
+import { test } from "node:test";
+import type { AxeResults } from "axe-core";
+import type { Page } from "playwright-core";
+import { until } from "./browser.ts";
+import { number, Site } from "./site.ts";
+
+const AXE = readFileSync(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
+
+const site = new Site();
+
+/** Runs axe-core in the page and fails for each violation with the impact serious or critical. */
+async function check(page: Page, where: string): Promise<void> {
+  // The page's policy permits no injected script element; an evaluated text is no part of the page.
+  await page.evaluate(AXE);
+  const { violations, passes } = await page.evaluate<AxeResults>(
+    "axe.run({ resultTypes: ['violations'] })",
+  );
+  assert(passes.length > 5, `${where}: axe-core ran ${passes.length} rules`);
+  const found = violations
+    .filter(({ impact }) => impact === "serious" || impact === "critical")
+    .map(({ id, nodes }) => `${id}: ${nodes.map((it) => it.html).join(" ")}`);
+  assert.deepEqual(found, [], where);
+}
+
+for (const colorScheme of ["light", "dark"] as const) {
+  const options = { viewport: { width: 1280, height: 800 }, colorScheme };
+  const narrow = { viewport: { width: 390, height: 844 }, colorScheme };
+
+  test(`the list and the dialogs are accessible, ${colorScheme}`, async () => {
+    const page = await site.open("/", true, options);
+    await page.locator("[data-swarm]").first().waitFor();
+    await check(page, "list");
+    await page.getByLabel("filter by name").fill("nothing");
+    await check(page, "empty list");
+    await page.locator(".rights").click();
+    await check(page, "token dialog");
+    await page.keyboard.press("Escape");
+    await page.getByRole("button", { name: "Create a swarm" }).click();
+    await check(page, "create dialog");
+    await page.keyboard.press("Escape");
+    await page.getByRole("button", { name: "help" }).click();
+    await check(page, "help");
+  });
+
+  test(`the page of a swarm is accessible, ${colorScheme}`, async () => {
+    for (const size of [options, narrow]) {
+      const page = await site.open("/swarm/school", true, size);
+      await until("a state", async () => (await number(page, "n").textContent()) === "40");
+      await page.locator(".parameter").first().waitFor({ state: "attached" });
+      await page.locator(".events li").first().waitFor();
+      await check(page, `swarm, ${size.viewport.width} pixels wide`);
+      await page.getByRole("button", { name: "Select all", exact: true }).click();
+      await page.getByRole("button", { name: "Drag a direction" }).click();
+      await check(page, "direction mode");
+    }
+    const watching = await site.open("/swarm/school", false, options);
+    await watching.getByText("this tab needs the daemon's token").first().waitFor();
+    await check(watching, "swarm without a token");
+    const tab = await site.openTabAt("/swarm/missing", true, options);
+    tab.allowsError(/^404 GET \/api\/get\/missing\/get\//);
+    await tab.page.getByText("No swarm missing on this daemon").waitFor();
+    await check(tab.page, "missing swarm");
+  });
+
+  test(`the gallery and an animation are accessible, ${colorScheme}`, async () => {
+    const page = await site.open("/gallery", true, options);
+    await page.getByRole("button", { name: "Create and run" }).first().waitFor();
+    await check(page, "gallery");
+    const tab = await site.openTabAt("/gallery/animation-1", true, options);
+    // The page may request the parameters before the list arrives.
+    tab.allowsError(/^404 GET \/api\/get\/animation-1\/get\/parameters$/);
+    await tab.page.getByText("What to look for").waitFor();
+    await check(tab.page, "animation");
+  });
+}

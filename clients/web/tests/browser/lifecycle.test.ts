@@ -1,0 +1,169 @@
+/** Swarms and daemons that appear and disappear, and playbacks. */
+import assert from "node:assert/strict";
+import { test } from "node:test";
+import { until } from "./browser.ts";
+import { number, Site, step } from "./site.ts";
+
+const site = new Site();
+
+test("a swarm is created, forked, and deleted after a confirmation", async () => {
+  const tab = await site.openTabAt("/");
+  // A thumbnail may be requested while its swarm is deleted.
+  tab.allowsError(/^404 GET \/api\/get\/made(-fork)?\/(state|get\/status)$/);
+  const { page } = tab;
+  await page.getByRole("button", { name: "Create a swarm" }).click();
+  await page.locator("dialog input").first().fill("made");
+  await page.locator("dialog").getByRole("button", { name: "Create" }).click();
+  await page.locator("h1", { hasText: "made" }).waitFor();
+  await until("it runs", async () => (await site.row("made"))?.phase === "running");
+  await page.getByRole("button", { name: "Fork" }).click();
+  await page.locator("h1", { hasText: "made-fork" }).waitFor();
+  assert.equal((await site.row("made-fork"))?.phase, "paused");
+  await page.getByRole("button", { name: "Delete" }).click();
+  await page.getByRole("button", { name: "Cancel" }).click();
+  assert(await site.row("made-fork"));
+  await page.getByRole("button", { name: "Delete" }).click();
+  await page.locator("dialog button.danger").click();
+  await until("the deletion", async () => !(await site.row("made-fork")));
+  await page.locator("h1", { hasText: "Swarms" }).waitFor();
+  await site.daemon.command("made", "delete");
+});
+
+test("a deleted swarm is reported missing, and a new one of its name is shown", async () => {
+  await site.daemon.create("brief", { n: 12 });
+  const page = await site.open("/swarm/brief");
+  await until("its size", async () => (await number(page, "n").textContent()) === "12");
+  // A request that is sent before the deletion may get a 404.
+  await page.waitForLoadState("networkidle");
+  await site.daemon.command("brief", "delete");
+  await page.getByText("No swarm brief on this daemon").waitFor();
+  await site.daemon.create("brief", { n: 7 });
+  await until("its size", async () => (await number(page, "n").textContent()) === "7");
+  await until(
+    "no showAvailability",
+    async () => (await page.locator(".view.dimmed").count()) === 0,
+  );
+  await until("its events", async () => (await page.locator(".events li").count()) === 1);
+  await site.daemon.command("brief", "delete");
+});
+
+test("no events of a deleted swarm are requested", async () => {
+  await site.daemon.create("brief", { n: 12 });
+  const tab = await site.openTab();
+  let release: () => void = () => {};
+  const deleted = new Promise<void>((resolve) => {
+    release = resolve;
+  });
+  let requests = 0;
+  // The first reply arrives after the event that the swarm was deleted.
+  await tab.page.route(/\/get\/events/, async (route) => {
+    requests += 1;
+    const response = await route.fetch();
+    await deleted;
+    await route.fulfill({ response });
+  });
+  await tab.page.goto(`${site.daemon.link}&/swarm/brief`);
+  await until("its size", async () => (await number(tab.page, "n").textContent()) === "12");
+  await site.daemon.command("brief", "delete");
+  await tab.page.getByText("No swarm brief on this daemon").waitFor();
+  release();
+  await tab.page.waitForLoadState("networkidle");
+  await tab.page.locator(".events li", { hasText: "deleted" }).waitFor();
+  assert.equal(requests, 1);
+});
+
+test("a swarm is shown as contested while another daemon claims its name", async () => {
+  await site.daemon.create("held", { n: 12 });
+  const tab = await site.openTab();
+  let rival: string | null = "lab-2";
+  // Forwards the daemon's messages, with `contested_by` set as if another daemon held the name.
+  await tab.page.routeWebSocket(/.*/, (socket) => {
+    const server = socket.connectToServer();
+    server.onMessage((message) => {
+      if (typeof message !== "string") {
+        return socket.send(message);
+      }
+      const message_json: { swarms?: { swarm: string; contested_by: string | null }[] } =
+        JSON.parse(message);
+      for (const it of message_json.swarms ?? []) {
+        it.contested_by = it.swarm === "held" ? rival : null;
+      }
+      socket.send(JSON.stringify(message_json));
+    });
+  });
+  await tab.page.goto(`${site.daemon.link}&/`);
+  const card = tab.page.locator('[data-swarm="held"]');
+  await until("the contested card", async () =>
+    (await card.textContent())?.includes("contested by daemon lab-2"),
+  );
+  await card.click();
+  await tab.page.getByText("Contested: daemon lab-2 also has a swarm held.").waitFor();
+  assert.equal(await tab.page.locator(".view.dimmed").count(), 1);
+  rival = null;
+  await until(
+    "no showAvailability",
+    async () => (await tab.page.locator(".view.dimmed").count()) === 0,
+  );
+  assert.equal(await number(tab.page, "n").textContent(), "12");
+  await site.daemon.command("held", "delete");
+});
+
+test("a playback shows its position, and the slider seeks", async () => {
+  await site.daemon.create("filmed", { n: 10, seed: 4, rate: 20, publish_every: 1 });
+  const recorded = site.daemon.jostle("record", "filmed", "-o", "film.mcap", "--steps", "60");
+  await site.daemon.command("filmed", "run");
+  await recorded;
+  await site.daemon.jostle("replay", "film.mcap", "--as", "film", "--paused");
+
+  const page = await site.open("/swarm/film");
+  const slider = page.getByRole("slider", { name: "position in the recording" });
+  await slider.waitFor();
+  await page.locator(".playback", { hasText: "playback of filmed" }).waitFor();
+  assert.equal(await page.getByRole("button", { name: "Inject" }).isVisible(), false);
+  const first = (await site.row("film"))?.step ?? 0;
+  await slider.focus();
+  await page.keyboard.press("End");
+  const last = await until("it is at its end", async () => {
+    const { step } = (await site.row("film")) ?? {};
+    return step !== undefined && step > first + 50 ? step : null;
+  });
+  await until("the page shows it", async () => (await step(page)) === last || null);
+  await page.keyboard.press("Home");
+  await until(
+    "it is back",
+    async () => ((await site.row("film"))?.step ?? last) < last - 50 || null,
+  );
+  await page.getByRole("button", { name: "Run", exact: false }).first().click();
+  await until("it has run to its end", async () => (await step(page)) === last || null);
+
+  const anonymous = await site.open("/swarm/film", false);
+  const disabled = anonymous.getByRole("slider", { name: "position in the recording" });
+  await disabled.waitFor();
+  assert.equal(await disabled.isDisabled(), true);
+});
+
+test("the picture dims when the daemon stops, and resumes when it is back", async () => {
+  await site.daemon.command("school", "run");
+  const tab = await site.openTabAt("/swarm/school");
+  const { page } = tab;
+  await until("a state", () => step(page));
+  // When the connection is lost the page requests /api/hello, and reconnects until the daemon is back.
+  // What the page has requested since it was opened may be in flight when the daemon is killed.
+  const ends = "net::ERR_(CONNECTION_REFUSED|CONNECTION_RESET|EMPTY_RESPONSE)";
+  const reads = "get/school/get/(parameters|events\\?after=\\d+&limit=256)";
+  tab.expectsError(new RegExp(`^Failed to load resource: ${ends} /api/hello$`), 2);
+  tab.allowsError(new RegExp(`^Failed to load resource: ${ends} /api/${reads}$`));
+  tab.allowsError(
+    /^WebSocket connection to '\S+\/api\/ws\?swarm=school' failed: .*net::ERR_CONNECTION_REFUSED$/,
+  );
+  await site.daemon.kill();
+  await page.getByText("No connection to the daemon, reconnecting").first().waitFor();
+  assert.equal(await page.locator(".view.dimmed").count(), 1);
+  assert((await step(page)) > 0, "the last numbers are kept");
+  await site.daemon.restart();
+  await until("the picture", async () => (await page.locator(".view.dimmed").count()) === 0);
+  const back = await step(page);
+  await until("later steps", async () => (await step(page)) > back + 20);
+  await page.keyboard.press(" ");
+  await until("commands work", async () => (await site.row("school"))?.phase === "paused");
+});
