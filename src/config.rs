@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::num::NonZero;
 use std::path::PathBuf;
+use std::thread;
 
 use jostle_proto::keys;
 use thiserror::Error;
@@ -175,6 +176,14 @@ impl Config {
     }
 }
 
+impl Config {
+    /// Maximum number of experiment runs in parallel.
+    pub fn experiment_threads(&self) -> usize {
+        let cores = || thread::available_parallelism().unwrap_or(NonZero::<usize>::MIN);
+        self.experiment_threads.unwrap_or_else(cores).get()
+    }
+}
+
 /// Splits a comma-separated list of endpoints.
 pub fn endpoints(listen: &str) -> Vec<String> {
     let endpoints = listen.split(',').map(|it| it.trim().to_owned());
@@ -194,7 +203,7 @@ fn state_folder(node: &str) -> Option<PathBuf> {
 }
 
 /// The default of `node`: the host name, with each character that a key cannot contain replaced.
-pub fn machine_name() -> String {
+fn machine_name() -> String {
     let uname = rustix::system::uname();
     let name: String = uname
         .nodename()

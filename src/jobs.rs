@@ -42,7 +42,7 @@ impl<T: StatusFile> JobDirectory<T> {
                 fs::remove_dir_all(&path)?;
             } else if path.is_dir() && !path.join(T::NAME).exists() {
                 // Left by a request that a crash interrupted. Other files in it are kept.
-                let _ = fs::remove_file(spare(&path.join(T::NAME)));
+                let _ = fs::remove_file(spare_path(&path.join(T::NAME)));
                 let _ = fs::remove_dir(&path);
             }
         }
@@ -82,7 +82,7 @@ impl<T: StatusFile> JobDirectory<T> {
     pub fn write_status(&self, name: &str, status: &T) -> io::Result<()> {
         let folder = self.folder(name);
         let path = folder.join(T::NAME);
-        let spare = spare(&path);
+        let spare = spare_path(&path);
         let mut text = serde_json::to_vec(status)?;
         text.resize(text.len().next_multiple_of(BLOCK), b' ');
         overwrite(&spare, &text)?;
@@ -108,7 +108,7 @@ impl<T: StatusFile> JobDirectory<T> {
     }
 }
 
-fn spare(path: &Path) -> PathBuf {
+fn spare_path(path: &Path) -> PathBuf {
     let mut path = path.as_os_str().to_owned();
     path.push(SPARE);
     path.into()

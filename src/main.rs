@@ -1,5 +1,6 @@
 //! `jostled`: hosts swarms and serves them on zenoh.
 
+use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::{ArgMatches, FromArgMatches as _};
@@ -30,7 +31,7 @@ fn main() -> ExitCode {
             Err(error) => cli::fail(1, &error),
         },
         command => match resolve(&matches) {
-            Ok(resolved) => with_settings(command, resolved),
+            Ok(resolved) => with_settings(command, resolved, matches.get_one("config")),
             Err(error) => cli::fail(2, &error),
         },
     }
@@ -41,9 +42,13 @@ fn resolve(matches: &ArgMatches) -> Result<Resolved, ConfigError> {
     settings::resolve(matches)
 }
 
-fn with_settings(command: Command, mut resolved: Resolved) -> ExitCode {
+fn with_settings(
+    command: Command,
+    mut resolved: Resolved,
+    config_file: Option<&PathBuf>,
+) -> ExitCode {
     if let Command::Auth { command } = command {
-        return auth::run(&resolved, &command);
+        return auth::run(&resolved, config_file, &command);
     }
     let mut temporary = None;
     if let Command::Demo { .. } = command {
@@ -96,11 +101,13 @@ fn with_settings(command: Command, mut resolved: Resolved) -> ExitCode {
                 return cli::fail(2, &error);
             }
             print(&match json {
-                true => explain::json(&resolved),
-                false => explain::table(&resolved),
+                true => explain::json(&resolved, &config),
+                false => explain::table(&resolved, &config),
             })
         }
-        Command::Demo { lasting } => serve::run(&config, filter, Mode::Demo(lasting), temporary),
-        _ => serve::run(&config, filter, Mode::Serve, temporary),
+        Command::Demo { lasting } => {
+            serve::run(&config, &resolved, filter, Mode::Demo(lasting), temporary)
+        }
+        _ => serve::run(&config, &resolved, filter, Mode::Serve, temporary),
     }
 }

@@ -148,12 +148,12 @@ fn zenoh(channel: &Channel) -> Value {
             event
         }
         ChannelKind::Published(_) => publisher(JSON),
-        ChannelKind::Kept("state") => json!({
+        ChannelKind::PublishedAndQueried("state") => json!({
             "kind": "publisher and queryable",
             "publisher": publisher(CBOR),
             "queryable": queryable(channel.key, "welcome"),
         }),
-        ChannelKind::Kept(_) => json!({
+        ChannelKind::PublishedAndQueried(_) => json!({
             "kind": "publisher and queryable",
             "publisher": publisher(JSON),
             "queryable": queryable(&declared, "welcome"),
@@ -181,7 +181,7 @@ fn asked(kind: ChannelKind) -> Vec<&'static str> {
         | ChannelKind::Put(_)
         | ChannelKind::Token
         | ChannelKind::ClientToken => vec![],
-        ChannelKind::Kept(_) | ChannelKind::Get(_) => vec!["query"],
+        ChannelKind::PublishedAndQueried(_) | ChannelKind::Get(_) => vec!["query"],
         ChannelKind::Command(args, _) => vec![args, "request"],
     }
 }
@@ -193,7 +193,7 @@ fn answered(kind: ChannelKind) -> Vec<&'static str> {
         | ChannelKind::Put(_)
         | ChannelKind::Token
         | ChannelKind::ClientToken => vec![],
-        ChannelKind::Kept(reply) | ChannelKind::Get(reply) => vec![reply, "error"],
+        ChannelKind::PublishedAndQueried(reply) | ChannelKind::Get(reply) => vec![reply, "error"],
         // There is no swarm yet whose step could be waited for.
         ChannelKind::Command(
             "create.args" | "fork.args" | "restore.args" | "discard.args" | "experiment.args"
@@ -252,7 +252,9 @@ fn operate(channel: &Channel) -> Vec<(String, Value)> {
     };
     match channel.kind {
         ChannelKind::Published(message) => vec![send("publish", &[message])],
-        ChannelKind::Kept(message) => vec![send("publish", &[message]), answer("answer")],
+        ChannelKind::PublishedAndQueried(message) => {
+            vec![send("publish", &[message]), answer("answer")]
+        }
         ChannelKind::Token => vec![send("hold", &[])],
         ChannelKind::Put(message) => vec![take("take", &[message])],
         ChannelKind::ClientToken => vec![take("watch", &[])],

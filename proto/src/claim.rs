@@ -106,7 +106,7 @@ pub fn servers(claims: &[Claim]) -> Option<Vec<Claimant>> {
 
 /// The error for a request to a name that several daemons serve. A client raises it after reading
 /// their claims, and each of the daemons replies with it.
-pub fn refused(swarm: Option<&str>, servers: &[Claimant]) -> Error {
+pub fn rejection(swarm: Option<&str>, servers: &[Claimant]) -> Error {
     let names: Vec<String> = servers.iter().map(|it| format!("{:?}", it.node)).collect();
     let message = match swarm {
         Some(swarm) => format!(

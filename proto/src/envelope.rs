@@ -366,12 +366,12 @@ mod tests {
         assert!(read(r#"{"at": [{"x": 1, "y": 2, "alpha": 3}]}"#).is_ok());
         for args in ["[3]", "[]", "3", "\"at\"", "null"] {
             let request = format!(r#"{{"client": "me", "args": {args}}}"#);
-            let refused = read(&request);
+            let rejected = read(&request);
             // Arguments of null are none.
             if args == "null" {
-                assert!(refused.is_ok());
+                assert!(rejected.is_ok());
             } else {
-                assert_eq!(refused.unwrap_err(), "args", "{args}");
+                assert_eq!(rejected.unwrap_err(), "args", "{args}");
             }
         }
         assert_eq!(read(r#"{"at": [[1, 2, 3]]}"#).unwrap_err(), "at[0]");
@@ -384,7 +384,7 @@ mod tests {
     }
 
     #[test]
-    fn deep_nesting_is_refused_without_a_deep_stack() {
+    fn deep_nesting_is_rejected_without_a_deep_stack() {
         let deep = "[".repeat(200_000);
         assert!(Request::from_json(deep.as_bytes()).is_err());
         let text = format!("{{\"args\": {}{}}}", deep, "]".repeat(200_000));

@@ -159,7 +159,7 @@ mod tests {
     }
 
     #[test]
-    fn names_that_zenoh_would_take_but_must_not_be_names_are_refused() {
+    fn names_that_zenoh_would_take_but_must_not_be_names_are_rejected() {
         let long = "a".repeat(65);
         for name in [
             "", "*", "**", "a$*", "@node", "a/b", "A", "-a", "_a", "a b", "a\0", "ä", "..", &long,

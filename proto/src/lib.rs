@@ -18,8 +18,8 @@ mod envelope;
 mod error;
 mod event;
 mod experiment;
-mod gets;
 mod metrics;
+mod queries;
 mod recording;
 mod replay;
 mod result_row;
@@ -40,12 +40,12 @@ pub use experiment::{
     ExperimentArgs, ExperimentName, ExperimentPhase, ExperimentResult, Experiments, OrderPage,
     Progress, ResultsPage, RunUnderWay, SubmitArgs,
 };
-pub use gets::{
+pub use metrics::{Metrics, RecordingMetrics, StoreMetrics, SwarmMetrics};
+pub use queries::{
     Awaited, Controller, ControllerList, Events, Hello, HistoryFrom, Journal, JournalEntry, Limits,
     NodeStatus, Parameter, ParameterKind, Parameters, Puts, Schemas, Status, SwarmSummary, Swarms,
     Verified,
 };
-pub use metrics::{Metrics, RecordingMetrics, StoreMetrics, SwarmMetrics};
 pub use recording::{
     BeginRecordingArgs, DEFAULT_MAX_RECORDING_BYTES, RecordArgs, Recording, RecordingFormat,
     RecordingName, RecordingPhase, RecordingPiece, Recordings,

@@ -68,17 +68,17 @@ impl fmt::Display for Role {
 }
 
 /// The message for a request that requires another role, of a known person or an unknown one.
-pub fn refusal(person: Option<(&str, Role)>, verb: &str) -> String {
+pub fn rejection_message(person: Option<(&str, Role)>, verb: &str) -> String {
     let who = match person {
         Some((name, role)) => format!("you are {name}, {}", role.with_article()),
-        None => "no token came along that belongs to a person here".into(),
+        None => "the request has no token of a known person".into(),
     };
     let least = Role::least(verb).with_article();
     format!("{who}, and {verb} takes {least}: ask whoever runs the daemon")
 }
 
 /// The error for a request that requires another role.
-pub fn refused(person: Option<(&str, Role)>, verb: &str) -> Error {
+pub fn rejection(person: Option<(&str, Role)>, verb: &str) -> Error {
     let details = json!({
         "person": person.map(|(name, _)| name),
         "role": person.map(|(_, role)| role),
@@ -91,7 +91,7 @@ pub fn refused(person: Option<(&str, Role)>, verb: &str) -> Error {
     };
     Error {
         code: ErrorCode::PermissionDenied,
-        message: refusal(person, verb),
+        message: rejection_message(person, verb),
         details,
         step: None,
     }
@@ -211,7 +211,7 @@ mod tests {
     }
 
     #[test]
-    fn a_refusal_names_the_person_and_the_least_role() {
+    fn a_rejection_names_the_person_and_the_least_role() {
         for (person, verb, expected) in [
             (
                 Some(("vera", Role::Viewer)),
@@ -226,10 +226,10 @@ mod tests {
             (
                 None,
                 "create",
-                "no token came along that belongs to a person here, and create takes an operator",
+                "the request has no token of a known person, and create takes an operator",
             ),
         ] {
-            let error = refused(person, verb);
+            let error = rejection(person, verb);
             assert_eq!(error.code, ErrorCode::PermissionDenied);
             assert!(error.message.starts_with(expected), "{}", error.message);
             assert_eq!(error.details["verb"], verb);

@@ -42,7 +42,7 @@ pub struct Snapshot {
     /// BLAKE3 of the state, in hexadecimal.
     pub state_hash: String,
     /// What it is doing.
-    pub doing: Doing,
+    pub doing: SnapshotPhase,
     /// Time units per second of wall clock; `null` is as fast as possible.
     pub rate: Option<f64>,
     /// Two integers: where the positions are counted from, in units of 1024 body sizes.
@@ -146,7 +146,8 @@ pub struct SnapshotParameters {
 /// The phase of a swarm in detail.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "kind", rename_all = "snake_case")]
-pub enum Doing {
+#[schemars(rename = "Doing")]
+pub enum SnapshotPhase {
     /// Standing still.
     Paused {
         /// Why.
@@ -324,7 +325,7 @@ impl Snapshot {
         let snapshot: Snapshot = ciborium::from_reader(bytes).map_err(unreadable)?;
         match &snapshot.digest {
             Some(expected) if digest(bytes)? != *expected => {
-                Err("it is damaged: it does not have the digest it tells".into())
+                Err("it is damaged: its digest does not match".into())
             }
             _ => Ok(snapshot),
         }
@@ -341,7 +342,7 @@ impl Snapshot {
             .digest
             .is_some()
             .then_some(snapshot)
-            .ok_or_else(|| "it is damaged: it tells no digest".into())
+            .ok_or_else(|| "it is damaged: it has no digest".into())
     }
 
     /// The snapshot with its digest, to be sent.
@@ -405,24 +406,24 @@ mod tests {
     }
 
     #[test]
-    fn a_damaged_file_is_refused_or_means_the_same() {
+    fn a_damaged_file_is_rejected_or_means_the_same() {
         let reply = include_str!("../fixtures/snapshot.reply.json");
         let reply: Reply<Snapshot> = serde_json::from_str(reply).unwrap();
         let sealed = reply.result.sealed();
         let bytes = to_cbor(&sealed);
         assert_eq!(Snapshot::from_file(&bytes).unwrap(), sealed);
-        let mut refused = 0;
+        let mut rejected = 0;
         for place in 0..bytes.len() {
             for bit in 0..8 {
                 let mut damaged = bytes.clone();
                 damaged[place] ^= 1 << bit;
                 match Snapshot::from_file(&damaged) {
                     Ok(read) => assert_eq!(read, sealed, "bit {bit} of byte {place}"),
-                    Err(_) => refused += 1,
+                    Err(_) => rejected += 1,
                 }
             }
         }
-        assert!(refused > 7 * bytes.len(), "{refused}");
+        assert!(rejected > 7 * bytes.len(), "{rejected}");
         for wrong in [
             [&bytes[..], &[0]].concat(),
             [&bytes[..], &bytes].concat(),

@@ -268,7 +268,7 @@ mod tests {
     }
 
     #[test]
-    fn bytes_cut_short_are_refused() {
+    fn bytes_cut_short_are_rejected() {
         let bytes = state().to_cbor();
         for length in [0, 1, 20, bytes.len() - 1] {
             assert!(State::from_cbor(&bytes[..length]).is_err());

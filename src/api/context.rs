@@ -22,7 +22,7 @@ use crate::auth::{NotPermitted, Rights};
 use crate::convert::commands::{self, CommandError};
 use crate::convert::digest::RequestIdentity;
 use crate::experiments::ExperimentManager;
-use crate::health::Watch;
+use crate::health::HealthMonitor;
 use crate::playback::Uploads;
 use crate::recording::Recordings;
 use crate::store::Store;
@@ -128,7 +128,7 @@ pub struct Context {
     /// Executes work on the files of the recordings.
     pub recording_files: Executor<Recordings>,
     /// The checks and metrics; set once they run.
-    pub watch: Arc<OnceLock<Arc<Watch>>>,
+    pub watch: Arc<OnceLock<Arc<HealthMonitor>>>,
     /// Whether the swarms of the previous run are being recovered.
     pub is_recovering: AtomicBool,
     /// The verifications that run or are queued.

@@ -2,7 +2,7 @@
 //!
 //! A client that received no reply does not know whether its command was executed. It sends the same
 //! request again with the same `client` and `request_id`, and gets the reply that it missed. A
-//! rejected request changed nothing; it is not remembered, and its id may be used again.
+//! rejected request changed nothing; it is not cached, and its id may be used again.
 //!
 //! The replies are limited in total. Beyond the limit the holder of most (a client, or the user of
 //! several clients) loses its own oldest reply, so that a client that sends many requests cannot
@@ -22,10 +22,10 @@ use crate::convert::error::CommandError;
 use crate::persistence::reply_cache::{ReplyCache, ReplySlot};
 use crate::store::{self, Store, Write};
 
-/// Replies remembered at most.
+/// Replies in the cache at most.
 const MAX_REPLIES: usize = 100_000;
 
-/// Bytes that all remembered replies may take.
+/// Bytes that all cached replies may take.
 const MAX_REPLY_BYTES: usize = 64 * 1024 * 1024;
 
 /// The least that a reply counts: [`MAX_REPLIES`] of them reach [`MAX_REPLY_BYTES`].
@@ -42,7 +42,7 @@ pub type Name = (Option<String>, String);
 pub struct IdempotencyCache {
     /// Nothing between two changes can panic.
     requests: Arc<Mutex<Requests>>,
-    /// Held while a reply is remembered and submitted to the store, which may wait for room in its
+    /// Held while a reply is inserted and submitted to the store, which may wait for room in its
     /// queue: the store deletes and writes in the order in which the requests changed.
     submitting: Arc<Mutex<()>>,
     store: Store,
@@ -61,7 +61,7 @@ struct Requests {
     max_cost: usize,
     /// Whether the client of a request begins with the name of its user.
     has_people: bool,
-    /// How many replies were ever remembered: the number of the newest.
+    /// How many replies were ever inserted: the number of the newest.
     newest: u64,
 }
 
@@ -84,7 +84,7 @@ enum Progress {
     Done(u64, Result<Payload, Payload>),
 }
 
-/// Where the reply to a request is written. If it is dropped before, the request is forgotten.
+/// Where the reply to a request is written. If it is dropped before, the request is removed.
 struct Slot {
     cache: IdempotencyCache,
     name: Arc<Name>,
@@ -92,7 +92,7 @@ struct Slot {
 }
 
 impl IdempotencyCache {
-    /// An empty cache whose answers are kept in `store` too. With `has_people`, the clients of
+    /// An empty cache whose replies are persisted in `store` too. With `has_people`, the clients of
     /// one person (`person:label`) are one holder.
     pub fn new(store: Store, has_people: bool) -> Self {
         IdempotencyCache {
@@ -102,7 +102,7 @@ impl IdempotencyCache {
         }
     }
 
-    /// The remembered reply to a request, if there is one.
+    /// The cached reply to a request, if there is one.
     pub fn find(&self, identity: RequestIdentity) -> Option<Result<Payload, Payload>> {
         let requests = self.requests.lock();
         let name = (identity.client, identity.request_id);
@@ -113,7 +113,7 @@ impl IdempotencyCache {
         }
     }
 
-    /// Whether a request is new; its reply is then remembered. A duplicate gets the first reply by
+    /// Whether a request is new; its reply is then cached. A duplicate gets the first reply by
     /// `responder`, now or once there is one.
     ///
     /// # Errors
@@ -129,7 +129,7 @@ impl IdempotencyCache {
         let Some(entry) = requests.by_name.get_mut(&name) else {
             let slot = self.slot(&mut requests, name, digest);
             drop(requests);
-            responder.remember_in(Box::new(slot));
+            responder.set_slot(Box::new(slot));
             return Ok(true);
         };
         if entry.digest != digest {
@@ -159,28 +159,28 @@ impl IdempotencyCache {
 }
 
 impl ReplyCache for IdempotencyCache {
-    fn fill(&self, answers: Vec<store::Answer>) {
+    fn fill(&self, replies: Vec<store::StoredReply>) {
         let mut requests = self.requests.lock();
         let mut evicted = Vec::new();
-        for answer in answers {
+        for stored in replies {
             let payload = Payload {
-                bytes: answer.body,
-                encoding: match answer.encoding.as_str() {
+                bytes: stored.body,
+                encoding: match stored.encoding.as_str() {
                     CBOR => CBOR,
                     _ => JSON,
                 },
-                to_remember: None,
+                to_cache: None,
             };
-            let name = Arc::new((answer.client, answer.request_id));
-            let reply = match answer.is_ok {
+            let name = Arc::new((stored.client, stored.request_id));
+            let reply = match stored.is_ok {
                 true => Ok(payload),
                 false => Err(payload),
             };
-            evicted.extend(requests.remember(name, answer.digest, reply).1);
+            evicted.extend(requests.insert(name, stored.digest, reply).1);
         }
         drop(requests);
-        let forgotten = evicted.iter().map(forget);
-        self.store.submit(forgotten.collect(), None);
+        let deletions = evicted.iter().map(delete_write);
+        self.store.submit(deletions.collect(), None);
     }
 
     fn contains(&self, client: &Option<String>, id: &str) -> bool {
@@ -198,10 +198,10 @@ impl ReplyCache for IdempotencyCache {
 }
 
 impl ReplySlot for Slot {
-    fn write(mut self: Box<Self>, answer: &Result<Payload, Payload>) {
+    fn write(mut self: Box<Self>, reply: &Result<Payload, Payload>) {
         self.is_written = true;
-        let remembered = match answer {
-            Ok(payload) => Ok(payload.remembered()),
+        let cached = match reply {
+            Ok(payload) => Ok(payload.cached()),
             Err(payload) => Err(payload.clone()),
         };
         let submitting = self.cache.submitting.lock();
@@ -209,26 +209,26 @@ impl ReplySlot for Slot {
         let Some(digest) = requests.by_name.get(&self.name).map(|entry| entry.digest) else {
             return;
         };
-        let kept = keep(&self.name, digest, &remembered);
-        let (before, evicted) = requests.remember(self.name.clone(), digest, remembered);
+        let insert = insert_write(&self.name, digest, &cached);
+        let (before, evicted) = requests.insert(self.name.clone(), digest, cached);
         drop(requests);
         // It may become durable after it is sent: after a crash the journal of the swarm is replayed,
         // which produces the same reply.
-        let writes = std::iter::once(kept).chain(evicted.iter().map(forget));
+        let writes = std::iter::once(insert).chain(evicted.iter().map(delete_write));
         self.cache.store.submit(writes.collect(), None);
         drop(submitting);
         if let Some(Progress::Pending(responders)) = before {
             for responder in responders {
-                let answer = answer.clone();
-                responder.send(move || answer);
+                let reply = reply.clone();
+                responder.send(move || reply);
             }
         }
     }
 
-    fn forget(mut self: Box<Self>, refusal: &Payload) {
+    fn reject(mut self: Box<Self>, error: &Payload) {
         for responder in self.remove() {
-            let refusal = refusal.clone();
-            responder.send(move || Err(refusal));
+            let error = error.clone();
+            responder.send(move || Err(error));
         }
     }
 }
@@ -267,9 +267,9 @@ impl Requests {
         }
     }
 
-    /// Remembers the reply to a request, and evicts others until the total holds. Returns what was
+    /// Inserts the reply to a request, and evicts others until the total holds. Returns what was
     /// known of the request before, and the requests whose replies were evicted.
-    fn remember(
+    fn insert(
         &mut self,
         name: Arc<Name>,
         digest: Digest,
@@ -361,10 +361,10 @@ fn cost(reply: &Result<Payload, Payload>) -> usize {
 }
 
 /// The write that persists the reply to a request.
-fn keep(name: &Name, digest: Digest, reply: &Result<Payload, Payload>) -> Write {
+fn insert_write(name: &Name, digest: Digest, reply: &Result<Payload, Payload>) -> Write {
     let (client, request_id) = name.clone();
     let (Ok(payload) | Err(payload)) = reply;
-    Write::Answer(store::Answer {
+    Write::InsertReply(store::StoredReply {
         client,
         request_id,
         digest,
@@ -377,9 +377,9 @@ fn keep(name: &Name, digest: Digest, reply: &Result<Payload, Payload>) -> Write 
 }
 
 /// The write that deletes the reply to a request.
-fn forget(name: &Arc<Name>) -> Write {
+fn delete_write(name: &Arc<Name>) -> Write {
     let (client, request_id) = (**name).clone();
-    Write::Forget { client, request_id }
+    Write::DeleteReply { client, request_id }
 }
 
 #[cfg(test)]

@@ -41,7 +41,7 @@ pub struct Responder(Arc<Pending>);
 /// A request without a reply.
 struct Pending {
     incoming: Mutex<Option<Incoming>>,
-    /// Where the reply is remembered, if the request has an id.
+    /// Where the reply is cached, if the request has an id.
     slot: Mutex<Option<Box<dyn ReplySlot>>>,
     deadlines: Mutex<Vec<AbortHandle>>,
     key: String,
@@ -138,8 +138,8 @@ impl Replies {
 }
 
 impl Responder {
-    /// Has the reply of `complete` remembered in a slot of the idempotency cache.
-    pub fn remember_in(&self, slot: Box<dyn ReplySlot>) {
+    /// Sets the slot of the idempotency cache into which `complete` writes the reply.
+    pub fn set_slot(&self, slot: Box<dyn ReplySlot>) {
         *self.0.slot.lock() = Some(slot);
     }
 
@@ -148,7 +148,7 @@ impl Responder {
         self.0.send(None, Box::new(encode));
     }
 
-    /// Replies with the result of the request. It is remembered even if the deadline has passed.
+    /// Replies with the result of the request. It is cached even if the deadline has passed.
     pub fn complete(&self, encode: impl FnOnce() -> Result<Payload, Payload> + Send + 'static) {
         let slot = self.0.slot.lock().take();
         self.0.send(slot, Box::new(encode));
@@ -213,7 +213,7 @@ impl Responder {
         }
         let payload = Payload::json(&error.to_wire(step));
         if let Some(slot) = self.0.slot.lock().take() {
-            slot.forget(&payload);
+            slot.reject(&payload);
         }
         self.send(move || Err(payload));
     }
@@ -285,7 +285,7 @@ impl Pending {
 }
 
 impl Drop for Pending {
-    /// Replies `internal` if there is no reply. It is remembered: the request may have been executed,
+    /// Replies `internal` if there is no reply. It is cached: the request may have been executed,
     /// and a retry must not execute it again.
     fn drop(&mut self) {
         let slot = self.slot.lock().take();

@@ -28,6 +28,10 @@ pub enum ServerError {
     Gateway(#[from] GatewayError),
     #[error("{0}")]
     Store(#[from] StoreError),
+    #[error(
+        "{0} has recordings or experiments but no database: restore a backup, or move the folder away"
+    )]
+    NoDatabase(String),
     #[error("cannot recover the swarms: {0}")]
     Recovery(StoreError),
     /// The folder of experiments, recordings or uploads cannot be used.

@@ -10,7 +10,7 @@ use zenoh::{Session, Wait};
 
 use crate::api::responder::Replies;
 use crate::experiments::ExperimentManager;
-use crate::health::Watch;
+use crate::health::HealthMonitor;
 use crate::recording::Recordings;
 use crate::store::Store;
 use crate::swarm::registry::SwarmRegistry;
@@ -36,7 +36,7 @@ pub struct Server {
     /// The zenoh endpoints it listens on, such as `tcp/127.0.0.1:7447`.
     pub endpoints: Vec<String>,
     /// Its health checks.
-    pub watch: Arc<Watch>,
+    pub watch: Arc<HealthMonitor>,
     pub(super) gateway: Option<Gateway>,
     pub(super) credentials: Credentials,
     pub(super) experiments: ExperimentManager,

@@ -1,6 +1,5 @@
 //! The start of the daemon: [`open`] lists the steps, each of which is a function below it.
 
-use std::num::NonZero;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
@@ -12,7 +11,7 @@ use jostle_proto::keys;
 use tokio::net::TcpListener;
 use tokio::task::spawn_blocking;
 use tokio_rustls::TlsAcceptor;
-use tracing::{error, info};
+use tracing::{error, info, warn};
 use zenoh::{Session, Wait};
 
 use crate::api::context::{Context, Executor};
@@ -20,6 +19,7 @@ use crate::api::idempotency::IdempotencyCache;
 use crate::api::incoming::Admission;
 use crate::api::responder::Replies;
 use crate::api::{commands, queries};
+use crate::app::data_folder;
 use crate::app::error::{EXIT_STORE, ServerError};
 use crate::app::server::{Connection, Server};
 use crate::app::users;
@@ -28,7 +28,7 @@ use crate::auth::live::LiveRights;
 use crate::config::Config;
 use crate::convert::commands::check_name;
 use crate::experiments::ExperimentManager;
-use crate::health::{Watch, Watched};
+use crate::health::{HealthMonitor, HealthSources};
 use crate::metrics::Activity;
 use crate::persistence::recovery;
 use crate::playback::Uploads;
@@ -59,8 +59,14 @@ async fn open(config: &Config) -> Result<Server, ServerError> {
     check_name("node", &config.node).map_err(ServerError::Name)?;
     check_name("prefix", &config.prefix).map_err(ServerError::Name)?;
     let rights = users::open(config)?;
+    check_certificate(config, &rights)?;
     let http = HttpListener::bind(config, &rights).await?;
+    data_folder::check(&config.data_dir)?;
+    let other_data = data_folder::other_data(&config.data_dir, &config.node);
     let store = open_store(config)?;
+    if let Some(message) = &other_data {
+        warn!("{message}");
+    }
     let opened = session::open(
         &config.listen,
         &config.prefix,
@@ -91,7 +97,7 @@ async fn open(config: &Config) -> Result<Server, ServerError> {
     if let Some(http) = &http {
         probed.push(http.endpoint()?);
     }
-    let started = start_watch(&core, &files, bus.clone(), activity, probed)?;
+    let started = start_watch(&core, &files, bus.clone(), activity, probed, other_data)?;
     let watch = watch.get_or_init(|| started).clone();
     // Before the recovery, which may take long: the health checks must be reachable meanwhile.
     let credentials = credentials(config, &core)?;
@@ -110,7 +116,7 @@ async fn open(config: &Config) -> Result<Server, ServerError> {
         core.rights.clone(),
         core.claims.clone(),
     )
-    .map_err(|error| rejected(&error))?;
+    .map_err(|error| keys_error(&error))?;
     // After the recovery: a client that sees the daemon finds its swarms.
     open_node(&core.messages).await?;
     info!(
@@ -140,6 +146,19 @@ async fn open(config: &Config) -> Result<Server, ServerError> {
     })
 }
 
+/// If the daemon serves over TLS, checks its certificate.
+fn check_certificate(config: &Config, rights: &LiveRights) -> Result<(), GatewayError> {
+    let has_tls = config.http.starts_with("https://")
+        || config.listen.iter().any(|it| it.starts_with("tls/"));
+    if let Rights::Users { folder, .. } = &*rights.current()
+        && has_tls
+        && let Some(warning) = http::check_certificate(folder)?
+    {
+        warn!("{warning}");
+    }
+    Ok(())
+}
+
 /// The listener of the HTTP server.
 struct HttpListener {
     listener: TcpListener,
@@ -154,7 +173,7 @@ impl HttpListener {
         };
         let acceptor = match &*rights.current() {
             Rights::Users { folder, .. } if place.is_secure => {
-                Some(http::acceptor(&folder.daemon()).map_err(GatewayError::Certificate)?)
+                Some(http::acceptor(folder).map_err(GatewayError::Certificate)?)
             }
             _ => None,
         };
@@ -178,7 +197,7 @@ impl HttpListener {
         config: &Config,
         core: &Core,
         credentials: Credentials,
-        watch: Arc<Watch>,
+        watch: Arc<HealthMonitor>,
     ) -> std::io::Result<Gateway> {
         let bus = Bus {
             session: core.session.clone(),
@@ -247,7 +266,7 @@ impl Core {
                 // If the queue is full, the dispatcher is awake and reconciles anyway.
                 let _ = wake.try_send(DispatchMessage::Claimed);
             })
-            .map_err(|error| rejected(&error))?;
+            .map_err(|error| keys_error(&error))?;
         let observer = Arc::new(messages.clone());
         let registry = SwarmRegistry::new(config.limits, observer, Box::new(store.clone()));
         let has_users = rights.current().users().is_some();
@@ -280,18 +299,17 @@ impl Files {
     async fn open(config: &Config, core: &Core) -> Result<Self, ServerError> {
         let [experiments, recordings, replays] =
             ["experiments", "recordings", "replays"].map(|name| config.data_dir.join(name));
-        let cores = || thread::available_parallelism().unwrap_or(NonZero::<usize>::MIN);
-        let threads = config.experiment_threads.unwrap_or_else(cores).get();
+        let threads = config.experiment_threads();
         let opened = spawn_blocking({
             let folder = experiments.clone();
             move || ExperimentManager::open(&folder, threads)
         });
         let opened = opened.await.expect("opening does not panic");
-        let experiments = opened.map_err(unusable(&experiments))?;
+        let experiments = opened.map_err(folder_error(&experiments))?;
         let (registry, quota_bytes) = (core.registry.clone(), config.recordings_quota_bytes);
         let opened = Recordings::open(&recordings, quota_bytes, registry);
-        let recordings = opened.map_err(unusable(&recordings))?;
-        let uploads = Uploads::open(&replays).map_err(unusable(&replays))?;
+        let recordings = opened.map_err(folder_error(&recordings))?;
+        let uploads = Uploads::open(&replays).map_err(folder_error(&replays))?;
         Ok(Files {
             experiment_files: Executor::start("experiments", experiments.clone())?,
             experiments,
@@ -302,7 +320,7 @@ impl Files {
     }
 }
 
-fn unusable(folder: &Path) -> impl FnOnce(std::io::Error) -> ServerError {
+fn folder_error(folder: &Path) -> impl FnOnce(std::io::Error) -> ServerError {
     move |error| ServerError::Folder {
         folder: folder.display().to_string(),
         error,
@@ -315,7 +333,7 @@ fn context(
     core: &Core,
     files: &Files,
     url: Option<String>,
-    watch: Arc<OnceLock<Arc<Watch>>>,
+    watch: Arc<OnceLock<Arc<HealthMonitor>>>,
 ) -> Arc<Context> {
     Arc::new(Context {
         prefix: config.prefix.clone(),
@@ -387,10 +405,11 @@ fn start_watch(
     bus: Arc<BusWatch>,
     dispatch: Arc<Activity>,
     endpoints: Vec<String>,
-) -> Result<Arc<Watch>, ServerError> {
+    other_data: Option<String>,
+) -> Result<Arc<HealthMonitor>, ServerError> {
     let (session, claims) = (core.session.clone(), core.claims.clone());
     let replies = core.replies.clone();
-    let watched = Watched {
+    let watched = HealthSources {
         registry: core.registry.clone(),
         store: core.store.clone(),
         rights: core.rights.clone(),
@@ -405,12 +424,13 @@ fn start_watch(
         bus: Box::new(move || bus.report()),
         count: commands::count,
         dropped_requests: Box::new(move || replies.dropped()),
+        other_data,
         contested: Box::new(move || {
             let contests = claims.contests();
             contests.iter().map(Contest::for_health).collect()
         }),
     };
-    Ok(Watch::start(watched)?)
+    Ok(HealthMonitor::start(watched)?)
 }
 
 /// How HTTP clients prove that they may send commands: by the token of the page, or as users.
@@ -435,11 +455,11 @@ async fn open_node(messages: &SyncSender<DispatchMessage>) -> Result<(), ServerE
     let (opened, result) = sync_channel(1);
     let _ = messages.send(DispatchMessage::Recovered(opened));
     match spawn_blocking(move || result.recv()).await {
-        Ok(Ok(Err(error))) => Err(rejected(&error)),
+        Ok(Ok(Err(error))) => Err(keys_error(&error)),
         _ => Ok(()),
     }
 }
 
-fn rejected(error: &zenoh::Error) -> ServerError {
+fn keys_error(error: &zenoh::Error) -> ServerError {
     ServerError::Keys(error.to_string())
 }

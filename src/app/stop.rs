@@ -44,10 +44,7 @@ impl Server {
         let stored = spawn_blocking(move || store.stop(STORE_STOP_TIMEOUT));
         let is_written = stored.await.unwrap_or(false);
         if !is_written {
-            error!(
-                "the store is not completely written, because the disk is full or slow: steps after \
-                 the last `durable_step` are lost, as after a crash"
-            );
+            self.log_unwritten();
         }
         warn_of_late(recordings, "recordings were not completely written").await;
 
@@ -55,6 +52,23 @@ impl Server {
         self.replies.stop();
         close(self.connection).await;
         is_written
+    }
+
+    /// Logs the swarms whose last steps are not written.
+    fn log_unwritten(&self) {
+        error!("the store is not completely written, because the disk is full or slow");
+        for (swarm, handle) in self.registry.handles().0 {
+            let Some(summary) = handle.summary().filter(|it| !it.is_replay) else {
+                continue;
+            };
+            let (step, durable_step) = (summary.stamp.step, handle.durable_step());
+            if durable_step < step {
+                error!(
+                    swarm,
+                    step, durable_step, "the steps after `durable_step` are lost, as after a crash"
+                );
+            }
+        }
     }
 
     /// Stops the threads that receive requests, and the health checks.

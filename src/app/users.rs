@@ -22,7 +22,7 @@ const RELOAD_INTERVAL: Duration = Duration::from_secs(1);
 /// Reads the users of `auth_dir`, and starts the tasks that reload and check them.
 pub fn open(config: &Config) -> Result<Arc<LiveRights>, AuthError> {
     let rights = match &config.auth_dir {
-        Some(path) => Rights::read(Folder::at(path.clone()))?,
+        Some(path) => Rights::read(Folder::new(path.clone()))?,
         None => Rights::Open,
     };
     let has_users = rights.users().is_some();

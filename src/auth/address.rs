@@ -7,7 +7,7 @@ use serde::Deserialize;
 use toml::{Spanned, Value};
 
 use crate::auth::AuthError;
-use crate::auth::folder::{Folder, PeopleFile, at, read, write};
+use crate::auth::folder::{Folder, PeopleFile, file_error, read};
 
 /// The names by which this machine reaches itself.
 pub const OWN_NAMES: [&str; 3] = ["localhost", "127.0.0.1", "::1"];
@@ -19,7 +19,7 @@ const DEFAULT_HTTP: &str = "127.0.0.1:8080";
 
 /// A change of a daemon's addresses; what is not given stays as it is.
 #[derive(Clone, Debug, Default)]
-pub struct Reach {
+pub struct AddressChange {
     /// Names and addresses by which other machines reach the daemon.
     pub hosts: Vec<String>,
     /// Zenoh endpoints to listen on.
@@ -49,7 +49,7 @@ struct HostPort {
     port: u16,
 }
 
-impl Reach {
+impl AddressChange {
     /// Whether it changes anything.
     pub fn is_empty(&self) -> bool {
         self.hosts.is_empty() && self.listen.is_none() && self.http.is_none()
@@ -65,17 +65,17 @@ impl Address {
     pub fn of(
         folder: &Folder,
         known: Option<&PeopleFile>,
-        reach: &Reach,
+        address_change: &AddressChange,
     ) -> Result<Self, AuthError> {
-        if let Some(host) = reach.hosts.iter().find(|host| !is_host(host)) {
+        if let Some(host) = address_change.hosts.iter().find(|host| !is_host(host)) {
             return Err(AuthError::Host(host.clone()));
         }
-        let hosts = hosts(known, reach)?;
+        let hosts = hosts(known, address_change)?;
         let (listen, http) = match settings(folder)? {
             Some((_, settings)) => {
                 let http = settings.http.as_ref();
                 let http = http.and_then(|it| it.get_ref().as_str().map(str::to_owned));
-                (settings.listen.map(|it| texts(it.get_ref())), http)
+                (settings.listen.map(|it| strings(it.get_ref())), http)
             }
             None => {
                 let anywhere = if hosts.is_empty() {
@@ -86,17 +86,17 @@ impl Address {
                 (Some(vec![format!("tls/{anywhere}:{PORT}")]), None)
             }
         };
-        let listen = reach.listen.clone().or(listen);
+        let listen = address_change.listen.clone().or(listen);
         let listen = listen.unwrap_or_else(|| vec![DEFAULT_LISTEN.to_owned()]);
-        let http = reach.http.clone().or(http);
+        let http = address_change.http.clone().or(http);
         let http = http.unwrap_or_else(|| DEFAULT_HTTP.to_owned());
-        let is_moved = known.is_none() || !reach.hosts.is_empty();
+        let is_moved = known.is_none() || !address_change.hosts.is_empty();
         let endpoint = match known {
-            Some(known) if !is_moved && reach.listen.is_none() => known.endpoint.clone(),
+            Some(known) if !is_moved && address_change.listen.is_none() => known.endpoint.clone(),
             _ => endpoint(&listen, &hosts, is_moved)?,
         };
         let page = match known {
-            Some(known) if !is_moved && reach.http.is_none() => known.page.clone(),
+            Some(known) if !is_moved && address_change.http.is_none() => known.page.clone(),
             _ => page(&http, &hosts)?,
         };
         Ok(Address {
@@ -144,27 +144,36 @@ impl Address {
     }
 
     /// Writes the settings that a daemon starts with; in an existing file only what `reach` changes.
-    pub fn write_settings(&self, folder: &Folder, reach: &Reach) -> Result<(), AuthError> {
-        let made = settings(folder)?;
+    pub fn write_settings(
+        &self,
+        folder: &Folder,
+        address_change: &AddressChange,
+    ) -> Result<(), AuthError> {
+        let written = settings(folder)?;
         let listen = match &self.listen[..] {
             [one] => format!("{one:?}"),
             several => format!("{several:?}"),
         };
         let http = format!("{:?}", self.http);
-        let text = match made {
+        let text = match written {
             None => {
                 let path = folder.path().canonicalize();
-                let path = path.map_err(|error| at(folder.path(), error))?;
-                let http = reach.http.as_ref().map(|_| format!("http = {http}\n"));
+                let path = path.map_err(|error| file_error(folder.path(), error))?;
+                let http = address_change
+                    .http
+                    .as_ref()
+                    .map(|_| format!("http = {http}\n"));
                 let http = http.unwrap_or_default();
                 format!("listen = {listen}\n{http}auth_dir = {path:?}\n")
             }
             Some((mut text, settings)) => {
                 let mut changes = Vec::new();
-                if reach.listen.is_some() {
+                let old = settings.listen.as_ref();
+                let is_same = old.is_some_and(|old| strings(old.get_ref()) == self.listen);
+                if address_change.listen.is_some() && !is_same {
                     changes.push(("listen", settings.listen, listen));
                 }
-                if reach.http.is_some() {
+                if address_change.http.is_some() {
                     changes.push(("http", settings.http, http));
                 }
                 // From the end, so that earlier spans stay valid.
@@ -178,7 +187,7 @@ impl Address {
                 text
             }
         };
-        write(&folder.settings_file(), &text)
+        folder.write_settings(&text)
     }
 }
 
@@ -188,7 +197,7 @@ impl HostPort {
         let address = address.split(['?', '#']).next()?;
         let (host, port) = address.rsplit_once(':')?;
         Some(HostPort {
-            host: bare(host).to_owned(),
+            host: without_brackets(host).to_owned(),
             port: port.parse().ok()?,
         })
     }
@@ -204,7 +213,7 @@ impl HostPort {
     }
 
     /// The host and port by which clients connect.
-    fn reached_by(&self, given: &str, host: Option<&String>) -> Result<String, AuthError> {
+    fn client_address(&self, given: &str, host: Option<&String>) -> Result<String, AuthError> {
         if self.port == 0 {
             return Err(AuthError::AnyPort(given.to_owned()));
         }
@@ -222,20 +231,23 @@ impl HostPort {
 
 /// Whether a host is a name or an address of the loopback interface.
 pub fn is_loopback(host: &str) -> bool {
-    let address = bare(host).parse::<IpAddr>();
+    let address = without_brackets(host).parse::<IpAddr>();
     host.eq_ignore_ascii_case("localhost") || address.is_ok_and(|it| it.is_loopback())
 }
 
 /// An IPv6 address without its brackets; another host as it is.
-fn bare(host: &str) -> &str {
-    let bare = host.strip_prefix('[').and_then(|it| it.strip_suffix(']'));
-    bare.unwrap_or(host)
+fn without_brackets(host: &str) -> &str {
+    let stripped = host.strip_prefix('[').and_then(|it| it.strip_suffix(']'));
+    stripped.unwrap_or(host)
 }
 
 /// The names by which other machines reach the daemon.
-fn hosts(known: Option<&PeopleFile>, reach: &Reach) -> Result<Vec<String>, AuthError> {
-    if !reach.hosts.is_empty() {
-        return Ok(reach.hosts.clone());
+fn hosts(
+    known: Option<&PeopleFile>,
+    address_change: &AddressChange,
+) -> Result<Vec<String>, AuthError> {
+    if !address_change.hosts.is_empty() {
+        return Ok(address_change.hosts.clone());
     }
     let Some(known) = known else {
         return Ok(Vec::new());
@@ -255,15 +267,15 @@ fn endpoint(listen: &[String], hosts: &[String], is_moved: bool) -> Result<Strin
     let Some(given) = over_tls.or(listen.first()) else {
         return Ok(DEFAULT_LISTEN.to_owned());
     };
-    let bare = given.split('#').next().unwrap_or(given);
-    let (protocol, address) = bare.split_once('/').unwrap_or_default();
+    let without_options = given.split('#').next().unwrap_or(given);
+    let (protocol, address) = without_options.split_once('/').unwrap_or_default();
     if protocol == "unixsock-stream" {
-        return Ok(bare.to_owned());
+        return Ok(without_options.to_owned());
     }
     let place = HostPort::read(address).ok_or_else(|| AuthError::NoPort(given.clone()))?;
     let by_name = protocol == "tls" && (is_moved || !place.is_local());
     let host = hosts.first().filter(|_| by_name);
-    Ok(format!("{protocol}/{}", place.reached_by(given, host)?))
+    Ok(format!("{protocol}/{}", place.client_address(given, host)?))
 }
 
 /// The URL of the page: over TLS by the first name of the daemon.
@@ -279,7 +291,7 @@ fn page(http: &str, hosts: &[String]) -> Result<Option<String>, AuthError> {
     let host = hosts.first().filter(|_| by_name);
     Ok(Some(format!(
         "{scheme}://{}",
-        place.reached_by(http, host)?
+        place.client_address(http, host)?
     )))
 }
 
@@ -307,7 +319,7 @@ fn settings(folder: &Folder) -> Result<Option<(String, Settings)>, AuthError> {
 }
 
 /// The strings of a list, or of a string with commas.
-fn texts(value: &Value) -> Vec<String> {
+fn strings(value: &Value) -> Vec<String> {
     let parts: Vec<&str> = match value {
         Value::Array(values) => values.iter().filter_map(Value::as_str).collect(),
         value => value.as_str().unwrap_or_default().split(',').collect(),

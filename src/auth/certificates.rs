@@ -35,7 +35,7 @@ pub struct Authority(Issuer<'static, KeyPair>);
 
 impl Authority {
     /// Generates the key of a new authority, as PEM.
-    pub fn draw() -> Result<String, rcgen::Error> {
+    pub fn generate_key() -> Result<String, rcgen::Error> {
         Ok(KeyPair::generate()?.serialize_pem())
     }
 
@@ -72,7 +72,7 @@ impl Authority {
         params.extended_key_usages = vec![purpose];
         params.key_usages = vec![KeyUsagePurpose::DigitalSignature];
         params.use_authority_key_identifier_extension = true;
-        hold(&mut params, DAYS);
+        set_validity(&mut params, DAYS);
         let key = KeyPair::generate()?;
         Ok(Pair {
             certificate: params.signed_by(&key, &self.0)?.pem(),
@@ -89,7 +89,7 @@ fn authority() -> Result<CertificateParams, rcgen::Error> {
         .push(DnType::CommonName, AUTHORITY);
     params.is_ca = IsCa::Ca(BasicConstraints::Constrained(0));
     params.key_usages = vec![KeyUsagePurpose::KeyCertSign];
-    hold(&mut params, AUTHORITY_DAYS);
+    set_validity(&mut params, AUTHORITY_DAYS);
     Ok(params)
 }
 
@@ -100,7 +100,7 @@ pub fn in_days(days: i64) -> String {
     day.date().to_string()
 }
 
-fn hold(params: &mut CertificateParams, days: i64) {
+fn set_validity(params: &mut CertificateParams, days: i64) {
     let now = OffsetDateTime::now_utc();
     params.not_before = now - SKEW;
     params.not_after = now + Duration::days(days);

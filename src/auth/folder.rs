@@ -55,79 +55,109 @@ pub struct PeopleFile {
 
 /// The folder with the users and their secrets.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Folder(PathBuf);
+pub struct Folder {
+    path: PathBuf,
+    settings: Option<PathBuf>,
+}
 
 impl Folder {
     /// The folder at `path`, which need not exist.
-    pub fn at(path: PathBuf) -> Self {
-        Folder(path)
+    pub fn new(path: PathBuf) -> Self {
+        Folder {
+            path,
+            settings: None,
+        }
+    }
+
+    /// The same folder, of a daemon that reads its settings from this file.
+    #[must_use]
+    pub fn with_settings(self, file: PathBuf) -> Self {
+        Folder {
+            settings: Some(file),
+            ..self
+        }
     }
 
     /// Its path.
     pub fn path(&self) -> &Path {
-        &self.0
+        &self.path
     }
 
     /// The certificate authority's certificate and key.
     pub fn authority(&self) -> [PathBuf; 2] {
-        [self.0.join("ca.pem"), self.0.join("ca-key.pem")]
+        [self.path.join("ca.pem"), self.path.join("ca-key.pem")]
     }
 
     /// The daemon's certificate and key.
     pub fn daemon(&self) -> [PathBuf; 2] {
-        [self.0.join("daemon.pem"), self.0.join("daemon-key.pem")]
+        [
+            self.path.join("daemon.pem"),
+            self.path.join("daemon-key.pem"),
+        ]
     }
 
     /// Names and passwords, as zenoh reads them.
     pub fn passwords_file(&self) -> PathBuf {
-        self.0.join("passwords")
+        self.path.join("passwords")
     }
 
     /// The file with the users.
     pub fn people_file(&self) -> PathBuf {
-        self.0.join("people.json")
+        self.path.join("people.json")
     }
 
-    /// The settings to start with.
+    /// The settings of the daemon.
     pub fn settings_file(&self) -> PathBuf {
-        self.0.join("jostled.toml")
+        let given = self.settings.clone();
+        given.unwrap_or_else(|| self.path.join("jostled.toml"))
+    }
+
+    /// Writes the settings of the daemon. A file outside the folder keeps its owner and permissions.
+    pub fn write_settings(&self, text: &str) -> Result<(), AuthError> {
+        let path = self.settings_file();
+        match self.settings {
+            Some(_) => secret::replace(&path, text).map_err(|error| file_error(&path, error)),
+            None => write(&path, text),
+        }
     }
 
     /// The folder to hand to a user.
-    pub fn of(&self, person: &str) -> PathBuf {
-        self.0.join("people").join(person)
+    pub fn person_folder(&self, person: &str) -> PathBuf {
+        self.path.join("people").join(person)
     }
 
     /// The users whose folders have not been moved away.
     pub fn user_folders(&self) -> Result<Vec<String>, AuthError> {
-        let path = self.0.join("people");
+        let path = self.path.join("people");
         if matches!(path.try_exists(), Ok(false)) {
             return Ok(Vec::new());
         }
-        let entries = fs::read_dir(&path).map_err(|error| at(&path, error))?;
+        let entries = fs::read_dir(&path).map_err(|error| file_error(&path, error))?;
         let names = entries.map(|entry| Ok(entry?.file_name().to_string_lossy().into_owned()));
         names
             .collect::<std::io::Result<_>>()
-            .map_err(|error| at(&path, error))
+            .map_err(|error| file_error(&path, error))
     }
 
     /// Locks the folder against concurrent changes.
     pub fn lock(&self) -> Result<File, AuthError> {
-        let folder = File::open(&self.0).map_err(|error| at(&self.0, error))?;
-        folder.lock().map_err(|error| at(&self.0, error))?;
+        let folder = File::open(&self.path).map_err(|error| file_error(&self.path, error))?;
+        folder
+            .lock()
+            .map_err(|error| file_error(&self.path, error))?;
         Ok(folder)
     }
 
     /// Whether it has been created.
-    pub fn is_made(&self) -> Result<bool, AuthError> {
+    pub fn exists(&self) -> Result<bool, AuthError> {
         let path = self.people_file();
-        path.try_exists().map_err(|error| at(&path, error))
+        path.try_exists().map_err(|error| file_error(&path, error))
     }
 
     fn existing_people_file(&self) -> Result<PathBuf, AuthError> {
-        match self.is_made()? {
+        match self.exists()? {
             true => Ok(self.people_file()),
-            false => Err(AuthError::NoUsers(self.0.clone())),
+            false => Err(AuthError::NoUsers(self.path.clone())),
         }
     }
 
@@ -138,7 +168,7 @@ impl Folder {
 
     /// The secrets of a user whose folder has not been moved away.
     pub fn credentials(&self, person: &str) -> Result<Credentials, AuthError> {
-        read_json(&self.of(person).join(Credentials::FILE))
+        read_json(&self.person_folder(person).join(Credentials::FILE))
     }
 
     /// The passwords, as pairs of name and password.
@@ -167,7 +197,7 @@ impl Folder {
                 return Err(AuthError::Missing(path.clone()));
             }
         }
-        for path in [&self.0, &people, &authority, &certificate] {
+        for path in [&self.path, &people, &authority, &certificate] {
             check_owner(path)?;
         }
         let is_here = authority_key.try_exists().unwrap_or(true);
@@ -185,7 +215,7 @@ impl Folder {
 
     /// Rejects a folder or a `people.json` that other users can write.
     pub fn check_people(&self) -> Result<(), AuthError> {
-        check_owner(&self.0)?;
+        check_owner(&self.path)?;
         check_owner(&self.existing_people_file()?).map(drop)
     }
 
@@ -193,8 +223,8 @@ impl Folder {
     /// runs as another user.
     pub fn check_own(&self) -> Result<(), AuthError> {
         let checked = match geteuid().is_root() {
-            true => check_mode(&self.0),
-            false => check_owner(&self.0),
+            true => check_mode(&self.path),
+            false => check_owner(&self.path),
         };
         checked.map(drop)
     }
@@ -217,7 +247,7 @@ impl Folder {
 /// Checks that a file belongs to the present user or root, and that only its owner can write it.
 /// Returns its mode.
 fn check_owner(path: &Path) -> Result<u32, AuthError> {
-    let metadata = fs::metadata(path).map_err(|error| at(path, error))?;
+    let metadata = fs::metadata(path).map_err(|error| file_error(path, error))?;
     let own = [0, geteuid().as_raw()];
     if !own.contains(&metadata.uid()) {
         return Err(AuthError::Foreign(path.to_owned()));
@@ -227,7 +257,9 @@ fn check_owner(path: &Path) -> Result<u32, AuthError> {
 
 /// Checks that only its owner can write a file. Returns its mode.
 fn check_mode(path: &Path) -> Result<u32, AuthError> {
-    let mode = fs::metadata(path).map_err(|error| at(path, error))?.mode();
+    let mode = fs::metadata(path)
+        .map_err(|error| file_error(path, error))?
+        .mode();
     match mode & 0o022 {
         0 => Ok(mode),
         _ => Err(AuthError::Writable(path.to_owned())),
@@ -235,23 +267,23 @@ fn check_mode(path: &Path) -> Result<u32, AuthError> {
 }
 
 pub(super) fn read(path: &Path) -> Result<String, AuthError> {
-    fs::read_to_string(path).map_err(|error| at(path, error))
+    fs::read_to_string(path).map_err(|error| file_error(path, error))
 }
 
 /// Writes a file that only its owner can read.
 pub(super) fn write(path: &Path, text: &str) -> Result<(), AuthError> {
-    secret::write(path, text).map_err(|error| at(path, error))
+    secret::write(path, text).map_err(|error| file_error(path, error))
 }
 
 /// Writes a value as JSON that only its owner can read.
 pub(super) fn write_json<T: Serialize + ?Sized>(path: &Path, value: &T) -> Result<(), AuthError> {
     let text = serde_json::to_string_pretty(value);
-    let text = text.map_err(|error| at(path, error.into()))?;
+    let text = text.map_err(|error| file_error(path, error.into()))?;
     write(path, &format!("{text}\n"))
 }
 
 /// An error that names `path`.
-pub(super) fn at(path: &Path, error: std::io::Error) -> AuthError {
+pub(super) fn file_error(path: &Path, error: std::io::Error) -> AuthError {
     AuthError::File {
         path: path.to_owned(),
         error,

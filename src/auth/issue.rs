@@ -7,9 +7,9 @@ use std::path::{Path, PathBuf};
 use jostle_proto::role::is_person;
 use jostle_proto::{Credentials, Role};
 
-use crate::auth::address::{Address, Reach};
+use crate::auth::address::{Address, AddressChange};
 use crate::auth::certificates::{Authority, DAEMON, DAYS, in_days};
-use crate::auth::folder::{Folder, PeopleFile, UserEntry, at, read, write};
+use crate::auth::folder::{Folder, PeopleFile, UserEntry, file_error, read, write};
 use crate::auth::{AuthError, secret, user_folder};
 
 /// Bytes of a token, and of a password.
@@ -17,7 +17,7 @@ const SECRET_BYTES: usize = 32;
 
 /// The result of a change of the daemon's addresses.
 #[derive(Debug)]
-pub struct Moved {
+pub struct ChangedAddresses {
     /// The addresses of the daemon from its next start on.
     pub address: Address,
     /// The names of its certificate.
@@ -32,9 +32,9 @@ pub struct Moved {
 #[derive(Debug)]
 pub struct SetUp {
     /// The folders of the users that were added.
-    pub made: Vec<PathBuf>,
+    pub created: Vec<PathBuf>,
     /// What `reach` changed in a folder that already existed.
-    pub moved: Option<Moved>,
+    pub moved: Option<ChangedAddresses>,
 }
 
 /// Creates what does not exist: the authority, the daemon's certificate and the users. If `hosts`
@@ -44,23 +44,23 @@ pub fn init(
     hosts: &[String],
     users: &[(String, Role)],
 ) -> Result<Vec<PathBuf>, AuthError> {
-    let reach = Reach {
+    let address_change = AddressChange {
         hosts: hosts.to_owned(),
-        ..Reach::default()
+        ..AddressChange::default()
     };
-    Ok(set_up(folder, &reach, users)?.made)
+    Ok(set_up(folder, &address_change, users)?.created)
 }
 
 /// As [`init`], for a daemon with the addresses `reach`. After an error no user is added.
 pub fn set_up(
     folder: &Folder,
-    reach: &Reach,
+    address_change: &AddressChange,
     users: &[(String, Role)],
 ) -> Result<SetUp, AuthError> {
     check(users)?;
     // Rejects an invalid address before anything is created.
-    let known = folder.is_made()?.then(|| folder.people()).transpose()?;
-    Address::of(folder, known.as_ref(), reach)?;
+    let known = folder.exists()?.then(|| folder.people()).transpose()?;
+    Address::of(folder, known.as_ref(), address_change)?;
     let mut entries = known.iter().flat_map(|known| &known.people);
     let other_role = entries.find(|entry| {
         let mut users = users.iter();
@@ -73,38 +73,45 @@ pub fn set_up(
     folder.check_own()?;
     let _locked = folder.lock()?;
     let authority = authority(folder)?;
-    let known = folder.is_made()?.then(|| folder.people()).transpose()?;
+    let known = folder.exists()?.then(|| folder.people()).transpose()?;
     // An interrupted run has not recorded when its certificate expires.
     let is_recorded = known.as_ref().is_some_and(|known| known.until.is_some());
     let is_complete = is_recorded && folder.daemon().iter().all(|path| path.exists());
     if known.is_none() {
         folder.write_passwords(&[])?;
     }
-    let was_made = known.is_some();
-    let (known, moved) = match is_complete && reach.is_empty() && folder.settings_file().exists() {
-        true => (known.map_or_else(|| folder.people(), Ok)?, None),
-        false => {
-            let (known, moved) = relocate(&authority, folder, known, reach)?;
-            (known, (was_made && !reach.is_empty()).then_some(moved))
-        }
-    };
+    let existed = known.is_some();
+    let (known, moved) =
+        match is_complete && address_change.is_empty() && folder.settings_file().exists() {
+            true => (known.map_or_else(|| folder.people(), Ok)?, None),
+            false => {
+                let (known, moved) = relocate(&authority, folder, known, address_change)?;
+                (
+                    known,
+                    (existed && !address_change.is_empty()).then_some(moved),
+                )
+            }
+        };
     let exists = |(name, role): &(String, Role)| {
         let mut entries = known.people.iter();
         entries.any(|it| it.person == *name && it.role == *role)
     };
     let new: Vec<_> = users.iter().filter(|it| !exists(it)).cloned().collect();
-    let made = add_by(&authority, folder, &new)?;
-    Ok(SetUp { made, moved })
+    let created = add_by(&authority, folder, &new)?;
+    Ok(SetUp { created, moved })
 }
 
 /// Changes the addresses of the daemon from its next start on: issues its certificate again, and
 /// rewrites the folders of users. After an error nothing has changed, unless a file cannot be
 /// written.
-pub fn readdress(folder: &Folder, reach: &Reach) -> Result<Moved, AuthError> {
+pub fn readdress(
+    folder: &Folder,
+    address_change: &AddressChange,
+) -> Result<ChangedAddresses, AuthError> {
     let (_locked, known) = lock(folder)?;
-    Address::of(folder, Some(&known), reach)?;
+    Address::of(folder, Some(&known), address_change)?;
     let authority = existing_authority(folder)?;
-    Ok(relocate(&authority, folder, Some(known), reach)?.1)
+    Ok(relocate(&authority, folder, Some(known), address_change)?.1)
 }
 
 /// Issues the daemon's certificate, and writes its addresses.
@@ -112,13 +119,13 @@ fn relocate(
     authority: &Authority,
     folder: &Folder,
     known: Option<PeopleFile>,
-    reach: &Reach,
-) -> Result<(PeopleFile, Moved), AuthError> {
-    let address = Address::of(folder, known.as_ref(), reach)?;
+    address_change: &AddressChange,
+) -> Result<(PeopleFile, ChangedAddresses), AuthError> {
+    let address = Address::of(folder, known.as_ref(), address_change)?;
     let names = address.names();
     let pair = authority.certify_daemon(&names)?;
     user_folder::write_pair(&pair, folder.daemon())?;
-    address.write_settings(folder, reach)?;
+    address.write_settings(folder, address_change)?;
     let is_moved = known
         .as_ref()
         .is_some_and(|known| (&known.endpoint, &known.page) != (&address.endpoint, &address.page));
@@ -134,12 +141,12 @@ fn relocate(
     let people = known.people.iter().filter(|_| is_moved);
     for UserEntry { person: name, .. } in people {
         match user_folder::rewrite(folder, name, &known)? {
-            true => rewritten.push(folder.of(name)),
+            true => rewritten.push(folder.person_folder(name)),
             false => stale.push(name.clone()),
         }
     }
     folder.write_people(&known)?;
-    let moved = Moved {
+    let moved = ChangedAddresses {
         address,
         names,
         rewritten,
@@ -164,7 +171,7 @@ pub fn remove(folder: &Folder, names: &[String]) -> Result<(), AuthError> {
         let is_known = known.people.iter().any(|entry| entry.person == *name);
         // An interrupted removal leaves a password or a folder.
         let has_password = passwords.iter().any(|(user, _)| user == name);
-        let is_left = is_person(name) && (has_password || folder.of(name).exists());
+        let is_left = is_person(name) && (has_password || folder.person_folder(name).exists());
         if !is_known && !is_left {
             return Err(AuthError::Unknown(name.clone()));
         }
@@ -191,7 +198,7 @@ fn authority(folder: &Folder) -> Result<Authority, AuthError> {
         return Err(AuthError::NoAuthority(key));
     }
     if !key.exists() {
-        write(&key, &Authority::draw()?)?;
+        write(&key, &Authority::generate_key()?)?;
     }
     let authority = Authority::of_key(&read(&key)?)?;
     if !certificate.exists() {
@@ -219,8 +226,8 @@ fn sweep(
     passwords.retain(|(user, _)| is_known(user));
     for name in folder.user_folders()? {
         if is_person(&name) && !is_known(&name) {
-            let path = folder.of(&name);
-            fs::remove_dir_all(&path).map_err(|error| at(&path, error))?;
+            let path = folder.person_folder(&name);
+            fs::remove_dir_all(&path).map_err(|error| file_error(&path, error))?;
         }
     }
     Ok(())
@@ -245,12 +252,13 @@ fn add_by(
 ) -> Result<Vec<PathBuf>, AuthError> {
     let (mut known, mut passwords) = (folder.people()?, folder.passwords()?);
     sweep(folder, &known, &mut passwords)?;
-    let mut made = Vec::new();
+    let mut created = Vec::new();
     for (name, role) in users {
         if known.people.iter().any(|entry| entry.person == *name) {
             return Err(AuthError::Exists(name.clone()));
         }
-        let draw = || secret::draw(SECRET_BYTES).map_err(|error| at(folder.path(), error));
+        let draw =
+            || secret::random_hex(SECRET_BYTES).map_err(|error| file_error(folder.path(), error));
         let credentials = Credentials {
             person: name.clone(),
             role: *role,
@@ -266,13 +274,13 @@ fn add_by(
             until: Some(in_days(DAYS)),
         });
         passwords.push((name.clone(), credentials.password.clone()));
-        made.push(credentials);
+        created.push(credentials);
     }
     let [certificate, _] = folder.authority();
     let ca = read(&certificate)?;
     let mut folders = Vec::new();
-    for credentials in &made {
-        let path = folder.of(&credentials.person);
+    for credentials in &created {
+        let path = folder.person_folder(&credentials.person);
         make_folder(&path)?;
         let pair = authority.certify_person(&credentials.person)?;
         user_folder::create(&path, credentials, &ca, &pair)?;
@@ -287,7 +295,7 @@ fn add_by(
 }
 
 fn make_folder(path: &Path) -> Result<(), AuthError> {
-    secret::make_folder(path).map_err(|error| at(path, error))
+    secret::make_folder(path).map_err(|error| file_error(path, error))
 }
 
 #[cfg(test)]

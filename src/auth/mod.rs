@@ -16,7 +16,7 @@ use std::collections::BTreeMap;
 
 use blake3::Hash;
 use jostle_proto::Role;
-use jostle_proto::role::{is_controller_of, is_person, refusal};
+use jostle_proto::role::{is_controller_of, is_person, rejection_message};
 use thiserror::Error;
 
 use crate::auth::certificates::in_days;
@@ -60,7 +60,7 @@ pub enum Rights {
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum NotPermitted {
     /// The verb requires another role.
-    #[error("{}", refusal(user.as_ref().map(|it| (it.name.as_str(), it.role)), verb))]
+    #[error("{}", rejection_message(user.as_ref().map(|it| (it.name.as_str(), it.role)), verb))]
     Verb {
         /// The sender; `None` if the token is unknown.
         user: Option<User>,
@@ -121,19 +121,26 @@ impl Rights {
         let known = folder.people()?;
         let soon = in_days(days);
         let is_soon = |until: &Option<String>| until.as_ref().is_some_and(|it| *it <= soon);
+        let today = in_days(0);
+        let expires = |until: &str| match until < today.as_str() {
+            true => "expired on",
+            false => "expires on",
+        };
         let mut lines = Vec::new();
         if let Some(until) = known.until.filter(|it| *it <= soon) {
             lines.push(format!(
-                "the daemon's certificate expires on {until}: `jostled auth init --host NAME` with \
-                 each of its names issues a new one"
+                "the daemon's certificate {} {until}: `jostled auth address --host NAME` with each of \
+                 its names issues a new one",
+                expires(&until)
             ));
         }
         for entry in known.people.iter().filter(|it| is_soon(&it.until)) {
             let UserEntry { person, role, .. } = entry;
+            let until = entry.until.as_deref().unwrap_or_default();
             lines.push(format!(
-                "the certificate of {person} expires on {}: `jostled auth remove {person}` and \
+                "the certificate of {person} {} {until}: `jostled auth remove {person}` and \
                  `jostled auth add {person}={role}` make a new folder",
-                entry.until.as_deref().unwrap_or_default()
+                expires(until)
             ));
         }
         for (person, _) in folder.passwords()? {
@@ -249,16 +256,16 @@ mod tests {
     use crate::auth::issue;
 
     /// A folder with these users.
-    pub(super) fn made(users: &[(String, Role)]) -> (tempfile::TempDir, Folder) {
+    pub(super) fn new_folder(users: &[(String, Role)]) -> (tempfile::TempDir, Folder) {
         let base = tempfile::tempdir().unwrap();
-        let folder = Folder::at(base.path().join("auth"));
+        let folder = Folder::new(base.path().join("auth"));
         issue::init(&folder, &[], users).unwrap();
         (base, folder)
     }
 
     #[test]
     fn warnings_about_expiring_certificates_name_the_remedy() {
-        let (_base, folder) = made(&[("vera".into(), Role::Viewer)]);
+        let (_base, folder) = new_folder(&[("vera".into(), Role::Viewer)]);
         let rights = Rights::read(folder.clone()).unwrap();
         assert_eq!(rights.expiry_warnings(60).unwrap(), [""; 0]);
         let text = rights.expiry_warnings(DAYS).unwrap().join("\n");
@@ -270,8 +277,16 @@ mod tests {
         ] {
             assert!(text.contains(expected), "{text}");
         }
-        // Earlier versions recorded no day.
         let mut known = folder.people().unwrap();
+        known.until = Some(in_days(-1));
+        folder.write_people(&known).unwrap();
+        let text = rights.expiry_warnings(DAYS).unwrap().join("\n");
+        let expired = format!(
+            "the daemon's certificate expired on {}: `jostled auth address",
+            in_days(-1)
+        );
+        assert!(text.contains(&expired), "{text}");
+        // Earlier versions recorded no day.
         known.until = None;
         known.people[0].until = None;
         folder.write_people(&known).unwrap();
@@ -281,7 +296,7 @@ mod tests {
 
     #[test]
     fn an_expired_or_missing_certificate_is_reported() {
-        let (_base, folder) = made(&[("vera".into(), Role::Viewer)]);
+        let (_base, folder) = new_folder(&[("vera".into(), Role::Viewer)]);
         assert_eq!(Rights::read(folder.clone()).unwrap().ended(), None);
         let mut known = folder.people().unwrap();
         for (until, is_over) in [(in_days(-1), true), (in_days(0), false)] {
@@ -293,14 +308,14 @@ mod tests {
         assert_eq!(Rights::Open.ended(), None);
         let [certificate, _] = folder.daemon();
         std::fs::remove_file(&certificate).unwrap();
-        let refused = Rights::read(folder).err().unwrap().to_string();
-        assert!(refused.contains("`jostled auth init`"), "{refused}");
+        let rejected = Rights::read(folder).err().unwrap().to_string();
+        assert!(rejected.contains("`jostled auth init`"), "{rejected}");
     }
 
     #[test]
     fn the_token_alone_gives_the_rights_of_a_role() {
         let people = Role::ALL.map(|role| (format!("a_{role}"), role));
-        let (_base, folder) = made(&people);
+        let (_base, folder) = new_folder(&people);
         let rights = Rights::read(folder.clone()).unwrap();
         assert_eq!(rights.users().unwrap().count(), 3);
         for (name, role) in &people {
@@ -320,9 +335,9 @@ mod tests {
             for (verb, is_permitted) in cases {
                 match rights.permit(token.as_bytes(), verb) {
                     Ok(permitted) => assert!(is_permitted && permitted == Some(&person)),
-                    Err(refused) => {
+                    Err(rejected) => {
                         assert!(
-                            !is_permitted && refused.to_string().contains(&text),
+                            !is_permitted && rejected.to_string().contains(&text),
                             "{verb}"
                         );
                     }
@@ -332,8 +347,8 @@ mod tests {
             assert_eq!(rights.owner(nearly), None);
         }
         for nobodys in [&b""[..], b"a_operator"] {
-            let refused = rights.permit(nobodys, "pause").unwrap_err().to_string();
-            assert!(refused.contains("pause takes an operator"), "{refused}");
+            let rejected = rights.permit(nobodys, "pause").unwrap_err().to_string();
+            assert!(rejected.contains("pause takes an operator"), "{rejected}");
         }
         assert_eq!(Rights::Open.permit(b"", "delete"), Ok(None));
     }

@@ -9,7 +9,7 @@ use jostle_atomic_file as atomic_file;
 use rustix::process::geteuid;
 
 /// Random bytes in hexadecimal.
-pub fn draw(bytes: usize) -> io::Result<String> {
+pub fn random_hex(bytes: usize) -> io::Result<String> {
     let mut secret = vec![0; bytes];
     fs::File::open("/dev/urandom")?.read_exact(&mut secret)?;
     Ok(secret.iter().map(|byte| format!("{byte:02x}")).collect())
@@ -28,6 +28,19 @@ pub fn write(path: &Path, text: &str) -> io::Result<()> {
     }
     file.write_all(text.as_bytes())?;
     atomic_file::publish(file, path)
+}
+
+/// Atomically replaces the content of a file, which keeps its owner and permissions.
+pub fn replace(path: &Path, text: &str) -> io::Result<()> {
+    let path = fs::canonicalize(path)?;
+    let old = fs::metadata(&path)?;
+    let mut file = atomic_file::begin_private(&path)?;
+    if geteuid().is_root() {
+        fchown(file.as_file(), Some(old.uid()), Some(old.gid()))?;
+    }
+    file.as_file().set_permissions(old.permissions())?;
+    file.write_all(text.as_bytes())?;
+    atomic_file::publish(file, &path)
 }
 
 /// Creates a folder that only its owner can read, and its parents, if they do not exist.

@@ -31,7 +31,7 @@ pub(super) fn create(
 /// Writes the addresses of the daemon into the folder of a user. Returns `false` if the folder has
 /// been moved away.
 pub(super) fn rewrite(folder: &Folder, name: &str, known: &PeopleFile) -> Result<bool, AuthError> {
-    let path = folder.of(name);
+    let path = folder.person_folder(name);
     let file = path.join(Credentials::FILE);
     if !file.exists() {
         return Ok(false);

@@ -12,8 +12,8 @@ use crate::store::StoreError;
 pub enum BackupError {
     /// The folder is not a data folder.
     #[error(
-        "{} has no database of jostled: name the daemon's data folder with --data-dir \
-         (`jostled config explain` prints it)", .0.display()
+        "{} has no database of jostled: name the daemon's data folder with --data-dir ({})",
+        .0.display(), data_folder(.0, Path::new(SERVICE_DATA))
     )]
     NoData(PathBuf),
     /// The folder for the backup is not empty.
@@ -84,10 +84,41 @@ pub enum BackupError {
     NotEmpty(PathBuf),
 }
 
+/// Where `jostled.service` has the data folders of its nodes.
+const SERVICE_DATA: &str = "/var/lib/jostle/jostle";
+
+/// Where the data folder may be: that of the service if it has one of the same node.
+fn data_folder(given: &Path, service: &Path) -> String {
+    match given.file_name().map(|node| service.join(node)) {
+        Some(folder) if folder != given && folder.is_dir() => {
+            format!("that of the service is {}", folder.display())
+        }
+        _ => "`jostled config explain`, run as the daemon is, prints it".to_owned(),
+    }
+}
+
 /// The error of the system that names `path`.
-pub fn at(path: &Path) -> impl Fn(io::Error) -> BackupError + '_ {
+pub fn io_error(path: &Path) -> impl Fn(io::Error) -> BackupError + '_ {
     |source| BackupError::Io {
         path: path.to_owned(),
         source,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![expect(clippy::unwrap_used, reason = "tests")]
+
+    use super::*;
+
+    #[test]
+    fn without_data_the_folder_of_the_service_is_named_if_it_exists() {
+        let service = tempfile::tempdir().unwrap();
+        let given = Path::new("/root/.local/state/jostle/lab");
+        let remedy = || data_folder(given, service.path());
+        assert!(remedy().contains("jostled config explain"), "{}", remedy());
+        let folder = service.path().join("lab");
+        std::fs::create_dir(&folder).unwrap();
+        assert!(remedy().contains(folder.to_str().unwrap()), "{}", remedy());
     }
 }

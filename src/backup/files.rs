@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::thread::sleep;
 use std::time::Duration;
 
-use super::error::{BackupError, at};
+use super::error::{BackupError, io_error};
 
 /// Bytes per read.
 const BUFFER: usize = 1 << 20;
@@ -33,13 +33,13 @@ const LOCK: &str = "lock";
 pub fn make_folder(path: &Path) -> Result<(), BackupError> {
     let mut builder = DirBuilder::new();
     let made = builder.recursive(true).mode(0o700).create(path);
-    made.map_err(at(path))
+    made.map_err(io_error(path))
 }
 
 /// Syncs a folder, so that the names in it are durable.
 pub fn sync_folder(path: &Path) -> Result<(), BackupError> {
     let synced = File::open(path).and_then(|folder| folder.sync_all());
-    synced.map_err(at(path))
+    synced.map_err(io_error(path))
 }
 
 /// The files below `folder` that belong in a backup, as paths relative to it, in the order in which
@@ -64,11 +64,11 @@ fn list_below(
     let entries = match fs::read_dir(&folder) {
         Ok(entries) => entries,
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
-        Err(error) => return Err(at(&folder)(error)),
+        Err(error) => return Err(io_error(&folder)(error)),
     };
     let (mut files, mut folders) = (Vec::new(), Vec::new());
     for entry in entries {
-        let path = entry.map_err(at(&folder))?.path();
+        let path = entry.map_err(io_error(&folder))?.path();
         let Some(name) = path.file_name().and_then(|name| name.to_str()) else {
             continue;
         };
@@ -110,7 +110,7 @@ pub fn copy(from: &Path, to: &Path) -> Result<Option<(u64, String)>, BackupError
     match opened {
         Ok(mut content) => write(to, &mut content).map(Some),
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
-        Err(error) => Err(at(from)(error)),
+        Err(error) => Err(io_error(from)(error)),
     }
 }
 
@@ -134,25 +134,25 @@ fn read_json(path: &Path) -> io::Result<Vec<u8>> {
 pub fn create(path: &Path) -> Result<File, BackupError> {
     let mut options = OpenOptions::new();
     let options = options.write(true).create_new(true).mode(0o600);
-    options.open(path).map_err(at(path))
+    options.open(path).map_err(io_error(path))
 }
 
 /// Writes a new file and syncs it; returns its length and hash.
 fn write(to: &Path, from: &mut impl io::Read) -> Result<(u64, String), BackupError> {
     let mut file = create(to)?;
-    let written = pump(from, &mut file).map_err(at(to))?;
-    file.sync_all().map_err(at(to))?;
+    let written = copy_and_hash(from, &mut file).map_err(io_error(to))?;
+    file.sync_all().map_err(io_error(to))?;
     Ok(written)
 }
 
 /// The length and hash of a file.
 pub fn hash(path: &Path) -> Result<(u64, String), BackupError> {
-    let hashed = File::open(path).and_then(|mut file| pump(&mut file, &mut io::sink()));
-    hashed.map_err(at(path))
+    let hashed = File::open(path).and_then(|mut file| copy_and_hash(&mut file, &mut io::sink()));
+    hashed.map_err(io_error(path))
 }
 
 /// Copies until the end of `from`, and returns length and hash.
-fn pump(from: &mut impl io::Read, to: &mut impl io::Write) -> io::Result<(u64, String)> {
+fn copy_and_hash(from: &mut impl io::Read, to: &mut impl io::Write) -> io::Result<(u64, String)> {
     let mut hasher = blake3::Hasher::new();
     let (mut buffer, mut bytes) = (vec![0; BUFFER], 0);
     loop {

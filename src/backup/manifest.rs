@@ -170,24 +170,30 @@ mod tests {
         let (folder, text) = written("recordings/a/part-0.mcap");
         let manifest = Manifest::read(folder.path()).unwrap();
         assert_eq!((manifest.swarms, manifest.bytes()), (2, 3));
-        for at in 0..text.len() {
+        for index in 0..text.len() {
             let mut damaged = text.clone().into_bytes();
-            damaged[at] ^= 1;
+            damaged[index] ^= 1;
             fs::write(folder.path().join(FILE), &damaged).unwrap();
-            let refused = Manifest::read(folder.path()).unwrap_err();
-            assert!(matches!(refused, BackupError::Damaged { .. }), "{refused}");
+            let rejected = Manifest::read(folder.path()).unwrap_err();
+            assert!(
+                matches!(rejected, BackupError::Damaged { .. }),
+                "{rejected}"
+            );
         }
         fs::write(folder.path().join(FILE), &text[..text.len() / 2]).unwrap();
-        let refused = Manifest::read(folder.path()).unwrap_err();
-        assert!(matches!(refused, BackupError::Damaged { .. }), "{refused}");
+        let rejected = Manifest::read(folder.path()).unwrap_err();
+        assert!(
+            matches!(rejected, BackupError::Damaged { .. }),
+            "{rejected}"
+        );
     }
 
     #[test]
     fn a_path_out_of_the_folder_is_rejected() {
         for path in ["../lock", "/etc/passwd", "a/../../b", "", "."] {
             let (folder, _) = written(path);
-            let refused = Manifest::read(folder.path()).unwrap_err().to_string();
-            assert!(refused.contains("invalid path"), "{path}: {refused}");
+            let rejected = Manifest::read(folder.path()).unwrap_err().to_string();
+            assert!(rejected.contains("invalid path"), "{path}: {rejected}");
         }
     }
 
@@ -197,7 +203,7 @@ mod tests {
         let mut manifest = Manifest::new(1, 5, 2, Vec::new());
         manifest.format = 7;
         fs::write(folder.path().join(FILE), manifest.to_text().unwrap()).unwrap();
-        let refused = Manifest::read(folder.path()).unwrap_err().to_string();
-        assert!(refused.contains("format 7"), "{refused}");
+        let rejected = Manifest::read(folder.path()).unwrap_err().to_string();
+        assert!(rejected.contains("format 7"), "{rejected}");
     }
 }

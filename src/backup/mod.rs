@@ -22,7 +22,7 @@ use fail::fail_point;
 use rustix::fs::statvfs;
 
 pub use crate::backup::error::BackupError;
-use crate::backup::error::at;
+use crate::backup::error::io_error;
 use crate::backup::files::{make_folder, sync_folder};
 use crate::backup::manifest::FileEntry;
 pub use crate::backup::manifest::Manifest;
@@ -32,7 +32,7 @@ use crate::store::{self, StoreError};
 const FOLDERS: [&str; 2] = ["experiments", "recordings"];
 
 /// The manifest's file name until it is complete.
-const DRAFT: &str = "backup.json.new";
+const TEMP_MANIFEST: &str = "backup.json.new";
 
 /// Free space that a backup leaves on the disk of the data folder.
 const MIN_FREE_BYTES: u64 = 64 * 1024 * 1024;
@@ -45,7 +45,9 @@ pub fn take(data: &Path, target: &Path) -> Result<Manifest, BackupError> {
     let database = data.join(store::FILE);
     match fs::metadata(&database) {
         Ok(it) if it.is_file() => {}
-        Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(at(&database)(error)),
+        Err(error) if error.kind() != io::ErrorKind::NotFound => {
+            return Err(io_error(&database)(error));
+        }
         _ => return Err(BackupError::NoData(data.to_owned())),
     }
     if is_within(target, data)? {
@@ -57,19 +59,19 @@ pub fn take(data: &Path, target: &Path) -> Result<Manifest, BackupError> {
         return Err(BackupError::Exists(target.to_owned()));
     }
     make_folder(target)?;
-    // Creating the manifest's draft claims the folder: a second, concurrent backup fails here.
-    let draft = match files::create(&target.join(DRAFT)) {
+    // Creating the temporary manifest claims the folder: a second, concurrent backup fails here.
+    let manifest_file = match files::create(&target.join(TEMP_MANIFEST)) {
         Err(BackupError::Io { source, .. }) if source.kind() == io::ErrorKind::AlreadyExists => {
             return Err(BackupError::Exists(target.to_owned()));
         }
         created => created?,
     };
-    let taken = match is_empty(target, &[DRAFT]) {
+    let taken = match is_empty(target, &[TEMP_MANIFEST]) {
         Ok(false) => {
-            let _ = fs::remove_file(target.join(DRAFT));
+            let _ = fs::remove_file(target.join(TEMP_MANIFEST));
             return Err(BackupError::Exists(target.to_owned()));
         }
-        Ok(true) => check_room(data, target).and_then(|()| fill(data, target, draft)),
+        Ok(true) => check_room(data, target).and_then(|()| copy_data(data, target, manifest_file)),
         Err(error) => Err(error),
     };
     if taken.is_err() {
@@ -80,7 +82,7 @@ pub fn take(data: &Path, target: &Path) -> Result<Manifest, BackupError> {
             let _ = fs::remove_file(target.join(format!("{}{suffix}", store::FILE)));
         }
         let _ = fs::remove_file(target.join(manifest::FILE));
-        let _ = fs::remove_file(target.join(DRAFT));
+        let _ = fs::remove_file(target.join(TEMP_MANIFEST));
         if is_new {
             let _ = fs::remove_dir(target);
         }
@@ -90,8 +92,8 @@ pub fn take(data: &Path, target: &Path) -> Result<Manifest, BackupError> {
 
 /// Whether `target`, which need not exist, is `folder` or inside it.
 fn is_within(target: &Path, folder: &Path) -> Result<bool, BackupError> {
-    let real = |path: &Path| fs::canonicalize(path).map_err(at(path));
-    let absolute = std::path::absolute(target).map_err(at(target))?;
+    let real = |path: &Path| fs::canonicalize(path).map_err(io_error(path));
+    let absolute = std::path::absolute(target).map_err(io_error(target))?;
     let there = absolute.ancestors().find(|it| it.exists());
     Ok(real(there.unwrap_or(target))?.starts_with(real(folder)?))
 }
@@ -105,7 +107,7 @@ fn check_room(data: &Path, target: &Path) -> Result<(), BackupError> {
         let paths = files::list(&folder)?.into_iter();
         needed += paths.map(|path| length(folder.join(path))).sum::<u64>();
     }
-    let fail = at(target);
+    let fail = io_error(target);
     let disk = statvfs(target).map_err(|error| fail(error.into()))?;
     let mut free = disk.f_bavail.saturating_mul(disk.f_frsize);
     let device = |path: &Path| fs::metadata(path).map(|it| it.dev());
@@ -126,7 +128,7 @@ fn check_room(data: &Path, target: &Path) -> Result<(), BackupError> {
 ///
 /// A swarm may be deleted or created between the two copies. In this order no recording or experiment is
 /// newer than the database.
-fn fill(data: &Path, target: &Path, draft: File) -> Result<Manifest, BackupError> {
+fn copy_data(data: &Path, target: &Path, manifest_file: File) -> Result<Manifest, BackupError> {
     let (mut entries, mut folders) = (Vec::new(), BTreeSet::new());
     for name in FOLDERS {
         let root = data.join(name);
@@ -154,7 +156,7 @@ fn fill(data: &Path, target: &Path, draft: File) -> Result<Manifest, BackupError
     let file = files::create(&database)?;
     let swarms = store::copy(data, &database)?;
     let (bytes, blake3) = files::hash(&database)?;
-    file.sync_all().map_err(at(&database))?;
+    file.sync_all().map_err(io_error(&database))?;
     entries.push(FileEntry {
         path: store::FILE.to_owned(),
         bytes,
@@ -166,7 +168,7 @@ fn fill(data: &Path, target: &Path, draft: File) -> Result<Manifest, BackupError
     }
     let taken = taken.unwrap_or_default().as_secs();
     let manifest = Manifest::new(store::SCHEMA, taken, swarms, entries);
-    write_manifest(target, draft, &manifest)?;
+    write_manifest(target, manifest_file, &manifest)?;
     Ok(manifest)
 }
 
@@ -184,17 +186,17 @@ fn omit_deleted(data: &Path, target: &Path, entries: &mut Vec<FileEntry>) {
     }
 }
 
-/// Writes the manifest to its draft and renames the draft, which completes the backup.
+/// Writes the manifest under its temporary name and renames it, which completes the backup.
 fn write_manifest(target: &Path, mut file: File, manifest: &Manifest) -> Result<(), BackupError> {
     sync_folder(target)?;
     fail_point!("backup-manifest");
-    let (draft, path) = (target.join(DRAFT), target.join(manifest::FILE));
+    let (temp, path) = (target.join(TEMP_MANIFEST), target.join(manifest::FILE));
     let mut write = || {
         file.write_all(manifest.to_text()?.as_bytes())?;
         file.sync_all()?;
-        fs::rename(&draft, &path)
+        fs::rename(&temp, &path)
     };
-    write().map_err(at(&path))?;
+    write().map_err(io_error(&path))?;
     sync_folder(target)
 }
 
@@ -214,7 +216,7 @@ pub fn restore(source: &Path, data: &Path) -> Result<Manifest, BackupError> {
         });
     }
     if data.exists() && !data.is_dir() {
-        return Err(at(data)(io::ErrorKind::NotADirectory.into()));
+        return Err(io_error(data)(io::ErrorKind::NotADirectory.into()));
     }
     if is_within(data, source)? {
         return Err(BackupError::DataInside(data.to_owned()));
@@ -225,37 +227,37 @@ pub fn restore(source: &Path, data: &Path) -> Result<Manifest, BackupError> {
     }
     // Lock first, so that no daemon starts on the folder meanwhile.
     let lock = store::lock(data)?;
-    let draft = data.join(store::RESTORING);
-    if draft.exists() {
+    let staging = data.join(store::RESTORING);
+    if staging.exists() {
         return Err(StoreError::Unrestored(data.to_owned()).into());
     }
     if !is_empty(data, &[store::LOCK])? {
         return Err(BackupError::NotEmpty(data.to_owned()));
     }
-    if let Err(error) = write_files(source, &draft, &manifest) {
-        let _ = fs::remove_dir_all(&draft);
+    if let Err(error) = write_files(source, &staging, &manifest) {
+        let _ = fs::remove_dir_all(&staging);
         return Err(error);
     }
     fail_point!("restore-rename");
     for name in FOLDERS.into_iter().chain([store::FILE]) {
-        let (from, to) = (draft.join(name), data.join(name));
+        let (from, to) = (staging.join(name), data.join(name));
         if from.exists() {
-            fs::rename(&from, &to).map_err(at(&to))?;
+            fs::rename(&from, &to).map_err(io_error(&to))?;
         }
     }
     sync_folder(data)?;
-    fs::remove_dir(&draft).map_err(at(&draft))?;
+    fs::remove_dir(&staging).map_err(io_error(&staging))?;
     sync_folder(data)?;
     drop(lock);
     Ok(manifest)
 }
 
 /// Copies the files of a backup into a new folder and verifies each.
-fn write_files(source: &Path, draft: &Path, manifest: &Manifest) -> Result<(), BackupError> {
-    make_folder(draft)?;
-    let mut folders = BTreeSet::from([draft.to_owned()]);
+fn write_files(source: &Path, staging: &Path, manifest: &Manifest) -> Result<(), BackupError> {
+    make_folder(staging)?;
+    let mut folders = BTreeSet::from([staging.to_owned()]);
     for entry in &manifest.files {
-        let (from, to) = (source.join(&entry.path), draft.join(&entry.path));
+        let (from, to) = (source.join(&entry.path), staging.join(&entry.path));
         let damaged = |problem: String| BackupError::Damaged {
             path: from.clone(),
             problem,
@@ -283,8 +285,8 @@ fn write_files(source: &Path, draft: &Path, manifest: &Manifest) -> Result<(), B
 
 /// Whether a folder is empty except for `ignored`.
 fn is_empty(folder: &Path, ignored: &[&str]) -> Result<bool, BackupError> {
-    for entry in fs::read_dir(folder).map_err(at(folder))? {
-        let name = entry.map_err(at(folder))?.file_name();
+    for entry in fs::read_dir(folder).map_err(io_error(folder))? {
+        let name = entry.map_err(io_error(folder))?.file_name();
         if !ignored.iter().any(|it| *it == name) {
             return Ok(false);
         }

@@ -153,6 +153,12 @@ mod tests {
     }
 
     #[test]
+    fn the_help_begins_with_what_the_program_does() {
+        let help = command_line().render_long_help().to_string();
+        assert!(help.starts_with("Hosts swarms of bodies"), "{help}");
+    }
+
+    #[test]
     fn a_command_offers_the_settings_that_have_an_effect_on_it_and_rejects_others() {
         let read = |line: &str| {
             let words = ["jostled"].into_iter().chain(line.split(' '));

@@ -8,9 +8,9 @@ use jostle_proto::Role;
 use serde_json::json;
 
 use crate::auth::AuthError;
-use crate::auth::address::Reach;
+use crate::auth::address::AddressChange;
 use crate::auth::folder::{Folder, PeopleFile};
-use crate::auth::issue::{self, Moved, SetUp};
+use crate::auth::issue::{self, ChangedAddresses, SetUp};
 use crate::cli::{fail, print};
 use crate::config::{self, Resolved, Source};
 use crate::transport::http;
@@ -33,7 +33,8 @@ pub enum Auth {
     },
     /// Change the address of the daemon, or show it without options.
     ///
-    /// `--listen` and `--http` change the settings file, `--host` the names. The same authority issues
+    /// `--listen` and `--http` change the settings file (`--config`, or else the one in the folder),
+    /// `--host` the names. The same authority issues
     /// a new certificate for the daemon, and the users' folders are rewritten.
     Address {
         /// Host name or address by which other machines reach the daemon; repeat it for each, and give
@@ -64,20 +65,20 @@ pub enum Auth {
     },
 }
 
-/// Runs `jostled auth`.
-pub fn run(resolved: &Resolved, command: &Auth) -> ExitCode {
+/// Runs `jostled auth`; `config` is the settings file that is given.
+pub fn run(resolved: &Resolved, config: Option<&PathBuf>, command: &Auth) -> ExitCode {
     let set = |name: &str| match &resolved[name] {
         (_, Source::Default) => None,
         (text, _) => Some(text.trim().to_owned()),
     };
     let is_flag = |name: &str| matches!(resolved[name].1, Source::Flag(_));
-    let reach = Reach {
+    let address_change = AddressChange {
         hosts: Vec::new(),
         listen: set("listen").map(|listen| config::endpoints(&listen)),
         http: set("http"),
     };
     let is_change = is_flag("listen") || is_flag("http");
-    if let Some(listen) = &reach.listen {
+    if let Some(listen) = &address_change.listen {
         if listen.is_empty() {
             return fail(2, &"--listen takes at least one endpoint");
         }
@@ -85,22 +86,29 @@ pub fn run(resolved: &Resolved, command: &Auth) -> ExitCode {
             return fail(2, &error);
         }
     }
-    if let Some(http) = &reach.http
+    if let Some(http) = &address_change.http
         && let Err(error) = http::check(http, true)
     {
         return fail(2, &error);
     }
-    match execute(resolved["auth_dir"].0.trim(), &reach, is_change, command) {
+    match execute(
+        resolved["auth_dir"].0.trim(),
+        config,
+        &address_change,
+        is_change,
+        command,
+    ) {
         Ok(output) => print(&output),
         Err((code, problem)) => fail(code, &problem),
     }
 }
 
 /// Returns the output, or an exit code and the error message. `is_change`: whether a flag of this command
-/// is in `reach`.
+/// is in `address_change`.
 fn execute(
     folder: &str,
-    reach: &Reach,
+    config: Option<&PathBuf>,
+    address_change: &AddressChange,
     is_change: bool,
     command: &Auth,
 ) -> Result<String, (u8, String)> {
@@ -108,27 +116,28 @@ fn execute(
         let problem = "no folder: set auth_dir, or use --auth-dir FOLDER";
         return Err((2, problem.to_owned()));
     }
-    let folder = Folder::at(PathBuf::from(folder));
-    let reach = |hosts: &[String]| Reach {
+    let mut folder = Folder::new(PathBuf::from(folder));
+    if let (Auth::Address { .. }, Some(file)) = (command, config) {
+        folder = folder.with_settings(file.clone());
+    }
+    let address_change = |hosts: &[String]| AddressChange {
         hosts: hosts.to_owned(),
-        ..reach.clone()
+        ..address_change.clone()
     };
     let done = match command {
-        Auth::Init { hosts, people } => {
-            issue::set_up(&folder, &reach(hosts), people).map(|it| set_up(&it, &folder))
-        }
+        Auth::Init { hosts, people } => issue::set_up(&folder, &address_change(hosts), people)
+            .map(|it| set_up_text(&it, &folder)),
         Auth::Address { hosts, json } if hosts.is_empty() && !is_change => {
-            folder.people().map(|known| reached(&known, *json))
+            folder.people().map(|known| addresses_text(&known, *json))
         }
-        Auth::Address { hosts, json } => {
-            issue::readdress(&folder, &reach(hosts)).map(|it| moved(&it, &folder, *json))
-        }
-        Auth::Add { people } => issue::add(&folder, people).map(|it| handed(&it)),
+        Auth::Address { hosts, json } => issue::readdress(&folder, &address_change(hosts))
+            .map(|it| change_text(&it, &folder, *json)),
+        Auth::Add { people } => issue::add(&folder, people).map(|it| folders_text(&it)),
         Auth::Remove { names } => issue::remove(&folder, names).and_then(|()| {
             let is_last = folder.people()?.people.is_empty();
-            Ok(removed(names, is_last))
+            Ok(removal_text(names, is_last))
         }),
-        Auth::List { json } => folder.people().map(|known| listed(&known, *json)),
+        Auth::List { json } => folder.people().map(|known| people_text(&known, *json)),
     };
     let is_argument = |error: &AuthError| {
         matches!(
@@ -144,7 +153,7 @@ fn execute(
 }
 
 /// The output of `list`.
-fn listed(known: &PeopleFile, as_json: bool) -> String {
+fn people_text(known: &PeopleFile, as_json: bool) -> String {
     let people = known.people.iter();
     if as_json {
         let people: Vec<_> = people
@@ -168,7 +177,7 @@ fn listed(known: &PeopleFile, as_json: bool) -> String {
 }
 
 /// The output of `address` without options.
-fn reached(known: &PeopleFile, as_json: bool) -> String {
+fn addresses_text(known: &PeopleFile, as_json: bool) -> String {
     if as_json {
         let text = json!({"endpoint": known.endpoint, "page": known.page, "hosts": known.hosts});
         return format!("{text}\n");
@@ -184,7 +193,7 @@ fn reached(known: &PeopleFile, as_json: bool) -> String {
 }
 
 /// The output after a change of address.
-fn moved(moved: &Moved, folder: &Folder, as_json: bool) -> String {
+fn change_text(moved: &ChangedAddresses, folder: &Folder, as_json: bool) -> String {
     let address = &moved.address;
     if as_json {
         let text = json!({
@@ -235,7 +244,7 @@ fn moved(moved: &Moved, folder: &Folder, as_json: bool) -> String {
 }
 
 /// The output of `remove`.
-fn removed(names: &[String], is_last: bool) -> String {
+fn removal_text(names: &[String], is_last: bool) -> String {
     let mut who = names.to_owned();
     who.sort();
     who.dedup();
@@ -252,16 +261,16 @@ fn removed(names: &[String], is_last: bool) -> String {
 }
 
 /// The output of `init`: what it created and what it changed.
-fn set_up(done: &SetUp, folder: &Folder) -> String {
+fn set_up_text(done: &SetUp, folder: &Folder) -> String {
     match &done.moved {
-        None => handed(&done.made),
-        Some(change) if done.made.is_empty() => moved(change, folder, false),
-        Some(change) => moved(change, folder, false) + &handed(&done.made),
+        None => folders_text(&done.created),
+        Some(change) if done.created.is_empty() => change_text(change, folder, false),
+        Some(change) => change_text(change, folder, false) + &folders_text(&done.created),
     }
 }
 
 /// The output of `add`.
-fn handed(folders: &[PathBuf]) -> String {
+fn folders_text(folders: &[PathBuf]) -> String {
     if folders.is_empty() {
         return "nothing to create; `jostled auth add NAME=ROLE` adds users\n".into();
     }

@@ -6,22 +6,28 @@ use clap::Arg;
 use serde_json::json;
 
 use crate::cli::settings::{arguments, default, name};
-use crate::config::{Resolved, Source, machine_name};
+use crate::config::{Config, Resolved, Source};
 
-/// The value of a setting; for an empty `node`, the one in effect.
-fn value(resolved: &Resolved, name: &str) -> String {
+/// The value of a setting; instead of an empty one whose default depends on the machine, the one in
+/// effect.
+fn value(resolved: &Resolved, config: &Config, name: &str) -> String {
     match (name, resolved[name].0.trim()) {
-        ("node", "") => machine_name(),
+        ("node", "") => config.node.clone(),
+        ("data_dir", "") => config.data_dir.display().to_string(),
+        ("experiment_threads", "") => config.experiment_threads().to_string(),
         (_, value) => value.to_owned(),
     }
 }
 
 /// Each setting with its value, source and meaning, as a table.
-pub fn table(resolved: &Resolved) -> String {
+pub fn table(resolved: &Resolved, config: &Config) -> String {
     let mut rows = vec![["setting", "value", "from", "meaning"].map(str::to_owned)];
     for argument in arguments() {
         let name = name(&argument).to_owned();
-        let (value, source) = (value(resolved, &name), resolved[&name].1.to_string());
+        let (value, source) = (
+            value(resolved, config, &name),
+            resolved[&name].1.to_string(),
+        );
         rows.push([name, value, source, meaning(&argument)]);
     }
     let width = |column: usize| rows.iter().map(|row| row[column].chars().count()).max();
@@ -35,7 +41,7 @@ pub fn table(resolved: &Resolved) -> String {
 }
 
 /// The same as JSON, with the defaults.
-pub fn json(resolved: &Resolved) -> String {
+pub fn json(resolved: &Resolved, config: &Config) -> String {
     let settings = arguments().into_iter().map(|argument| {
         let (name, default) = (name(&argument), default(&argument));
         let is_number = default.parse::<u64>().is_ok();
@@ -51,7 +57,7 @@ pub fn json(resolved: &Resolved) -> String {
         };
         json!({
             "name": name,
-            "value": scalar(value(resolved, name)),
+            "value": scalar(value(resolved, config, name)),
             "source": {"kind": kind, "place": place},
             "default": scalar(default),
             "meaning": meaning(&argument),
@@ -122,7 +128,9 @@ mod tests {
 
     #[test]
     fn each_setting_is_explained_with_its_source_in_aligned_columns() {
-        let table = table(&from_flags([("max_swarms", "7")]).unwrap());
+        let resolved = from_flags([("max_swarms", "7")]).unwrap();
+        let config = Config::new(&resolved).unwrap();
+        let table = table(&resolved, &config);
         let lines: Vec<&str> = table.lines().collect();
         let column = lines[0].find("meaning").unwrap();
         assert_eq!(lines.len(), arguments().len() + 1);
@@ -131,13 +139,20 @@ mod tests {
             assert_eq!(line[column..], meaning(argument));
         }
         assert!(table.contains("flag --max-swarms"), "{table}");
-        assert!(table.contains(&machine_name()), "{table}");
+        for value in [
+            config.node.clone(),
+            config.data_dir.display().to_string(),
+            config.experiment_threads().to_string(),
+        ] {
+            assert!(table.contains(&format!("  {value}  ")), "{value}: {table}");
+        }
     }
 
     #[test]
     fn any_value_is_written_as_valid_json() {
         let log = "x\"\\\n\u{7f}üy";
-        let json = json(&from_flags([("log", log), ("max_hz", " +20 ")]).unwrap());
+        let resolved = from_flags([("log", log), ("max_hz", " +20 ")]).unwrap();
+        let json = json(&resolved, &Config::new(&resolved).unwrap());
         let read: Value = serde_json::from_str(&json).unwrap();
         let settings = read["settings"].as_array().unwrap();
         let names: BTreeSet<_> = settings.iter().map(|it| it["name"].as_str()).collect();

@@ -11,6 +11,7 @@ pub mod process;
 pub mod run;
 pub mod serve;
 pub mod settings;
+mod start_error;
 mod systemd;
 
 use std::fmt::Display;

@@ -18,7 +18,8 @@ use signal_hook::consts::{SIGINT, SIGTERM};
 use crate::cli::duration;
 use jostle_experiment::shell::{operand, quoted};
 use jostle_experiment::{
-    Control, Execution, Folder, Outcome, Plan, Progress, Subset, SubsetError, execute, unfinished,
+    Execution, ExecutionControl, Folder, Outcome, Plan, Progress, Subset, SubsetError, execute,
+    unfinished,
 };
 
 /// The interval between updates of the progress bar, and between checks for a signal.
@@ -53,7 +54,7 @@ pub struct Options {
     /// Execute only part K of N; parts have nearly equal expected times. FOLDER is created when
     /// the part is complete, unless it exists before. `jostle results merge` merges all parts.
     #[arg(long, value_name = "K/N", value_parser = part)]
-    part: Option<Which>,
+    part: Option<SelectedRuns>,
     /// Execute only these runs, such as `17,18,40-60`; `--dry-run` lists their numbers.
     #[arg(long, value_name = "LIST", conflicts_with = "part")]
     runs: Option<String>,
@@ -73,14 +74,14 @@ pub struct Options {
 }
 
 impl Options {
-    fn which(&self) -> Which {
-        let runs = || self.runs.clone().map(Which::Runs);
-        self.part.clone().or_else(runs).unwrap_or(Which::All)
+    fn selected_runs(&self) -> SelectedRuns {
+        let runs = || self.runs.clone().map(SelectedRuns::Runs);
+        self.part.clone().or_else(runs).unwrap_or(SelectedRuns::All)
     }
 }
 
 #[derive(Clone, Debug, PartialEq, Eq)]
-enum Which {
+enum SelectedRuns {
     /// All of them.
     All,
     /// Part `number` of `of`, which count from 1.
@@ -89,21 +90,21 @@ enum Which {
     Runs(String),
 }
 
-impl Which {
+impl SelectedRuns {
     fn subset(&self, plan: &Plan) -> Result<Subset, SubsetError> {
         match self {
-            Which::All => Ok(Subset::all(plan)),
-            Which::Part { number, of } => Subset::part(plan, *number, *of),
-            Which::Runs(text) => Subset::parse(plan, text),
+            SelectedRuns::All => Ok(Subset::all(plan)),
+            SelectedRuns::Part { number, of } => Subset::part(plan, *number, *of),
+            SelectedRuns::Runs(text) => Subset::parse(plan, text),
         }
     }
 
     /// A label of the part in a file's name; none for all runs.
     fn label(&self) -> Option<String> {
         match self {
-            Which::All => None,
-            Which::Part { number, of } => Some(format!("{number}-of-{of}")),
-            Which::Runs(text) => {
+            SelectedRuns::All => None,
+            SelectedRuns::Part { number, of } => Some(format!("{number}-of-{of}")),
+            SelectedRuns::Runs(text) => {
                 let hash = blake3::hash(text.as_bytes()).to_hex();
                 Some(format!("runs-{}", &hash[..8]))
             }
@@ -113,17 +114,17 @@ impl Which {
     /// The options that select it on the command line, with a space before them.
     fn options(&self) -> String {
         match self {
-            Which::All => String::new(),
-            Which::Part { number, of } => format!(" --part {number}/{of}"),
-            Which::Runs(text) => format!(" --runs {}", quoted(text)),
+            SelectedRuns::All => String::new(),
+            SelectedRuns::Part { number, of } => format!(" --part {number}/{of}"),
+            SelectedRuns::Runs(text) => format!(" --runs {}", quoted(text)),
         }
     }
 }
 
-fn part(text: &str) -> Result<Which, String> {
+fn part(text: &str) -> Result<SelectedRuns, String> {
     let parsed = text.split_once('/').and_then(|(number, of)| {
         let (number, of) = (number.parse().ok()?, of.parse().ok()?);
-        Some(Which::Part { number, of })
+        Some(SelectedRuns::Part { number, of })
     });
     parsed.ok_or_else(|| {
         "use the number of the part and the number of parts, such as 3/40".to_owned()
@@ -136,8 +137,8 @@ pub fn run(options: &Options) -> Result<u8, Box<dyn Error>> {
     let text = std::fs::read_to_string(&options.file)
         .map_err(|error| format!("failed to read {file}: {error}"))?;
     let plan = Plan::parse(&text).map_err(|error| format!("failed to plan {file}: {error}"))?;
-    let which = options.which();
-    let subset = which
+    let selected = options.selected_runs();
+    let subset = selected
         .subset(&plan)
         .map_err(|error| format!("failed to select runs of {file}: {error}"))?;
     let Some(output) = &options.output else {
@@ -148,11 +149,11 @@ pub fn run(options: &Options) -> Result<u8, Box<dyn Error>> {
     let output = &output.components().collect::<PathBuf>();
     // A part is renamed when it is complete, unless the folder exists, such as a mount.
     let exists = std::fs::symlink_metadata(output).is_ok();
-    let label = which.label().filter(|_| !exists);
+    let label = selected.label().filter(|_| !exists);
     let path = label.as_ref().map(|label| unfinished(output, label));
     let path = path.unwrap_or_else(|| output.clone());
     let mut folder = Folder::open(&path, &plan)?;
-    let control = Control::new();
+    let control = ExecutionControl::new();
     let interrupted = Arc::new(AtomicBool::new(false));
     let has_time_passed = Arc::new(AtomicBool::new(false));
     let mut interrupted_at = None;
@@ -194,7 +195,7 @@ pub fn run(options: &Options) -> Result<u8, Box<dyn Error>> {
     if label.is_some() && !outcome.is_cancelled {
         folder.rename(output)?;
     }
-    conclude(options, folder.path(), &outcome, &control.progress());
+    print_outcome(options, folder.path(), &outcome, &control.progress());
     Ok(if outcome.is_cancelled { INTERRUPTED } else { 0 })
 }
 
@@ -283,7 +284,7 @@ fn describe(progress: &Progress) -> String {
     text
 }
 
-fn conclude(options: &Options, output: &Path, outcome: &Outcome, progress: &Progress) {
+fn print_outcome(options: &Options, output: &Path, outcome: &Outcome, progress: &Progress) {
     let (runs, finished, faults) = (outcome.runs, outcome.finished, &outcome.faults);
     if let Some(error) = &outcome.checkpoint_error {
         eprintln!("jostled: failed to write a checkpoint: {error}");
@@ -334,8 +335,12 @@ fn conclude(options: &Options, output: &Path, outcome: &Outcome, progress: &Prog
 /// The command that executes the same runs again.
 fn command(options: &Options, output: &Path) -> String {
     let path = |path: &Path| quoted(&operand(&path.to_string_lossy()));
-    let (file, which, output) = (path(&options.file), options.which().options(), path(output));
-    let mut command = format!("jostled run {file}{which} -o {output}");
+    let (file, selection, output) = (
+        path(&options.file),
+        options.selected_runs().options(),
+        path(output),
+    );
+    let mut command = format!("jostled run {file}{selection} -o {output}");
     if let Some(every) = options.checkpoint {
         command.push_str(&format!(" --checkpoint {}s", every.as_secs_f64()));
     }
@@ -354,7 +359,7 @@ mod tests {
         let mut options = Options {
             file: "my order.toml".into(),
             output: None,
-            part: Some(Which::Part { number: 3, of: 40 }),
+            part: Some(SelectedRuns::Part { number: 3, of: 40 }),
             runs: None,
             threads: NonZero::new(2),
             checkpoint: Some(Duration::from_millis(1500)),

@@ -4,13 +4,13 @@ use std::io::{IsTerminal as _, Write as _};
 use std::process::ExitCode;
 use std::time::Duration;
 
-use tokio::signal::unix::{SignalKind, signal};
+use tokio::signal::unix::{Signal, SignalKind, signal};
 use tracing::warn;
 use tracing_subscriber::EnvFilter;
 
 use crate::app::{self, ServerError};
-use crate::cli::{demo, fail, process, systemd};
-use crate::config::Config;
+use crate::cli::{demo, fail, process, start_error, systemd};
+use crate::config::{Config, Resolved};
 use crate::transport::http::{GatewayError, Token};
 use crate::transport::zenoh::session::SessionError;
 
@@ -26,6 +26,7 @@ pub enum Mode {
 /// Serves until a signal or the end of the demo, and exits the process.
 pub fn run(
     config: &Config,
+    resolved: &Resolved,
     filter: EnvFilter,
     mode: Mode,
     temporary: Option<tempfile::TempDir>,
@@ -49,7 +50,7 @@ pub fn run(
         .enable_all()
         .build();
     let code = match runtime {
-        Ok(runtime) => runtime.block_on(serve(config, mode)),
+        Ok(runtime) => runtime.block_on(serve(config, resolved, mode)),
         Err(error) => return fail(1, &error),
     };
     // Skips the exit handlers: zenoh's waited ten seconds for a frozen client. Does not wait for
@@ -62,15 +63,23 @@ pub fn run(
 }
 
 /// Returns the exit code.
-async fn serve(config: &Config, mode: Mode) -> i32 {
+async fn serve(config: &Config, resolved: &Resolved, mode: Mode) -> i32 {
     let server = match app::start(config).await {
         Ok(server) => server,
         Err(error) => {
             let code = if is_of_machine(&error) { 1 } else { 2 };
-            fail(code, &error);
+            let is_demo = matches!(mode, Mode::Demo(_));
+            let user = rustix::process::geteuid().as_raw();
+            fail(
+                code,
+                &start_error::message(&error, config, resolved, is_demo, user),
+            );
             return code.into();
         }
     };
+    // Before the first line is printed: its reader may stop the daemon at once. During the start the
+    // signals end the process, as a kill would.
+    let mut stop = StopSignals::install();
     for endpoint in &server.endpoints {
         // A closed standard output is no error.
         let _ = writeln!(std::io::stdout(), "listening on {endpoint}");
@@ -94,15 +103,15 @@ async fn serve(config: &Config, mode: Mode) -> i32 {
     let notifier = tokio::spawn(notifier);
     let code = match mode {
         Mode::Serve => {
-            stop_signal().await;
+            stop.received().await;
             0
         }
         Mode::Demo(duration) => tokio::select! {
-            ended = demo::run(&server, duration) => match ended {
+            ended = demo::run(config, &server.endpoints[0], duration) => match ended {
                 Ok(()) => 0,
-                Err(demo::DemoError::Gone) if duration.is_none() => {
+                Err(demo::DemoError::Deleted) if duration.is_none() => {
                     eprintln!("jostled: the demo's swarm was deleted; still serving, Ctrl-C stops");
-                    stop_signal().await;
+                    stop.received().await;
                     0
                 }
                 Err(error) => {
@@ -110,7 +119,7 @@ async fn serve(config: &Config, mode: Mode) -> i32 {
                     1
                 }
             },
-            () = stop_signal() => 0,
+            () = stop.received() => 0,
         },
     };
     notifier.abort();
@@ -135,17 +144,27 @@ fn is_of_machine(error: &ServerError) -> bool {
     )
 }
 
-/// Completes at SIGTERM or Ctrl-C.
-async fn stop_signal() {
-    let (Ok(mut terminate), Ok(mut interrupt)) = (
-        signal(SignalKind::terminate()),
-        signal(SignalKind::interrupt()),
-    ) else {
-        // Without handlers the signals end the process.
-        return std::future::pending().await;
-    };
-    tokio::select! {
-        _ = terminate.recv() => {}
-        _ = interrupt.recv() => {}
+/// SIGTERM and SIGINT, if their handlers could be installed. Without handlers they end the process.
+struct StopSignals(Option<(Signal, Signal)>);
+
+impl StopSignals {
+    fn install() -> Self {
+        let terminate = signal(SignalKind::terminate());
+        StopSignals(
+            terminate
+                .and_then(|it| Ok((it, signal(SignalKind::interrupt())?)))
+                .ok(),
+        )
+    }
+
+    /// Completes when one is received.
+    async fn received(&mut self) {
+        let Some((terminate, interrupt)) = &mut self.0 else {
+            return std::future::pending().await;
+        };
+        tokio::select! {
+            _ = terminate.recv() => {}
+            _ = interrupt.recv() => {}
+        }
     }
 }

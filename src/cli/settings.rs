@@ -15,8 +15,9 @@ use crate::config::{ConfigError, Resolved, Source};
 /// An unknown name is taken for a misspelling of a setting if at most a third of its letters differ.
 const MIN_SIMILARITY: f64 = 2.0 / 3.0;
 
-/// Declares each setting: a field is its name in the settings file. All values are text here, so
-/// that [`crate::config::Config::new`] can name the source of an invalid one.
+// Declares each setting: a field is its name in the settings file. All values are text here, so
+// that `Config::new` can name the source of an invalid one. A doc comment would replace the
+// description of the program in its help.
 #[derive(Args)]
 struct Settings {
     /// Settings file (TOML)

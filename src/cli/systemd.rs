@@ -11,7 +11,7 @@ use sd_notify::NotifyState;
 use tokio::time::{MissedTickBehavior, interval};
 use tracing::warn;
 
-use crate::health::{Reason, Watch};
+use crate::health::{HealthMonitor, Reason};
 use crate::swarm::registry::SwarmRegistry;
 
 /// The interval between status messages without a watchdog.
@@ -19,7 +19,7 @@ const STATUS_INTERVAL: Duration = Duration::from_secs(10);
 
 /// Sends ready, then the status whenever it changes, and a watchdog message at half the allowed
 /// interval unless the daemon needs a restart. Does not return if there is a supervisor.
-pub async fn notify_status(watch: Arc<Watch>, registry: Arc<SwarmRegistry>) {
+pub async fn notify_status(watch: Arc<HealthMonitor>, registry: Arc<SwarmRegistry>) {
     if std::env::var_os("NOTIFY_SOCKET").is_none() {
         return;
     }

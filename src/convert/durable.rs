@@ -5,7 +5,7 @@ use std::sync::Arc;
 use jostle_convert::SnapshotError;
 use jostle_proto as proto;
 use jostle_proto::keys;
-use jostle_proto::snapshot::{Doing, Member, Pending, Sent, Waiting};
+use jostle_proto::snapshot::{Member, Pending, Sent, SnapshotPhase, Waiting};
 use serde::Deserialize as _;
 use serde::de::IntoDeserializer as _;
 use serde::de::value::Error as ValueError;
@@ -33,12 +33,12 @@ pub fn snapshot(swarm: &str, checkpoint: &Checkpoint) -> proto::Snapshot {
         is_last,
     } = checkpoint;
     let doing = match phase {
-        Phase::Paused(reason) => Doing::Paused {
+        Phase::Paused(reason) => SnapshotPhase::Paused {
             reason: reason.to_string(),
         },
-        Phase::Running { until } => Doing::Running { until: *until },
-        Phase::Stepping { until } => Doing::Stepping { until: *until },
-        Phase::Faulted(reason) => Doing::Faulted {
+        Phase::Running { until } => SnapshotPhase::Running { until: *until },
+        Phase::Stepping { until } => SnapshotPhase::Stepping { until: *until },
+        Phase::Faulted(reason) => SnapshotPhase::Faulted {
             reason: reason.clone(),
         },
     };
@@ -85,10 +85,10 @@ pub fn checkpoint(
     Ok(Checkpoint {
         simulation,
         phase: match &snapshot.doing {
-            Doing::Paused { reason } => Phase::Paused(pause_reason(reason)?),
-            Doing::Running { until } => Phase::Running { until: *until },
-            Doing::Stepping { until } => Phase::Stepping { until: *until },
-            Doing::Faulted { reason } => Phase::Faulted(reason.clone()),
+            SnapshotPhase::Paused { reason } => Phase::Paused(pause_reason(reason)?),
+            SnapshotPhase::Running { until } => Phase::Running { until: *until },
+            SnapshotPhase::Stepping { until } => Phase::Stepping { until: *until },
+            SnapshotPhase::Faulted { reason } => Phase::Faulted(reason.clone()),
         },
         rate: snapshot.rate,
         scheduled: scheduled.collect::<Result<_, _>>()?,

@@ -15,7 +15,7 @@ pub struct Payload {
     /// Their encoding: [`proto::JSON`] or [`proto::CBOR`].
     pub encoding: &'static str,
     /// The JSON that a retry of the request gets instead, if the bytes are too large for the cache.
-    pub to_remember: Option<Vec<u8>>,
+    pub to_cache: Option<Vec<u8>>,
 }
 
 impl Payload {
@@ -23,7 +23,7 @@ impl Payload {
         Payload {
             bytes,
             encoding,
-            to_remember: None,
+            to_cache: None,
         }
     }
 
@@ -47,14 +47,14 @@ impl Payload {
         let mut payload = Payload::cbor(&reply);
         if payload.bytes.len() > MAX_CACHED_BYTES {
             leave_out(&mut reply.result);
-            payload.to_remember = Some(Payload::json(&reply).bytes);
+            payload.to_cache = Some(Payload::json(&reply).bytes);
         }
         payload
     }
 
     /// The payload that a retry of the request gets.
-    pub fn remembered(&self) -> Payload {
-        match &self.to_remember {
+    pub fn cached(&self) -> Payload {
+        match &self.to_cache {
             Some(bytes) => Payload::new(bytes.clone(), proto::JSON),
             None => self.clone(),
         }

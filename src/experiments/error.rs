@@ -47,7 +47,7 @@ pub enum ExperimentError {
     #[error("there are {0} experiments, the maximum: delete one that is over")]
     TooMany(usize),
     #[error("cannot write the experiment: {0}")]
-    Unkept(String),
+    NotStored(String),
     #[error("cannot read the experiment: {0}")]
     Unreadable(String),
     #[error("the daemon is stopping: retry after it has restarted")]
@@ -55,8 +55,8 @@ pub enum ExperimentError {
 }
 
 impl ExperimentError {
-    pub(super) fn unkept(error: impl Display) -> Self {
-        ExperimentError::Unkept(error.to_string())
+    pub(super) fn not_stored(error: impl Display) -> Self {
+        ExperimentError::NotStored(error.to_string())
     }
 
     pub(super) fn unreadable(error: impl Display) -> Self {

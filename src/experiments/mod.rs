@@ -117,11 +117,11 @@ impl ExperimentManager {
         if count >= MAX_EXPERIMENTS {
             return Err(ExperimentError::TooMany(count));
         }
-        Folder::open(&folder, &plan).map_err(ExperimentError::unkept)?;
+        Folder::open(&folder, &plan).map_err(ExperimentError::not_stored)?;
         let mut status = Status::queued(number);
         status.count(plan.runs().len(), 0);
         let written = self.0.jobs.write_status(&name, &status);
-        written.map_err(ExperimentError::unkept)?;
+        written.map_err(ExperimentError::not_stored)?;
         info!(experiment = name, "submitted");
         let entry = Entry {
             status,
@@ -182,7 +182,7 @@ impl ExperimentManager {
             return Err(wrong_phase(name, phase, "cancel it first"));
         }
         let removed = self.0.jobs.remove(name);
-        removed.map_err(ExperimentError::unkept)?;
+        removed.map_err(ExperimentError::not_stored)?;
         info!(experiment = name, "deleted");
         let mut state = self.lock();
         state.entries.remove(name);
@@ -290,7 +290,7 @@ impl ExperimentManager {
             entry.status.phase = Phase::Queued;
             entry.status.message = None;
         }
-        self.changed(state);
+        self.publish_change(state);
         Ok(())
     }
 
@@ -308,7 +308,7 @@ impl ExperimentManager {
                 None => {}
             }
         }
-        self.changed(state);
+        self.publish_change(state);
         Ok(())
     }
 
@@ -316,7 +316,7 @@ impl ExperimentManager {
     fn write_status(&self, name: &str, phase: Phase) -> Result<(), ExperimentError> {
         let status = self.entry(name, |entry| entry.status_in(phase))?;
         let written = self.0.jobs.write_status(name, &status);
-        written.map_err(ExperimentError::unkept)
+        written.map_err(ExperimentError::not_stored)
     }
 
     /// Waits until an experiment that is over no longer uses its folder, at most

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::thread;
 use std::time::Duration;
 
-use jostle_experiment::{Control, Execution, Folder, Outcome, Subset, execute};
+use jostle_experiment::{Execution, ExecutionControl, Folder, Outcome, Subset, execute};
 use jostle_proto::ExperimentPhase as Phase;
 use parking_lot::MutexGuard;
 use tracing::{info, warn};
@@ -18,7 +18,7 @@ const CHECKPOINT_INTERVAL: Duration = Duration::from_secs(300);
 
 impl ExperimentManager {
     /// Publishes a change of the state, and starts the next experiment if none is running.
-    pub(super) fn changed(&self, mut state: MutexGuard<'_, State>) {
+    pub(super) fn publish_change(&self, mut state: MutexGuard<'_, State>) {
         state.version += 1;
         self.schedule_next(&mut state);
         self.0.changed.notify_all();
@@ -46,7 +46,7 @@ impl ExperimentManager {
 
     fn start(&self, name: &str, entry: &mut Entry) -> Result<(), String> {
         let plan = entry.plan.clone().ok_or("its plan is unknown")?;
-        let control = Arc::new(Control::new());
+        let control = Arc::new(ExecutionControl::new());
         let (manager, name, controlled) = (self.clone(), name.to_owned(), control.clone());
         let run = move || {
             let path = manager.0.jobs.folder(&name);
@@ -94,7 +94,7 @@ impl ExperimentManager {
             // The next start finds all runs finished.
             warn!(experiment = name, %error, "failed to write the status file");
         }
-        self.changed(state);
+        self.publish_change(state);
     }
 }
 

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use jostle_experiment::{Control, Plan, Progress};
+use jostle_experiment::{ExecutionControl, Plan, Progress};
 use jostle_proto::ExperimentPhase as Phase;
 use serde::{Deserialize, Serialize};
 
@@ -57,7 +57,7 @@ pub(super) struct Entry {
     /// `None` until it is needed, if the experiment was over when the daemon started.
     pub(super) plan: Option<Arc<Plan>>,
     /// Controls the execution, also while that is paused or about to end.
-    pub(super) execution: Option<Arc<Control>>,
+    pub(super) execution: Option<Arc<ExecutionControl>>,
 }
 
 impl Entry {

@@ -5,14 +5,14 @@ use std::thread;
 
 use rustix::time::{ClockId, clock_gettime};
 
-use crate::health::{Bus, Reason, RecordingCounts, Watch};
+use crate::health::{Bus, HealthMonitor, Reason, RecordingCounts};
 use crate::store;
 use crate::swarm::frame::Summary;
 use crate::swarm::metrics::{LastStep, Totals};
 
 /// The metrics of the daemon.
 #[derive(Clone, Debug)]
-pub struct Figures {
+pub struct DaemonMetrics {
     /// Seconds since it started.
     pub uptime_secs: f64,
     /// Why the daemon is unhealthy; empty if it is healthy.
@@ -48,12 +48,12 @@ pub struct Figures {
     /// Requests that a defect dropped without a reply.
     pub dropped_requests: u64,
     /// Each swarm that is built, ordered by name.
-    pub swarms: Vec<SwarmFigures>,
+    pub swarms: Vec<PerSwarmMetrics>,
 }
 
 /// The metrics of a swarm.
 #[derive(Clone, Debug)]
-pub struct SwarmFigures {
+pub struct PerSwarmMetrics {
     /// Its name.
     pub name: String,
     /// Its summary.
@@ -64,16 +64,16 @@ pub struct SwarmFigures {
     pub last: LastStep,
 }
 
-impl Watch {
+impl HealthMonitor {
     /// The current metrics. Reads counters; sends no message to a swarm.
-    pub fn figures(&self) -> Figures {
+    pub fn metrics(&self) -> DaemonMetrics {
         let (handles, mut totals) = self.watched.registry.handles();
         let mut swarms = Vec::with_capacity(handles.len());
         for (name, handle) in handles {
             let own = handle.totals();
             totals.add(&own);
             if let Some(summary) = handle.summary() {
-                swarms.push(SwarmFigures {
+                swarms.push(PerSwarmMetrics {
                     name,
                     summary,
                     totals: own,
@@ -90,10 +90,10 @@ impl Watch {
         };
         let recordings = &self.watched.recordings;
         let cpu = clock_gettime(ClockId::ProcessCPUTime);
-        Figures {
+        DaemonMetrics {
             uptime_secs: self.uptime().as_secs_f64(),
             reasons: self.reasons(),
-            warnings: Vec::from_iter(self.warning().map(|(_, message)| message)),
+            warnings: self.warnings().into_iter().map(|it| it.1).collect(),
             cpu_secs: cpu.tv_sec as f64 + cpu.tv_nsec as f64 * 1e-9,
             cores: thread::available_parallelism().map_or(1, usize::from),
             resident_bytes,

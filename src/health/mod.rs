@@ -43,7 +43,7 @@ const PROBE_RETRY: Duration = Duration::from_secs(5);
 const MIN_FAILURES: u32 = 2;
 
 /// What is checked.
-pub struct Watched {
+pub struct HealthSources {
     /// The swarms.
     pub registry: Arc<SwarmRegistry>,
     /// The store.
@@ -64,13 +64,15 @@ pub struct Watched {
     pub count: fn(&Recordings) -> RecordingCounts,
     /// Requests that a defect dropped without a reply.
     pub dropped_requests: Box<dyn Fn() -> u64 + Send + Sync>,
+    /// Data of other daemons beside the new data folder of this one: the message.
+    pub other_data: Option<String>,
     /// The names that another daemon uses too.
     pub contested: Box<dyn Fn() -> Vec<Contested> + Send + Sync>,
 }
 
 /// The health checks of a daemon.
-pub struct Watch {
-    watched: Watched,
+pub struct HealthMonitor {
+    watched: HealthSources,
     started: Instant,
     /// Every change is an assignment, so a panic leaves no partial one.
     last: Mutex<Check>,
@@ -85,13 +87,13 @@ struct Check {
     sessions: usize,
 }
 
-impl Watch {
+impl HealthMonitor {
     /// Starts the health thread.
-    pub fn start(watched: Watched) -> std::io::Result<Arc<Self>> {
+    pub fn start(watched: HealthSources) -> std::io::Result<Arc<Self>> {
         let (end, ended) = channel();
         let endpoints = watched.endpoints.iter();
         let probes: Vec<Probe> = endpoints.filter_map(|it| Probe::of(it)).collect();
-        let watch = Arc::new(Watch {
+        let watch = Arc::new(HealthMonitor {
             started: Instant::now(),
             last: Mutex::new(Check {
                 at: Instant::now(),
@@ -148,10 +150,21 @@ impl Watch {
         reasons
     }
 
-    /// A problem with which the daemon stays healthy: its code in `/healthz`, and the message.
-    pub fn warning(&self) -> Option<(&'static str, String)> {
+    /// The problems with which the daemon stays healthy: the code of each in `/healthz`, and its
+    /// message.
+    pub fn warnings(&self) -> Vec<(&'static str, String)> {
+        let mut warnings = Vec::new();
         let failed = (self.watched.count)(&self.watched.recordings).failed;
-        (!failed.is_empty()).then(|| ("recording_failed", reason::recordings_failed(&failed)))
+        if !failed.is_empty() {
+            warnings.push(("recording_failed", reason::recordings_failed(&failed)));
+        }
+        let damaged = self.watched.store.health().damaged;
+        if damaged > 0 {
+            warnings.push(("journal_damaged", reason::journal_damaged(damaged)));
+        }
+        let other_data = self.watched.other_data.clone();
+        warnings.extend(other_data.map(|message| ("other_data", message)));
+        warnings
     }
 
     /// The time since the daemon started.

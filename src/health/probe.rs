@@ -154,8 +154,8 @@ mod tests {
         status.record(Ok(Duration::from_millis(1)));
         assert_eq!((status.failures, status.problem), (0, None));
         drop(listener);
-        let refused = probe.try_once().unwrap_err().to_string();
-        assert!(refused.contains("refused"), "{refused}");
+        let error = probe.try_once().unwrap_err().to_string();
+        assert!(error.contains("refused"), "{error}");
     }
 
     #[test]

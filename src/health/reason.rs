@@ -1,4 +1,4 @@
-//! Why the daemon is unhealthy, and a warning.
+//! Why the daemon is unhealthy, and its warnings.
 
 use std::time::Duration;
 
@@ -57,7 +57,7 @@ pub enum Reason {
     Contested(Contested),
     /// The certificate of the daemon has expired: its last day.
     #[error(
-        "the daemon's certificate expired on {0}: run `jostled auth init --host NAME` with each of \
+        "the daemon's certificate expired on {0}: run `jostled auth address --host NAME` with each of \
          its names, then restart the daemon"
     )]
     CertificateEnded(String),
@@ -150,6 +150,18 @@ pub(super) fn recordings_failed(failed: &[(String, String)]) -> String {
         "recordings failed: {}{others}; `jostle record --list` lists them, \
          `jostle record --delete NAME` removes one with its files",
         named.join(", ")
+    )
+}
+
+/// The warning about damaged records of the journal.
+pub(super) fn journal_damaged(records: u64) -> String {
+    let records = match records {
+        1 => "1 damaged or missing record was".to_owned(),
+        records => format!("{records} damaged or missing records were"),
+    };
+    format!(
+        "{records} read from the journal: check the disk, take a backup with `jostled backup`, then \
+         `jostle verify SWARM` for each swarm"
     )
 }
 

@@ -44,7 +44,7 @@ pub fn recover(
     store: &Store,
     replies: &impl ReplyCache,
 ) -> Result<usize, StoreError> {
-    replies.fill(store.answers()?);
+    replies.fill(store.replies()?);
     let (replayed, all_replayed) = channel();
     let mut count = 0;
     for (swarm, metadata) in store.swarms()? {
@@ -280,6 +280,6 @@ fn rebuild_reply(replies: &impl ReplyCache, swarm: &str, sender: &Arc<Sender>) -
             error: error @ SwarmError::Faulted(_),
         }) => slot.write(&Err(to_payload(step, error))),
         // A rejected command changed nothing and may be retried.
-        Err(Rejection { step, error }) => slot.forget(&to_payload(step, error)),
+        Err(Rejection { step, error }) => slot.reject(&to_payload(step, error)),
     })
 }

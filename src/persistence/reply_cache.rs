@@ -7,7 +7,7 @@ use crate::store;
 /// The replies to requests that have an id. Recovery reads the stored ones and adds replayed ones.
 pub trait ReplyCache: Clone + Send + 'static {
     /// Adds the persisted replies, oldest first.
-    fn fill(&self, replies: Vec<store::Answer>);
+    fn fill(&self, replies: Vec<store::StoredReply>);
 
     /// Whether a request with this id is known.
     fn contains(&self, client: &Option<String>, id: &str) -> bool;
@@ -26,5 +26,5 @@ pub trait ReplySlot: Send {
     fn write(self: Box<Self>, reply: &Result<Payload, Payload>);
 
     /// Removes the request, which changed nothing; waiting retries get the error.
-    fn forget(self: Box<Self>, error: &Payload);
+    fn reject(self: Box<Self>, error: &Payload);
 }

@@ -15,7 +15,7 @@ use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::error::WriteFault;
 use crate::swarm::frame::{Frame, Stamp};
 use crate::swarm::handle::Outcome;
-use crate::swarm::journal::{Entry, JournalWriter, Reached, Record};
+use crate::swarm::journal::{Entry, JournalWriter, PendingDurableStep, Record};
 use crate::swarm::runner::{JournalFactory, PersistNew};
 use crate::swarm::sender::Sender;
 
@@ -34,16 +34,16 @@ impl JournalWriter for StoreWriter {
         self.store.commit(self.writes(entries)).map_err(fault)
     }
 
-    fn append(&self, entries: Vec<Entry>, reached: Option<Reached>) {
-        let synced = reached.map(|reached| Box::new(reached) as Box<dyn OnCommit>);
+    fn append(&self, entries: Vec<Entry>, pending: Option<PendingDurableStep>) {
+        let synced = pending.map(|pending| Box::new(pending) as Box<dyn OnCommit>);
         self.store.submit(self.writes(entries), synced);
     }
 }
 
-impl OnCommit for Reached {
+impl OnCommit for PendingDurableStep {
     fn committed(self: Box<Self>, outcome: Result<(), StoreFault>) {
         if outcome.is_ok() {
-            self.is_durable();
+            self.mark_durable();
         }
     }
 }
@@ -118,7 +118,7 @@ pub(crate) fn writes(swarm: &str, entry: Entry) -> Vec<Write> {
         }
         Entry::Checkpoint(checkpoint) => {
             let checkpoint = stored_checkpoint(&swarm, &checkpoint);
-            vec![Write::Keep { swarm, checkpoint }]
+            vec![Write::SaveCheckpoint { swarm, checkpoint }]
         }
         Entry::End(stamp, sender) => {
             let reply = sender.request_id.clone().zip(sender.digest);
@@ -138,7 +138,7 @@ pub(crate) fn writes(swarm: &str, entry: Entry) -> Vec<Write> {
 }
 
 fn stored_reply(swarm: &str, identity: RequestIdentity, payload: Payload) -> Write {
-    Write::Answer(store::Answer {
+    Write::InsertReply(store::StoredReply {
         client: identity.client,
         request_id: identity.request_id,
         digest: identity.digest,
@@ -239,7 +239,7 @@ mod tests {
 
     /// A record of builds without wall-clock times.
     #[derive(Debug, PartialEq, Serialize, Deserialize)]
-    enum Before {
+    enum UntimedRecord {
         #[serde(rename = "input")]
         Input {
             at_step: Option<u64>,
@@ -247,7 +247,7 @@ mod tests {
             seq: Option<u64>,
         },
         #[serde(rename = "became")]
-        Became { input: u64, seq: Option<u64> },
+        Outcome { input: u64, seq: Option<u64> },
     }
 
     #[test]
@@ -264,18 +264,18 @@ mod tests {
                 seq: None,
                 unix_secs,
             };
-            let became = Record::Outcome {
+            let outcome = Record::Outcome {
                 input: 3,
                 seq: Some(5),
                 unix_secs,
             };
-            [input, became]
+            [input, outcome]
         };
         let known = records(Some(1_795_531_201.25));
         for (known, unknown) in known.into_iter().zip(records(None)) {
             let (kind, bytes) = record(&known);
             assert_eq!(read_record(&bytes).unwrap(), known);
-            let before: Before = ciborium::from_reader(&bytes[..]).unwrap();
+            let before: UntimedRecord = ciborium::from_reader(&bytes[..]).unwrap();
             let bytes = proto::to_cbor(&before);
             assert_eq!(read_record(&bytes).unwrap(), unknown);
             // Without a time the bytes are those of before.

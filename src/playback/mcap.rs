@@ -78,7 +78,11 @@ impl McapSource {
         let field = |what: &str| {
             let field = about.get(what);
             field.ok_or_else(|| {
-                format!("it has no {what} in its metadata: jostle did not record it")
+                let why = match about.contains_key("recovered") {
+                    true => "it was recovered from a file that ended before them",
+                    false => "jostle did not record it",
+                };
+                format!("it has no {what} in its metadata: {why}")
             })
         };
         let (mut spec, parameters) = convert::decode_spec(field("spec")?, field("parameters")?)?;

@@ -30,5 +30,5 @@ pub enum ReplayError {
     #[error("{0} recordings are being uploaded, the maximum: retry in a moment")]
     TooMany(usize),
     #[error("cannot store the recording in data_dir: {0}")]
-    Unkept(String),
+    NotStored(String),
 }

@@ -347,7 +347,7 @@ impl Player {
     pub(super) fn publish_frame(&mut self) {
         self.published = Instant::now();
         let Stamp { epoch, step, .. } = self.stamp();
-        self.output.state((epoch, step), || self.frame());
+        self.output.push_state((epoch, step), || self.frame());
         let is_moving = self.phase.is_moving();
         self.output.push_frame(is_moving, || self.frame());
     }

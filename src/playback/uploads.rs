@@ -59,12 +59,12 @@ impl Uploads {
             return Err(ReplayError::TooLong(length));
         }
         let end = offset.saturating_add(piece.len() as u64);
-        let unkept = |error: io::Error| ReplayError::Unkept(error.to_string());
+        let not_stored = |error: io::Error| ReplayError::NotStored(error.to_string());
         let mut by_name = self.by_name.lock();
         if offset == 0 {
             self.make_room(&mut by_name, name)?;
             let upload = Upload {
-                file: File::create(self.path(name)).map_err(unkept)?,
+                file: File::create(self.path(name)).map_err(not_stored)?,
                 received: 0,
                 length,
                 touched: Instant::now(),
@@ -86,7 +86,7 @@ impl Uploads {
             // It is unknown how much was written.
             by_name.remove(name);
             self.remove(name);
-            return Err(unkept(error));
+            return Err(not_stored(error));
         }
         upload.received = end;
         Ok(end)
@@ -113,7 +113,7 @@ impl Uploads {
         let moved = fs::rename(&path, &opening);
         by_name.remove(name);
         drop(by_name);
-        moved.map_err(|error| ReplayError::Unkept(error.to_string()))?;
+        moved.map_err(|error| ReplayError::NotStored(error.to_string()))?;
         let source = McapSource::open(std::slice::from_ref(&opening), read_command);
         // Open files stay readable.
         let _ = fs::remove_file(opening);

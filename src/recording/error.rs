@@ -46,7 +46,7 @@ pub enum RecordError {
     #[error("recording {0:?} is still being written: retry in a moment")]
     Ending(String),
     #[error("cannot store the recording: {0}")]
-    Unkept(String),
+    NotStored(String),
     #[error("no thread can be started for the recording: {0}")]
     NoThread(String),
     #[error("the daemon is stopping: retry after it has restarted")]
@@ -55,12 +55,12 @@ pub enum RecordError {
 
 impl From<RecordingError> for RecordError {
     fn from(error: RecordingError) -> Self {
-        RecordError::Unkept(error.to_string())
+        RecordError::NotStored(error.to_string())
     }
 }
 
 impl From<std::io::Error> for RecordError {
     fn from(error: std::io::Error) -> Self {
-        RecordError::Unkept(error.to_string())
+        RecordError::NotStored(error.to_string())
     }
 }

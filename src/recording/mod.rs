@@ -193,7 +193,7 @@ impl Recordings {
         let folder = self.0.jobs.folder(name);
         let opened = sweep(&folder).and_then(|removed| {
             let about = source.as_ref().map(|source| source.about(&status));
-            let recorder = Recorder::go_on(&folder, status.format, about.unwrap_or_default())?;
+            let recorder = Recorder::resume(&folder, status.format, about.unwrap_or_default())?;
             status.count(recorder.written());
             Ok((removed.len(), recorder))
         });

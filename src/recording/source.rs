@@ -47,7 +47,7 @@ impl Source {
             },
         };
         let subscription = handle.output.subscribe(limits);
-        subscription.state((now.stamp.epoch, now.stamp.step), || now.clone());
+        subscription.push_state((now.stamp.epoch, now.stamp.step), || now.clone());
         Source {
             subscription,
             every,

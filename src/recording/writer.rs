@@ -136,7 +136,7 @@ fn part_duration() -> Duration {
 mod tests {
     use std::time::Duration;
 
-    /// `recording::killed_in_the_midst` uses shorter parts and checks that a crash loses only the
+    /// `recording::a_recording_resumes` uses shorter parts and checks that a crash loses only the
     /// unfinished one.
     #[test]
     fn a_part_is_ended_after_a_minute() {

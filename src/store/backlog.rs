@@ -17,7 +17,7 @@ pub(super) struct Backlog {
 }
 
 impl Backlog {
-    /// An empty backlog. Beyond `max`, writes and bytes, checkpoints are dropped, then answers.
+    /// An empty backlog. Beyond `max`, writes and bytes, checkpoints are dropped, then replies.
     pub(super) fn new(max: (usize, usize)) -> Backlog {
         Backlog {
             max,
@@ -31,8 +31,10 @@ impl Backlog {
     /// stop when [`Backlog::is_overrun`].
     pub(super) fn push(&mut self, submit: Submit) {
         self.add(submit);
-        self.drop_if_overrun(|write| matches!(write, Write::Keep { .. }));
-        self.drop_if_overrun(|write| matches!(write, Write::Answer(_) | Write::Forget { .. }));
+        self.drop_if_overrun(|write| matches!(write, Write::SaveCheckpoint { .. }));
+        self.drop_if_overrun(|write| {
+            matches!(write, Write::InsertReply(_) | Write::DeleteReply { .. })
+        });
     }
 
     /// The oldest submits that fit into one group, at least one.
@@ -51,7 +53,7 @@ impl Backlog {
     }
 
     /// Removes the writes of a deleted swarm.
-    pub(super) fn forget(&mut self, swarm: &str) {
+    pub(super) fn remove_swarm(&mut self, swarm: &str) {
         self.retain(|write| write.swarm() != Some(swarm));
     }
 

@@ -112,7 +112,7 @@ impl StoreError {
         let (file, detail) = (file.to_path_buf(), error.to_string());
         match error.sqlite_error_code() {
             Some(ErrorCode::NotADatabase) => StoreError::Foreign(file),
-            Some(code) if may_pass(code) => StoreError::Io { file, detail },
+            Some(code) if is_transient(code) => StoreError::Io { file, detail },
             // The statements are fixed: a missing table or column is damage.
             _ => StoreError::Corrupt { file, detail },
         }
@@ -120,7 +120,7 @@ impl StoreError {
 }
 
 /// Whether the error may be transient.
-fn may_pass(code: ErrorCode) -> bool {
+fn is_transient(code: ErrorCode) -> bool {
     matches!(
         code,
         ErrorCode::SystemIoFailure
@@ -179,7 +179,7 @@ impl StoreFault {
                 | ffi::SQLITE_IOERR_DATA,
             ) => StoreFault::Fatal(error.to_string()),
             (ErrorCode::SystemIoFailure, _) if is_full(folder) => StoreFault::Full,
-            (code, _) if may_pass(code) => StoreFault::Io(error.to_string()),
+            (code, _) if is_transient(code) => StoreFault::Io(error.to_string()),
             _ => StoreFault::Fatal(error.to_string()),
         }
     }

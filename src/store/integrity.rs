@@ -6,7 +6,7 @@
 //! │ name, id, about│─►│ first, last, newest,      │──►│ rows first + 1 to last, no gap;  │
 //! │ seal           │  │ checkpoints, bytes, seal  │   │ checkpoints first to newest; seal│
 //! └────────────────┘  ├───────────────────────────┤   ├──────────────────────────────────┤
-//!                     │ the same, of id 0         │──►│ answers first + 1 to last        │
+//!                     │ the same, of id 0         │──►│ replies first + 1 to last        │
 //!                     └───────────────────────────┘   └──────────────────────────────────┘
 //! ```
 //!
@@ -20,7 +20,7 @@
 //! | found | reaction |
 //! |---|---|
 //! | row with a wrong checksum, or a gap | reading ends before it; [`super::Write::Truncate`] truncates the journal there |
-//! | checkpoint or answer with a wrong checksum, or fewer than the extent holds | left out and counted |
+//! | checkpoint or reply with a wrong checksum, or fewer than the extent holds | left out and counted |
 //! | swarm or extent with a wrong checksum, or one without the other | reading the list of swarms fails and names it; the swarm can only be deleted |
 //! | keys out of order in a tree, which hides records from a search | [`super::repair`] writes the tree again, without its damaged records |
 //! | a broken page in a small file | [`super::schema::open`] rejects the file |
@@ -30,7 +30,7 @@ use rusqlite::{
     Row as SqlRow, Rows as SqlRows, params,
 };
 
-use super::record::{Answer, Checkpoint, CheckpointInfo, Row};
+use super::record::{Checkpoint, CheckpointInfo, Row, StoredReply};
 
 /// The columns that [`row`] decodes.
 pub(super) const ROW: &str = "number, epoch, step, kind, seal, body";
@@ -41,14 +41,14 @@ pub(super) const CHECKPOINT_INFO: &str = "number, epoch, step, seal, digest";
 /// The columns that [`checkpoint`] decodes.
 pub(super) const CHECKPOINT: &str = "number, epoch, step, seal, digest, body";
 
-/// The columns that [`answer`] decodes.
-pub(super) const ANSWER: &str =
+/// The columns that [`reply`] decodes.
+pub(super) const REPLY_COLUMNS: &str =
     "id, client, request_id, digest, swarm, number, is_ok, encoding, seal, body";
 
-/// The id of the extent of the answers; swarms count from 1.
-pub(super) const ANSWERS: i64 = 0;
+/// The id of the extent of the replies; swarms count from 1.
+pub(super) const REPLIES: i64 = 0;
 
-/// Which rows and checkpoints of a swarm exist; for the answers, all fields but `newest`.
+/// Which rows and checkpoints of a swarm exist; for the replies, all fields but `newest`.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(super) struct Extent {
     /// Rows up to this one are deleted: the number of the oldest checkpoint.
@@ -57,7 +57,7 @@ pub(super) struct Extent {
     pub(super) last: u64,
     /// The number of the newest checkpoint.
     pub(super) newest: u64,
-    /// Number of checkpoints; for the answers, how many after `first` were deleted.
+    /// Number of checkpoints; for the replies, how many after `first` were deleted.
     pub(super) checkpoints: u64,
     /// Size of rows and checkpoints, including those not swept yet.
     pub(super) bytes: u64,
@@ -125,16 +125,16 @@ fn checkpoint_checksum(swarm: &str, id: i64, info: &CheckpointInfo, digest: &[u8
         .finish()
 }
 
-fn answer_checksum(id: u64, answer: &Answer) -> Checksum {
-    let has_client = answer.client.is_some().into();
+fn reply_checksum(id: u64, reply: &StoredReply) -> Checksum {
+    let has_client = reply.client.is_some().into();
     Hasher::new("answer")
-        .numbers([id, has_client, answer.number, answer.is_ok.into()])
-        .bytes(answer.client.as_deref().unwrap_or("").as_bytes())
-        .bytes(answer.request_id.as_bytes())
-        .bytes(&answer.digest)
-        .bytes(answer.swarm.as_bytes())
-        .bytes(answer.encoding.as_bytes())
-        .bytes(&answer.body)
+        .numbers([id, has_client, reply.number, reply.is_ok.into()])
+        .bytes(reply.client.as_deref().unwrap_or("").as_bytes())
+        .bytes(reply.request_id.as_bytes())
+        .bytes(&reply.digest)
+        .bytes(reply.swarm.as_bytes())
+        .bytes(reply.encoding.as_bytes())
+        .bytes(&reply.body)
         .finish()
 }
 
@@ -347,30 +347,30 @@ pub(super) fn checkpoint(
     }))
 }
 
-pub(super) fn insert_answer(connection: &Connection, id: u64, answer: &Answer) -> SqlResult<()> {
+pub(super) fn insert_reply(connection: &Connection, id: u64, reply: &StoredReply) -> SqlResult<()> {
     connection
         .prepare_cached(&format!(
-            "INSERT INTO answer ({ANSWER}) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)"
+            "INSERT INTO answer ({REPLY_COLUMNS}) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)"
         ))?
         .execute(params![
             id.cast_signed(),
-            answer.client,
-            answer.request_id,
-            answer.digest,
-            answer.swarm,
-            answer.number.cast_signed(),
-            answer.is_ok,
-            answer.encoding,
-            answer_checksum(id, answer),
-            answer.body
+            reply.client,
+            reply.request_id,
+            reply.digest,
+            reply.swarm,
+            reply.number.cast_signed(),
+            reply.is_ok,
+            reply.encoding,
+            reply_checksum(id, reply),
+            reply.body
         ])?;
     Ok(())
 }
 
-/// Decodes [`ANSWER`] into the id and the answer; `None` if the answer is damaged.
-pub(super) fn answer(record: &SqlRow<'_>) -> SqlResult<Option<(u64, Answer)>> {
+/// Decodes [`REPLY_COLUMNS`] into the id and the reply; `None` if the reply is damaged.
+pub(super) fn reply(record: &SqlRow<'_>) -> SqlResult<Option<(u64, StoredReply)>> {
     let decode = || {
-        let answer = Answer {
+        let reply = StoredReply {
             client: record.get(1)?,
             request_id: record.get(2)?,
             digest: record.get(3)?,
@@ -381,8 +381,8 @@ pub(super) fn answer(record: &SqlRow<'_>) -> SqlResult<Option<(u64, Answer)>> {
             body: record.get(9)?,
         };
         let id = unsigned(record, 0)?;
-        let is_intact = record.get::<_, Vec<u8>>(8)? == answer_checksum(id, &answer);
-        Ok(is_intact.then_some((id, answer)))
+        let is_intact = record.get::<_, Vec<u8>>(8)? == reply_checksum(id, &reply);
+        Ok(is_intact.then_some((id, reply)))
     };
     Ok(decoded(decode())?.flatten())
 }

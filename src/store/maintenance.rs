@@ -76,7 +76,7 @@ impl Writer {
         }
         if !self.has_reserve && !self.shared.meter.is_full.load(Ordering::Relaxed) {
             // On a full disk the next round tries again.
-            self.has_reserve = reserve::keep(&self.folder).is_ok();
+            self.has_reserve = reserve::create(&self.folder).is_ok();
         }
         Ok(has_more)
     }

@@ -1,4 +1,4 @@
-//! The database of the daemon: swarms with their journal rows and checkpoints, and answers to requests.
+//! The database of the daemon: swarms with their journal rows and checkpoints, and replies to requests.
 //!
 //! Bodies are opaque bytes. The store guarantees that committed writes are durable, that a record is
 //! returned as it was written or reported as damaged, and that the rows of a swarm have no gap.
@@ -49,7 +49,7 @@ use rustix::io::Errno;
 pub use copy::copy;
 pub use error::{StoreError, StoreFault};
 pub use health::Health;
-pub use record::{Answer, Checkpoint, CheckpointInfo, Row, Rows, Write};
+pub use record::{Checkpoint, CheckpointInfo, Row, Rows, StoredReply, Write};
 pub use schema::{FILE, KNOWN as SCHEMA};
 
 use health::Meter;

@@ -6,7 +6,7 @@ use tracing::warn;
 use super::Store;
 use super::error::StoreError;
 use super::integrity::{self, Extent};
-use super::record::{Answer, Checkpoint, CheckpointInfo, Rows};
+use super::record::{Checkpoint, CheckpointInfo, Rows, StoredReply};
 
 /// Why something was not read.
 pub(super) enum ReadError {
@@ -192,50 +192,50 @@ impl Store {
         })
     }
 
-    /// The answers, oldest first. Damaged ones are left out, logged and counted in
+    /// The replies, oldest first. Damaged ones are left out, logged and counted in
     /// [`Health::damaged`](super::Health::damaged).
     ///
     /// # Errors
     ///
     /// [`StoreError::Damaged`] if their extent is damaged, and those of any read.
-    pub fn answers(&self) -> Result<Vec<Answer>, StoreError> {
-        let (answers, missing) = self.read(|snapshot| {
-            let Some(extent) = integrity::read_extent(snapshot, integrity::ANSWERS)? else {
-                return Err(self.damaged("", "the extent of the answers"));
+    pub fn replies(&self) -> Result<Vec<StoredReply>, StoreError> {
+        let (replies, missing) = self.read(|snapshot| {
+            let Some(extent) = integrity::read_extent(snapshot, integrity::REPLIES)? else {
+                return Err(self.damaged("", "the extent of the replies"));
             };
             let Extent { first, last, .. } = extent;
             let deleted = extent.checkpoints;
             let expected = last.saturating_sub(first).saturating_sub(deleted);
             let mut statement = snapshot.prepare_cached(&format!(
                 "SELECT {} FROM answer WHERE id > ? ORDER BY id",
-                integrity::ANSWER
+                integrity::REPLY_COLUMNS
             ))?;
             let mut cursor = statement.query([first.cast_signed()])?;
-            let (mut answers, mut next) = (Vec::new(), first + 1);
+            let (mut replies, mut next) = (Vec::new(), first + 1);
             while let Some(record) = cursor.next()? {
                 // Those out of order or after the last one are not among the expected.
-                if let Some((id, answer)) = integrity::answer(record)?
+                if let Some((id, reply)) = integrity::reply(record)?
                     && (next..=last).contains(&id)
                 {
                     next = id + 1;
-                    answers.push(answer);
+                    replies.push(reply);
                 }
             }
-            let missing = expected.saturating_sub(answers.len() as u64);
-            Ok((answers, missing))
+            let missing = expected.saturating_sub(replies.len() as u64);
+            Ok((replies, missing))
         })?;
         if missing > 0 {
             let problem =
-                "answers are damaged or missing: retries of these requests would be executed";
+                "replies are damaged or missing: retries of these requests would be executed";
             warn!(damaged = missing, "{problem}");
             self.0.shared.meter.found_damaged(missing);
         }
-        Ok(answers)
+        Ok(replies)
     }
 
-    /// Whether an answer was ever deleted; false if that cannot be read.
+    /// Whether a reply was ever deleted; false if that cannot be read.
     pub fn has_evicted(&self) -> bool {
-        let extent = self.read(|it| Ok(integrity::read_extent(it, integrity::ANSWERS)?));
+        let extent = self.read(|it| Ok(integrity::read_extent(it, integrity::REPLIES)?));
         matches!(extent, Ok(Some(it)) if it.first > 0 || it.checkpoints > 0)
     }
 

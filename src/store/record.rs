@@ -53,7 +53,7 @@ pub struct Rows {
 
 /// The stored reply to a request with an id.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Answer {
+pub struct StoredReply {
     /// The client that sent it.
     pub client: Option<String>,
     /// Its `request_id`.
@@ -92,7 +92,7 @@ pub enum Write {
         row: Row,
     },
     /// Adds a checkpoint, not older than the newest one.
-    Keep {
+    SaveCheckpoint {
         /// The swarm.
         swarm: String,
         /// Its state after a row that exists.
@@ -106,15 +106,15 @@ pub enum Write {
         /// The last row that stays.
         after: u64,
     },
-    /// Deletes a swarm with its rows and checkpoints. Answers stay.
+    /// Deletes a swarm with its rows and checkpoints. Replies stay.
     Delete {
         /// The swarm.
         swarm: String,
     },
-    /// Adds an answer.
-    Answer(Answer),
-    /// Deletes the answers to a request, if there are any.
-    Forget {
+    /// Adds a reply.
+    InsertReply(StoredReply),
+    /// Deletes the replies to a request, if there are any.
+    DeleteReply {
         /// The client of the request.
         client: Option<String>,
         /// Its id.
@@ -123,15 +123,15 @@ pub enum Write {
 }
 
 impl Write {
-    /// The swarm that it changes; `None` for answers.
+    /// The swarm that it changes; `None` for replies.
     pub(super) fn swarm(&self) -> Option<&str> {
         match self {
             Write::Create { swarm, .. }
             | Write::Append { swarm, .. }
-            | Write::Keep { swarm, .. }
+            | Write::SaveCheckpoint { swarm, .. }
             | Write::Truncate { swarm, .. }
             | Write::Delete { swarm } => Some(swarm),
-            Write::Answer(_) | Write::Forget { .. } => None,
+            Write::InsertReply(_) | Write::DeleteReply { .. } => None,
         }
     }
 
@@ -145,10 +145,10 @@ impl Write {
                     first,
                 } => swarm.len() + about.len() + first.body.len(),
                 Write::Append { swarm, row } => swarm.len() + row.body.len(),
-                Write::Keep { swarm, checkpoint } => swarm.len() + checkpoint.body.len(),
+                Write::SaveCheckpoint { swarm, checkpoint } => swarm.len() + checkpoint.body.len(),
                 Write::Truncate { swarm, .. } | Write::Delete { swarm } => swarm.len(),
-                Write::Answer(answer) => answer.body.len() + answer.request_id.len(),
-                Write::Forget { request_id, .. } => request_id.len(),
+                Write::InsertReply(reply) => reply.body.len() + reply.request_id.len(),
+                Write::DeleteReply { request_id, .. } => request_id.len(),
             }
     }
 }

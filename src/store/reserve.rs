@@ -16,7 +16,7 @@ const BYTES: usize = 1024 * 1024;
 const MIN_FREE_FACTOR: u64 = 3;
 
 /// Creates the reserve if it is not complete.
-pub(super) fn keep(folder: &Path) -> io::Result<()> {
+pub(super) fn create(folder: &Path) -> io::Result<()> {
     let path = folder.join(FILE);
     if fs::metadata(&path).is_ok_and(|it| it.len() == BYTES as u64) {
         return Ok(());
@@ -31,12 +31,12 @@ pub(super) fn keep(folder: &Path) -> io::Result<()> {
         file.sync_all()
     });
     if created.is_err() {
-        give_up(folder);
+        remove(folder);
     }
     created
 }
 
 /// Deletes the reserve; whether it existed.
-pub(super) fn give_up(folder: &Path) -> bool {
+pub(super) fn remove(folder: &Path) -> bool {
     fs::remove_file(folder.join(FILE)).is_ok()
 }

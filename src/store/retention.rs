@@ -37,7 +37,7 @@ pub(super) fn sweep(
         return sweep_deleted(transaction.connection, id).map(|()| true);
     }
     while let Some(swarm) = candidates.first().cloned() {
-        if sweep_rows(transaction, &swarm)? || shorten(transaction, &swarm, quota_bytes)? {
+        if sweep_rows(transaction, &swarm)? || shorten_history(transaction, &swarm, quota_bytes)? {
             return Ok(true);
         }
         candidates.remove(&swarm);
@@ -93,7 +93,11 @@ fn sweep_rows(transaction: &mut Transaction<'_>, swarm: &str) -> SqlResult<bool>
 /// Deletes checkpoints of a swarm that takes more than its quota; whether there were any to delete.
 ///
 /// The two newest and all rows after the older of them always stay.
-fn shorten(transaction: &mut Transaction<'_>, swarm: &str, quota_bytes: u64) -> SqlResult<bool> {
+fn shorten_history(
+    transaction: &mut Transaction<'_>,
+    swarm: &str,
+    quota_bytes: u64,
+) -> SqlResult<bool> {
     let connection = transaction.connection;
     let Some((id, mut extent)) = transaction.find(swarm)? else {
         return Ok(false);
@@ -101,7 +105,7 @@ fn shorten(transaction: &mut Transaction<'_>, swarm: &str, quota_bytes: u64) -> 
     if extent.bytes <= quota_bytes {
         return Ok(false);
     }
-    let mut kept: Vec<(i64, u64)> = connection
+    let mut checkpoints: Vec<(i64, u64)> = connection
         .prepare_cached(
             "SELECT number, length(body) FROM checkpoint WHERE swarm = ? ORDER BY number",
         )?
@@ -112,18 +116,20 @@ fn shorten(transaction: &mut Transaction<'_>, swarm: &str, quota_bytes: u64) -> 
         .collect::<SqlResult<_>>()?;
     let mut has_deleted = false;
     for _ in 0..CHECKPOINTS_PER_PIECE {
-        let Some(place) = choose(&kept, quota_bytes).filter(|_| extent.bytes > quota_bytes) else {
+        let Some(index) =
+            checkpoint_to_delete(&checkpoints, quota_bytes).filter(|_| extent.bytes > quota_bytes)
+        else {
             break;
         };
-        let (number, bytes) = kept.remove(place);
+        let (number, bytes) = checkpoints.remove(index);
         connection
             .prepare_cached("DELETE FROM checkpoint WHERE swarm = ? AND number = ?")?
             .execute(params![id, number])?;
         extent.checkpoints = extent.checkpoints.saturating_sub(1);
         extent.bytes = extent.bytes.saturating_sub(bytes);
-        extent.first = kept[0].0.cast_unsigned();
+        extent.first = checkpoints[0].0.cast_unsigned();
         has_deleted = true;
-        if place == 0 {
+        if index == 0 {
             // The rows before the next checkpoint are deleted first: that may be enough.
             break;
         }
@@ -140,11 +146,11 @@ fn shorten(transaction: &mut Transaction<'_>, swarm: &str, quota_bytes: u64) -> 
 /// whose neighbours are closest, so that repeated calls drop every second one and the history can
 /// still be replayed, from points further apart. Otherwise, or when few are left between, it is the
 /// oldest; the rows up to the next one are deleted with it.
-fn choose(kept: &[(i64, u64)], quota_bytes: u64) -> Option<usize> {
-    let between = kept.len().checked_sub(3)?;
-    let taken: u64 = kept.iter().map(|(_, bytes)| bytes).sum();
+fn checkpoint_to_delete(checkpoints: &[(i64, u64)], quota_bytes: u64) -> Option<usize> {
+    let between = checkpoints.len().checked_sub(3)?;
+    let taken: u64 = checkpoints.iter().map(|(_, bytes)| bytes).sum();
     if between <= MIN_BETWEEN || taken <= quota_bytes / 2 {
         return Some(0);
     }
-    (1..=between).min_by_key(|place| kept[place + 1].0 - kept[place - 1].0)
+    (1..=between).min_by_key(|index| checkpoints[index + 1].0 - checkpoints[index - 1].0)
 }

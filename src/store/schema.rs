@@ -67,10 +67,10 @@ fn first(transaction: &Transaction<'_>) -> SqlResult<()> {
          );
          CREATE TABLE gone (swarm INTEGER PRIMARY KEY);",
     ))?;
-    integrity::write_extent(transaction, integrity::ANSWERS, &Extent::default())
+    integrity::write_extent(transaction, integrity::REPLIES, &Extent::default())
 }
 
-/// The second schema: an index to delete answers by their request.
+/// The second schema: an index to delete replies by their request.
 fn second(transaction: &Transaction<'_>) -> SqlResult<()> {
     transaction.execute_batch("CREATE INDEX answer_request ON answer (request_id)")
 }

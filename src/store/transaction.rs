@@ -7,7 +7,7 @@ use rusqlite::{Connection, Error as SqlError, OptionalExtension, Result as SqlRe
 use super::Write;
 use super::failpoint;
 use super::integrity::{self, Extent};
-use super::record::{Answer, Checkpoint, Row, cost};
+use super::record::{Checkpoint, Row, StoredReply, cost};
 use super::repair;
 
 /// The open transaction of a connection.
@@ -81,10 +81,10 @@ impl<'a> Transaction<'a> {
         integrity::write_extent(self.connection, id, extent)
     }
 
-    /// Writes the extent of the answers as it is, which fails while the disk is full.
+    /// Writes the extent of the replies as it is, which fails while the disk is full.
     pub(super) fn probe(&mut self) -> SqlResult<()> {
-        match integrity::read_extent(self.connection, integrity::ANSWERS)? {
-            Some(extent) => self.set_answers(&extent),
+        match integrity::read_extent(self.connection, integrity::REPLIES)? {
+            Some(extent) => self.set_replies_extent(&extent),
             None => Ok(()),
         }
     }
@@ -97,11 +97,13 @@ impl<'a> Transaction<'a> {
                 first,
             } => self.create(swarm, about, first),
             Write::Append { swarm, row } => self.append(swarm, row),
-            Write::Keep { swarm, checkpoint } => self.keep(swarm, checkpoint),
+            Write::SaveCheckpoint { swarm, checkpoint } => self.save_checkpoint(swarm, checkpoint),
             Write::Truncate { swarm, after } => self.truncate(swarm, *after),
             Write::Delete { swarm } => self.delete(swarm),
-            Write::Answer(answer) => self.answer(answer),
-            Write::Forget { client, request_id } => self.forget(client.as_deref(), request_id),
+            Write::InsertReply(reply) => self.insert_reply(reply),
+            Write::DeleteReply { client, request_id } => {
+                self.delete_reply(client.as_deref(), request_id)
+            }
         }
     }
 
@@ -130,7 +132,7 @@ impl<'a> Transaction<'a> {
             ..Extent::default()
         };
         self.set_extent(swarm, id, &extent)?;
-        self.keep(swarm, first)
+        self.save_checkpoint(swarm, first)
     }
 
     fn append(&mut self, swarm: &str, row: &Row) -> Result<(), WriteError> {
@@ -145,7 +147,7 @@ impl<'a> Transaction<'a> {
         Ok(self.set_extent(swarm, id, &extent)?)
     }
 
-    fn keep(&mut self, swarm: &str, checkpoint: &Checkpoint) -> Result<(), WriteError> {
+    fn save_checkpoint(&mut self, swarm: &str, checkpoint: &Checkpoint) -> Result<(), WriteError> {
         let (id, mut extent) = self.existing(swarm)?;
         let (number, newest, last) = (checkpoint.number, extent.newest, extent.last);
         if number < newest || number > last {
@@ -219,17 +221,17 @@ impl<'a> Transaction<'a> {
         Ok(())
     }
 
-    fn answer(&mut self, answer: &Answer) -> Result<(), WriteError> {
-        let mut extent = self.answers()?;
+    fn insert_reply(&mut self, reply: &StoredReply) -> Result<(), WriteError> {
+        let mut extent = self.replies_extent()?;
         extent.last += 1;
-        extent.bytes += cost(answer.body.len());
-        integrity::insert_answer(self.connection, extent.last, answer)?;
-        Ok(self.set_answers(&extent)?)
+        extent.bytes += cost(reply.body.len());
+        integrity::insert_reply(self.connection, extent.last, reply)?;
+        Ok(self.set_replies_extent(&extent)?)
     }
 
-    /// Deletes the answers to a request: there are two if the commit of the swarm had one too.
-    fn forget(&mut self, client: Option<&str>, request_id: &str) -> Result<(), WriteError> {
-        let mut extent = self.answers()?;
+    /// Deletes the replies to a request: there are two if the commit of the swarm had one too.
+    fn delete_reply(&mut self, client: Option<&str>, request_id: &str) -> Result<(), WriteError> {
+        let mut extent = self.replies_extent()?;
         let mut statement = self.connection.prepare_cached(
             "DELETE FROM answer WHERE request_id = ? AND client IS ? RETURNING length(body)",
         )?;
@@ -239,7 +241,7 @@ impl<'a> Transaction<'a> {
             extent.checkpoints += 1;
             extent.bytes = extent.bytes.saturating_sub(cost(bytes));
         }
-        Ok(self.set_answers(&extent)?)
+        Ok(self.set_replies_extent(&extent)?)
     }
 
     fn existing(&self, swarm: &str) -> Result<(i64, Extent), WriteError> {
@@ -250,14 +252,14 @@ impl<'a> Transaction<'a> {
         }
     }
 
-    fn answers(&self) -> Result<Extent, WriteError> {
-        let extent = integrity::read_extent(self.connection, integrity::ANSWERS)?;
-        extent.ok_or_else(|| rejected("the record of the answers is damaged"))
+    fn replies_extent(&self) -> Result<Extent, WriteError> {
+        let extent = integrity::read_extent(self.connection, integrity::REPLIES)?;
+        extent.ok_or_else(|| rejected("the record of the replies is damaged"))
     }
 
-    fn set_answers(&mut self, extent: &Extent) -> SqlResult<()> {
+    fn set_replies_extent(&mut self, extent: &Extent) -> SqlResult<()> {
         self.has_changed = true;
-        integrity::write_extent(self.connection, integrity::ANSWERS, extent)
+        integrity::write_extent(self.connection, integrity::REPLIES, extent)
     }
 
     fn execute(&self, statement: &str) -> SqlResult<()> {

@@ -163,7 +163,7 @@ impl Writer {
     fn delete(&mut self, submit: Submit) -> Result<(), StoreFault> {
         let alone = std::slice::from_ref(&submit);
         let outcome = match self.commit(alone) {
-            Err(StoreFault::Full) if reserve::give_up(&self.folder) => {
+            Err(StoreFault::Full) if reserve::remove(&self.folder) => {
                 self.has_reserve = false;
                 self.commit_or_make_room(alone)
             }
@@ -172,7 +172,7 @@ impl Writer {
         match outcome {
             Ok(mut outcomes) => {
                 for swarm in submit.writes.iter().filter_map(Write::swarm) {
-                    self.backlog.forget(swarm);
+                    self.backlog.remove_swarm(swarm);
                 }
                 self.complete(submit.durability, outcomes.pop().unwrap_or(Ok(())));
                 self.sweep_after_deletion()
@@ -301,7 +301,7 @@ impl Writer {
     }
 }
 
-/// Whether `writes` delete swarms and write at most answers besides.
+/// Whether `writes` delete swarms and write at most replies besides.
 fn is_deletion(writes: &[Write]) -> bool {
     let is_delete = |write: &Write| matches!(write, Write::Delete { .. });
     let mut all = writes.iter();

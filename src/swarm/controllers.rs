@@ -131,7 +131,7 @@ impl Controllers {
                 return Ok(Outcome::Done);
             }
             Input::Reached => {
-                self.settle(swarm);
+                self.update_phase(swarm);
                 self.end_advances(false, swarm);
                 return Ok(Outcome::Done);
             }
@@ -163,7 +163,7 @@ impl Controllers {
             }
             Input::Updated => {}
         }
-        self.settle(swarm);
+        self.update_phase(swarm);
         Ok(Outcome::Done)
     }
 
@@ -241,13 +241,13 @@ impl Controllers {
                     _ => self.remove(controller, Departure::Lost, swarm),
                 }
                 swarm.effects.push(Effect::Publish);
-                self.settle(swarm);
+                self.update_phase(swarm);
                 swarm.effects.push(Effect::PublishState);
                 return Ok(outcome);
             }
             _ => unreachable!("{command:?} is no command of a controller"),
         }
-        self.settle(swarm);
+        self.update_phase(swarm);
         Ok(outcome)
     }
 
@@ -429,7 +429,7 @@ impl Controllers {
 
     /// Updates the phase in lockstep, which is stepping if all controllers have advanced and paused
     /// otherwise, and the deadlines.
-    fn settle(&mut self, swarm: &mut Swarm) {
+    fn update_phase(&mut self, swarm: &mut Swarm) {
         let step = swarm.step();
         // A faulted swarm keeps its last good state and waits for no controller.
         let is_faulted = matches!(swarm.phase, Phase::Faulted(_));

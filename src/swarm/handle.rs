@@ -13,6 +13,7 @@ use crate::swarm::command::{Command, Seek, WaitCondition, When};
 use crate::swarm::error::SwarmError;
 use crate::swarm::frame::{Frame, Stamp, Summary};
 use crate::swarm::history::History;
+use crate::swarm::journal::Progress;
 use crate::swarm::membership::{News, Put};
 use crate::swarm::metrics::{SwarmMetrics, Totals};
 use crate::swarm::output::Output;
@@ -211,6 +212,7 @@ pub struct Handle {
     pub(crate) messages: Arc<SyncSender<Message>>,
     pub(crate) cores: Arc<CpuScheduler>,
     pub(crate) summary: Arc<Mutex<Option<Summary>>>,
+    pub(crate) progress: Arc<Mutex<Progress>>,
 }
 
 impl Handle {
@@ -225,6 +227,7 @@ impl Handle {
             messages: Arc::new(messages),
             cores: Arc::new(CpuScheduler::new(1)),
             summary: Arc::default(),
+            progress: Arc::default(),
         }
     }
 
@@ -263,6 +266,11 @@ impl Handle {
     /// The step in its summary; `None` until it is built.
     pub fn step(&self) -> Option<u64> {
         Some(self.summary()?.stamp.step)
+    }
+
+    /// The last step that a crash does not undo.
+    pub fn durable_step(&self) -> u64 {
+        self.progress.lock().durable_step()
     }
 
     /// Like [`Self::step`], without keeping the queue alive.

@@ -80,8 +80,8 @@ pub trait JournalWriter: Send + Sync {
     fn commit(&self, entries: Vec<Entry>) -> Result<(), WriteFault>;
 
     /// Queues entries. They are written within milliseconds, and retried while that fails. Once they
-    /// and all earlier ones are durable, `reached` is.
-    fn append(&self, entries: Vec<Entry>, reached: Option<Reached>);
+    /// and all earlier ones are durable, `pending` is marked durable.
+    fn append(&self, entries: Vec<Entry>, pending: Option<PendingDurableStep>);
 }
 
 /// A writer that writes nothing.
@@ -92,9 +92,9 @@ impl JournalWriter for NoWriter {
         Ok(())
     }
 
-    fn append(&self, _: Vec<Entry>, reached: Option<Reached>) {
-        if let Some(reached) = reached {
-            reached.is_durable();
+    fn append(&self, _: Vec<Entry>, pending: Option<PendingDurableStep>) {
+        if let Some(pending) = pending {
+            pending.mark_durable();
         }
     }
 }
@@ -139,7 +139,8 @@ impl Replayed {
 }
 
 /// What a crash does not undo.
-struct Progress {
+#[derive(Default)]
+pub struct Progress {
     step: u64,
     /// How often a run was interrupted: steps that were queued before do not count afterwards.
     interruptions: u64,
@@ -147,16 +148,23 @@ struct Progress {
     ahead: usize,
 }
 
+impl Progress {
+    /// The last step that a crash does not undo.
+    pub fn durable_step(&self) -> u64 {
+        self.step
+    }
+}
+
 /// A step that is durable once queued entries are.
-pub struct Reached {
+pub struct PendingDurableStep {
     progress: Arc<Mutex<Progress>>,
     step: u64,
     interruptions: u64,
 }
 
-impl Reached {
+impl PendingDurableStep {
     /// The entries are durable.
-    pub fn is_durable(self) {
+    pub fn mark_durable(self) {
         let mut progress = self.progress.lock();
         if progress.interruptions == self.interruptions {
             progress.step = progress.step.max(self.step);
@@ -166,16 +174,18 @@ impl Reached {
 }
 
 impl Journal {
-    /// A journal of so many lines, which reaches `step`.
-    pub fn new(writer: Arc<dyn JournalWriter>, lines: u64, step: u64) -> Self {
+    /// A journal of so many lines, which reaches `step`. It keeps `progress` up to date.
+    pub fn new(
+        writer: Arc<dyn JournalWriter>,
+        lines: u64,
+        step: u64,
+        progress: Arc<Mutex<Progress>>,
+    ) -> Self {
+        progress.lock().step = step;
         Journal {
             writer,
             lines,
-            progress: Arc::new(Mutex::new(Progress {
-                step,
-                interruptions: 0,
-                ahead: 0,
-            })),
+            progress,
             queued_step: step,
             replay: None,
         }
@@ -308,12 +318,13 @@ impl Journal {
         Ok(before + 1)
     }
 
-    /// Queues a record. Once it is durable, a crash undoes no step up to `reached`. Returns its number.
+    /// Queues a record. Once it is durable, a crash undoes no step up to
+    /// `durable_step`. Returns its number.
     pub fn append(
         &mut self,
         (epoch, step): (u64, u64),
         record: Record,
-        reached: Option<u64>,
+        durable_step: Option<u64>,
     ) -> u64 {
         if let Some(replay) = &mut self.replay {
             if matches!(record, Record::Outcome { .. }) && !replay.has_outcome(&record) {
@@ -322,24 +333,24 @@ impl Journal {
             return self.lines;
         }
         let line = Entry::Line(self.line(epoch, step, record));
-        let reached = reached.map(|step| self.reached(step));
-        self.writer.append(vec![line], reached);
+        let pending = durable_step.map(|step| self.pending_durable_step(step));
+        self.writer.append(vec![line], pending);
         self.lines
     }
 
     /// Once all queued records are durable, a crash undoes no step up to this one.
-    pub fn reach(&mut self, step: u64) {
+    pub fn append_step(&mut self, step: u64) {
         if !self.is_replaying() && step > self.queued_step {
-            let reached = self.reached(step);
-            self.writer.append(Vec::new(), Some(reached));
+            let pending = self.pending_durable_step(step);
+            self.writer.append(Vec::new(), Some(pending));
         }
     }
 
-    fn reached(&mut self, step: u64) -> Reached {
+    fn pending_durable_step(&mut self, step: u64) -> PendingDurableStep {
         self.queued_step = self.queued_step.max(step);
         let mut progress = self.progress.lock();
         progress.ahead += 1;
-        Reached {
+        PendingDurableStep {
             progress: self.progress.clone(),
             step,
             interruptions: progress.interruptions,
@@ -352,10 +363,12 @@ impl Journal {
     }
 
     /// Queues a checkpoint.
-    pub fn append_checkpoint(&self, checkpoint: Checkpoint) {
+    pub fn append_checkpoint(&mut self, checkpoint: Checkpoint) {
         if !self.is_replaying() {
+            let step = checkpoint.simulation.state.step;
+            let pending = checkpoint.is_last.then(|| self.pending_durable_step(step));
             let entry = Entry::Checkpoint(Box::new(checkpoint));
-            self.writer.append(vec![entry], None);
+            self.writer.append(vec![entry], pending);
         }
     }
 

@@ -129,10 +129,10 @@ impl Output {
 
     /// Passes the state at an epoch and step to the subscriptions other than the publisher's. Only for
     /// the thread of the swarm.
-    pub fn state(&self, at: (u64, u64), frame: impl FnOnce() -> Arc<Frame>) {
+    pub fn push_state(&self, at: (u64, u64), frame: impl FnOnce() -> Arc<Frame>) {
         let frame = LazyCell::new(frame);
         for subscription in self.subscriptions() {
-            subscription.state(at, || Arc::clone(&frame));
+            subscription.push_state(at, || Arc::clone(&frame));
         }
     }
 
@@ -321,7 +321,7 @@ impl Subscription {
     }
 
     /// The swarm has reached this epoch and step. Only for the thread of the swarm.
-    pub fn state(&self, at: (u64, u64), frame: impl FnOnce() -> Arc<Frame>) {
+    pub fn push_state(&self, at: (u64, u64), frame: impl FnOnce() -> Arc<Frame>) {
         let mut contents = self.contents.lock();
         if contents.end.is_some() || contents.last == Some(at) {
             return;

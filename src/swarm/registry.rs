@@ -141,16 +141,16 @@ impl SwarmRegistry {
         self.limits
     }
 
-    /// Creates a swarm. Its own thread builds it, and calls the answer that `answer` makes when
+    /// Creates a swarm. Its own thread builds it, and calls the `ReplyTo` that `reply_to` returns when
     /// clients can reach it, or when it could not be built. After an error, and for an existing
-    /// swarm, `answer` is not called.
+    /// swarm, `reply_to` is not called.
     pub fn create(
         self: &Arc<Self>,
         name: &str,
         spec: Spec,
         exist_ok: bool,
         persist: Box<dyn PersistNew>,
-        answer: impl FnOnce() -> ReplyTo,
+        reply_to: impl FnOnce() -> ReplyTo,
     ) -> Result<Created, RegistryError> {
         let mut state = self.lock_running()?;
         if let Some(entry) = state.swarms.get(name) {
@@ -162,34 +162,34 @@ impl SwarmRegistry {
         }
         let memory_bytes = self.admit(&state, memory_of(spec.n))?;
         let from = StartFrom::Spec(persist);
-        self.start(&mut state, name, spec, memory_bytes, from, answer)?;
+        self.start(&mut state, name, spec, memory_bytes, from, reply_to)?;
         Ok(Created::New)
     }
 
-    /// Creates a swarm from the checkpoint of another one. `answer` as in [`Self::create`].
-    pub fn copy(
+    /// Creates a swarm from the checkpoint of another one. `reply_to` as in [`Self::create`].
+    pub fn create_from_checkpoint(
         self: &Arc<Self>,
         name: &str,
         checkpoint: Checkpoint,
         persist: Box<dyn PersistNew>,
-        answer: impl FnOnce() -> ReplyTo,
+        reply_to: impl FnOnce() -> ReplyTo,
     ) -> Result<(), RegistryError> {
         let mut state = self.lock_vacant(name)?;
         let n = checkpoint.simulation.state.configuration.n();
         let memory_bytes = self.admit(&state, memory_of(n))?;
         let spec = checkpoint.simulation.spec.clone();
         let from = StartFrom::Checkpoint(Box::new(checkpoint), persist);
-        self.start(&mut state, name, spec, memory_bytes, from, answer)
+        self.start(&mut state, name, spec, memory_bytes, from, reply_to)
     }
 
-    /// Recovers a swarm from its checkpoint and journal, whatever the limits are now. `answer` as
+    /// Recovers a swarm from its checkpoint and journal, whatever the limits are now. `reply_to` as
     /// in [`Self::create`].
     pub fn recover(
         self: &Arc<Self>,
         name: &str,
         spec: Spec,
         past: ReplaySource,
-        answer: impl FnOnce() -> ReplyTo,
+        reply_to: impl FnOnce() -> ReplyTo,
     ) -> Result<(), RegistryError> {
         let memory_bytes = memory_of(past.checkpoint.simulation.state.configuration.n());
         let from = StartFrom::Journal(Box::new(past));
@@ -199,23 +199,23 @@ impl SwarmRegistry {
             spec,
             memory_bytes,
             from,
-            answer,
+            reply_to,
         )
     }
 
-    /// Plays a recording under the name of a swarm; it is not persisted. `answer` as in
+    /// Plays a recording under the name of a swarm; it is not persisted. `reply_to` as in
     /// [`Self::create`].
     pub fn play(
         self: &Arc<Self>,
         name: &str,
         playback: Box<dyn Playback>,
-        answer: impl FnOnce() -> ReplyTo,
+        reply_to: impl FnOnce() -> ReplyTo,
     ) -> Result<(), RegistryError> {
         let mut state = self.lock_vacant(name)?;
         let memory_bytes = self.admit(&state, playback.memory_bytes())?;
         let spec = playback.spec().clone();
         let from = StartFrom::Recording(playback);
-        self.start(&mut state, name, spec, memory_bytes, from, answer)
+        self.start(&mut state, name, spec, memory_bytes, from, reply_to)
     }
 
     fn start(
@@ -225,7 +225,7 @@ impl SwarmRegistry {
         spec: Spec,
         memory_bytes: u64,
         from: StartFrom,
-        answer: impl FnOnce() -> ReplyTo,
+        reply_to: impl FnOnce() -> ReplyTo,
     ) -> Result<(), RegistryError> {
         let (messages, taken) = sync_channel(MAX_MESSAGES);
         let handle = Handle {
@@ -236,11 +236,12 @@ impl SwarmRegistry {
             messages: Arc::new(messages),
             cores: self.cores.clone(),
             summary: Arc::default(),
+            progress: Arc::default(),
         };
-        let (registry, swarm, answer) = (self.clone(), handle.clone(), answer());
+        let (registry, swarm, reply_to) = (self.clone(), handle.clone(), reply_to());
         let thread = thread::Builder::new()
             .name(format!("swarm-{name}"))
-            .spawn(move || registry.run(&swarm, taken, from, answer))
+            .spawn(move || registry.run(&swarm, taken, from, reply_to))
             .map_err(|error| RegistryError::NoThread(error.to_string()))?;
         state.memory_bytes += memory_bytes;
         state.swarms.insert(
@@ -360,21 +361,21 @@ impl SwarmRegistry {
         handle: &Handle,
         taken: Receiver<Message>,
         from: StartFrom,
-        answer: ReplyTo,
+        reply_to: ReplyTo,
     ) {
         let name = &handle.output.name;
         // Without the right to it, the thread keeps its priority.
         let _ = scheduler::lower_priority();
         let end = match self.build(handle, from) {
             Ok(Ok(((stamp, frame), runner))) => {
-                let reply = DeferredReply::new(answer, Ok((stamp, Outcome::State(frame))));
+                let reply = DeferredReply::new(reply_to, Ok((stamp, Outcome::State(frame))));
                 self.observer.started(name, reply);
                 runner.run(&taken)
             }
             Ok(Err(end)) => end,
             Err(error) => {
                 let answered = Err(Rejection { step: None, error });
-                End::Deleted(DeferredReply::new(answer, answered))
+                End::Deleted(DeferredReply::new(reply_to, answered))
             }
         };
         // From here on a sender gets `SwarmError::Gone`.
@@ -410,7 +411,7 @@ impl SwarmRegistry {
                 if let Err(fault) = worker.resume(reserve) {
                     warn!(swarm = name, %fault, "failed to journal the restart");
                 }
-                return Ok(Ok((worker.look(), Box::new(worker))));
+                return Ok(Ok((worker.stamp_and_frame(), Box::new(worker))));
             }
             StartFrom::Recording(playback) => {
                 return playback.start(handle, min_interval).map(Ok);
@@ -420,10 +421,10 @@ impl SwarmRegistry {
         let ignored = &|_: &_| ReplyTo::ignored();
         let mut worker = Worker::restore(checkpoint, handle, min_interval, writer, ignored);
         worker.publish_created();
-        let (stamp, frame) = worker.look();
+        let (stamp, frame) = worker.stamp_and_frame();
         let persisted = persist.persist(&worker.checkpoint(), &stamp, &frame);
         persisted.map_err(SwarmError::NotDurable)?;
-        Ok(Ok((worker.look(), Box::new(worker))))
+        Ok(Ok((worker.stamp_and_frame(), Box::new(worker))))
     }
 
     /// Locks the state to add a swarm.

@@ -6,7 +6,7 @@ use jostle_physics::model::{self, Configuration, MODEL_VERSION, State, WarmConta
 use jostle_physics::observables::RunningMeans;
 use jostle_physics::simulation::{Checkpoint, Exactness, Spec};
 use jostle_proto::snapshot::{
-    Doing, Drive, Lapse, SNAPSHOT_VERSION, SnapshotParameters, SolverMemory, Sums,
+    Drive, Lapse, SNAPSHOT_VERSION, SnapshotParameters, SnapshotPhase, SolverMemory, Sums,
 };
 use jostle_proto::{self as proto, LARGEST_WHOLE, Lenient};
 use thiserror::Error;
@@ -51,7 +51,7 @@ pub fn hexadecimal(hash: &[u8; 32]) -> String {
 
 /// Returns the snapshot of a simulation, with the rate of its spec. The fields for schedule,
 /// controllers, journal and annotations, which only a daemon has, are empty.
-pub fn to_proto(swarm: &str, checkpoint: &Checkpoint, doing: Doing) -> proto::Snapshot {
+pub fn to_proto(swarm: &str, checkpoint: &Checkpoint, doing: SnapshotPhase) -> proto::Snapshot {
     let Checkpoint {
         spec,
         state,

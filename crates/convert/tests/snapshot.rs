@@ -4,7 +4,7 @@
 use jostle_convert::{SnapshotError, snapshot};
 use jostle_physics::model::selection::Selection;
 use jostle_physics::simulation::{Change, Simulation, Spec};
-use jostle_proto::snapshot::Doing;
+use jostle_proto::snapshot::SnapshotPhase;
 use jostle_proto::{Reply, Snapshot};
 
 fn recorded() -> Snapshot {
@@ -18,7 +18,7 @@ fn a_snapshot_is_read_and_written_as_it_was() {
     let snapshot = recorded();
     let checkpoint = snapshot::from_proto(&snapshot).unwrap();
     snapshot::check(&checkpoint).unwrap();
-    let doing = Doing::Running { until: Some(9) };
+    let doing = SnapshotPhase::Running { until: Some(9) };
     let written = snapshot::to_proto(&snapshot.swarm, &checkpoint, doing.clone());
     let expected = Snapshot {
         doing,
@@ -47,7 +47,7 @@ fn a_simulation_goes_on_from_its_snapshot_with_the_same_hashes() {
         simulation.step().unwrap();
     };
     (0..50).for_each(|_| step(&mut simulation));
-    let paused = Doing::Paused {
+    let paused = SnapshotPhase::Paused {
         reason: "command".into(),
     };
     let message = snapshot::to_proto("school", &simulation.checkpoint(), paused);

@@ -3,7 +3,7 @@
 use jostle_physics::model::body::{Body, near_pairs};
 use jostle_physics::model::{CELL, Configuration, State};
 use jostle_physics::stepper::{StepReport, Stepper};
-use jostle_results::touch::Touch;
+use jostle_results::contact_statistics::ContactStatistics;
 use serde::{Deserialize, Serialize};
 
 /// The largest gap of two bodies that count as side by side, in body sizes.
@@ -15,9 +15,9 @@ const PARALLEL: f64 = 0.25;
 /// Time units between two counts of bodies side by side.
 const EVERY: f64 = 1.0;
 
-/// Sums over a run from which [`Touch`] is computed; a checkpoint contains them.
+/// Sums over a run from which [`ContactStatistics`] is computed; a checkpoint contains them.
 #[derive(Clone, Deserialize, Serialize)]
-pub struct Meter {
+pub struct ContactMeter {
     /// Centroid at the start.
     from: [f64; 2],
     steps: u64,
@@ -34,7 +34,7 @@ pub struct Meter {
     beside: u64,
 }
 
-impl Meter {
+impl ContactMeter {
     /// Starts at the first state of a run.
     pub fn new(state: &State) -> Self {
         Self {
@@ -72,12 +72,12 @@ impl Meter {
     }
 
     /// Returns the row of the run named `run`; none if it has no step.
-    pub fn conclude(self, run: &str, contacts: &str, state: &State) -> Option<Touch> {
+    pub fn finish(self, run: &str, contacts: &str, state: &State) -> Option<ContactStatistics> {
         let (parameters, n) = (&state.parameters, state.configuration.n());
         let to = centroid(&state.configuration);
         let way = [to[0] - self.from[0], to[1] - self.from[1]];
         let share = |part: f64, whole: u64| if whole > 0 { part / whole as f64 } else { 0.0 };
-        (self.steps > 0).then(|| Touch {
+        (self.steps > 0).then(|| ContactStatistics {
             run: run.to_owned(),
             n: n as u64,
             pi1: parameters.pi1,
@@ -130,17 +130,17 @@ fn beside(state: &State) -> u64 {
 mod tests {
     use super::*;
 
-    fn run(poses: &[[f64; 3]], steps: u64) -> Touch {
+    fn run(poses: &[[f64; 3]], steps: u64) -> ContactStatistics {
         let mut state = State::default();
         for [x, y, alpha] in poses {
             state.configuration.push(*x, *y, *alpha);
         }
-        let (mut meter, mut stepper) = (Meter::new(&state), Stepper::new());
+        let (mut meter, mut stepper) = (ContactMeter::new(&state), Stepper::new());
         for _ in 0..steps {
             let report = stepper.step(&mut state).unwrap();
             meter.add(&stepper, &report, &state);
         }
-        meter.conclude("a", "endpoints", &state).unwrap()
+        meter.finish("a", "endpoints", &state).unwrap()
     }
 
     #[test]
@@ -170,7 +170,10 @@ mod tests {
         let touch = run(&[[7.0, -9.0, libm::atan2(4.0, 3.0)]], 250);
         assert!((touch.way - 1.0).abs() < 1e-12, "{touch:?}");
         let state = State::default();
-        assert_eq!(Meter::new(&state).conclude("a", "endpoints", &state), None);
+        assert_eq!(
+            ContactMeter::new(&state).finish("a", "endpoints", &state),
+            None
+        );
     }
 
     #[test]

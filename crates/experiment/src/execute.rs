@@ -8,10 +8,10 @@ use std::time::{Duration, Instant};
 
 use thiserror::Error;
 
-use crate::control::{Control, Watch};
 use crate::folder::{Checkpoints, Folder, FolderError};
 use crate::plan::Plan;
-use crate::run::{Finished, conduct_from};
+use crate::progress::{ExecutionControl, RunHandle};
+use crate::run::{FinishedRun, execute_run_from};
 use crate::subset::Subset;
 
 /// Nice value of an experiment's threads, so that live swarms have priority.
@@ -75,7 +75,7 @@ pub struct Execution<'a> {
 pub fn execute(
     execution: Execution<'_>,
     folder: &mut Folder,
-    control: &Control,
+    control: &ExecutionControl,
 ) -> Result<Outcome, ExecuteError> {
     let Execution {
         plan,
@@ -105,9 +105,11 @@ pub fn execute(
         while let Some(&index) = left.get(next.fetch_add(1, Ordering::Relaxed)) {
             let run = &runs[index];
             let steps = plan.point(run).steps;
-            let watch = control.begin_run(index, &run.name, steps, cost(index));
-            let result = match watch.go_on(0) {
-                true => execute_run(execution, index, &checkpoints, &watch, &unwritten),
+            let handle = control.begin_run(index, &run.name, steps, cost(index));
+            let result = match handle.report_steps(0) {
+                true => {
+                    execute_with_checkpoints(execution, index, &checkpoints, &handle, &unwritten)
+                }
                 false => Ok(None),
             };
             let result = match result {
@@ -172,17 +174,17 @@ pub fn execute(
 }
 
 /// A run that ended, with its index in the plan, or the error of reading its checkpoint.
-type Executed = Result<(usize, Finished), FolderError>;
+type Executed = Result<(usize, FinishedRun), FolderError>;
 
 /// Executes a run from its last checkpoint. The result is none if the execution was cancelled. The
 /// last error of writing a checkpoint is stored in `unwritten`, and the run goes on.
-fn execute_run(
+fn execute_with_checkpoints(
     execution: Execution<'_>,
     index: usize,
     checkpoints: &Checkpoints,
-    watch: &Watch<'_>,
+    handle: &RunHandle<'_>,
     unwritten: &Mutex<Option<FolderError>>,
-) -> Result<Option<Finished>, FolderError> {
+) -> Result<Option<FinishedRun>, FolderError> {
     let Execution {
         plan,
         checkpoint_every,
@@ -190,19 +192,19 @@ fn execute_run(
     } = execution;
     let checkpoint = checkpoints.read(index)?;
     let mut last = Instant::now();
-    Ok(conduct_from(
+    Ok(execute_run_from(
         plan,
         &plan.runs()[index],
         checkpoint,
         |current| {
-            let goes_on = watch.go_on(current.steps());
-            if checkpoint_every.is_some_and(|every| !goes_on || last.elapsed() >= every) {
+            let continues = handle.report_steps(current.steps());
+            if checkpoint_every.is_some_and(|every| !continues || last.elapsed() >= every) {
                 if let Err(error) = checkpoints.write(index, &current.checkpoint()) {
                     *unwritten.lock().unwrap_or_else(PoisonError::into_inner) = Some(error);
                 }
                 last = Instant::now();
             }
-            goes_on
+            continues
         },
     ))
 }
@@ -237,6 +239,7 @@ mod tests {
     use std::path::Path;
 
     use super::*;
+    use crate::progress::Progress;
 
     const FILE: &str = "name = \"a\"\nreplicates = 3\nduration = 20\n[[grid]]\npi1 = [1, 4]\n\
                         n = [3, 15]\n";
@@ -245,7 +248,12 @@ mod tests {
         fs::read(folder.join("results.csv")).unwrap()
     }
 
-    fn execute_all(plan: &Plan, folder: &mut Folder, threads: usize, control: &Control) -> Outcome {
+    fn execute_all(
+        plan: &Plan,
+        folder: &mut Folder,
+        threads: usize,
+        control: &ExecutionControl,
+    ) -> Outcome {
         let execution = Execution {
             plan,
             subset: &Subset::all(plan),
@@ -259,7 +267,7 @@ mod tests {
     fn executed(plan: &Plan, threads: usize) -> Vec<u8> {
         let directory = tempfile::tempdir().unwrap();
         let mut folder = Folder::open(directory.path(), plan).unwrap();
-        let control = Control::new();
+        let control = ExecutionControl::new();
         let outcome = execute_all(plan, &mut folder, threads, &control);
         assert_eq!((outcome.runs, outcome.finished), (12, 12));
         assert!(outcome.faults.is_empty() && !outcome.is_cancelled);
@@ -294,9 +302,9 @@ mod tests {
         let plan = Plan::parse(FILE).unwrap();
         let directory = tempfile::tempdir().unwrap();
         let mut folder = Folder::open(directory.path(), &plan).unwrap();
-        let control = Control::new();
+        let control = ExecutionControl::new();
         control.pause();
-        let outcome = thread::scope(|scope| {
+        let (outcome, paused, later) = thread::scope(|scope| {
             let (plan, folder, control) = (&plan, &mut folder, &control);
             let executing = scope.spawn(move || execute_all(plan, folder, 2, control));
             // Paused before the execution started: no run takes a step.
@@ -306,26 +314,29 @@ mod tests {
             control.resume();
             wait_until("a finished run", || control.progress().finished > 0);
             control.pause();
-            thread::sleep(Duration::from_millis(20));
             let paused = control.progress();
             thread::sleep(Duration::from_millis(50));
             let later = control.progress();
-            assert_eq!(
-                (later.share, later.elapsed_secs),
-                (paused.share, paused.elapsed_secs)
-            );
-            assert!(later.share > 0.0 && later.share < 1.0);
+            // A failed assertion in here would wait for the paused threads.
             control.cancel();
             control.resume();
-            executing.join().unwrap()
+            (executing.join().unwrap(), paused, later)
         });
+        assert_eq!(later.elapsed_secs, paused.elapsed_secs);
+        // Each of the two threads ends the step that it was in. A run has 1000 steps.
+        let steps = |it: &Progress| {
+            let current: f64 = it.running.iter().map(|(_, share)| share).sum();
+            1000.0 * (it.finished as f64 + current)
+        };
+        assert!(steps(&later) - steps(&paused) < 2.5, "{paused:?} {later:?}");
+        assert!(later.share > 0.0 && later.share < 1.0);
         assert!(control.is_cancelled() && outcome.is_cancelled);
         assert!((1..12).contains(&outcome.finished), "{outcome:?}");
         let part = table(directory.path());
         let rows = part.iter().filter(|&&byte| byte == b'\n').count() - 1;
         assert_eq!(rows, outcome.finished);
 
-        let control = Control::new();
+        let control = ExecutionControl::new();
         let outcome = execute_all(&plan, &mut folder, 1, &control);
         assert_eq!((outcome.finished, outcome.is_cancelled), (12, false));
         assert_eq!(table(directory.path()), executed(&plan, 1));
@@ -339,7 +350,7 @@ mod tests {
         let plan = Plan::parse(text).unwrap();
         let directory = tempfile::tempdir().unwrap();
         let mut folder = Folder::open(directory.path(), &plan).unwrap();
-        let control = Control::new();
+        let control = ExecutionControl::new();
         let outcome = execute_all(&plan, &mut folder, 2, &control);
         assert!(!outcome.faults.is_empty(), "no run ended early");
         assert_eq!(control.progress().faulted, outcome.faults.len());

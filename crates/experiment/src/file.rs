@@ -49,6 +49,17 @@ pub struct Measure {
     pub touch: bool,
 }
 
+/// An error of the parser, with a remedy instead of the names of types.
+pub fn in_words(message: &str) -> String {
+    match message.split_once(", expected ") {
+        Some((found, "u64" | "usize" | "u32")) => {
+            format!("{found}: give a whole number, 0 or more")
+        }
+        Some((found, "f64")) => format!("{found}: give a number"),
+        _ => message.to_owned(),
+    }
+}
+
 /// The text of a file; errors get their line from it.
 #[derive(Clone, Copy)]
 pub struct Source<'a>(pub &'a str);
@@ -62,7 +73,12 @@ impl Source<'_> {
     pub fn read(self) -> Result<File, PlanError> {
         toml::from_str(self.0).map_err(|error| {
             let span = error.span().unwrap_or_default();
-            self.reject(&span, error.message())
+            // No other field is a list of tables.
+            let reason = match error.message().contains("map, expected a sequence") {
+                true => "[grid] is one of several tables: write [[grid]]".to_owned(),
+                false => in_words(error.message()),
+            };
+            self.reject(&span, reason)
         })
     }
 

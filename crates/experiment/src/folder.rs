@@ -19,9 +19,9 @@ use std::path::{Path, PathBuf};
 
 use jostle_physics::model::MODEL_VERSION;
 use jostle_results::ResultRow;
+use jostle_results::contact_statistics::{self, CONTACT_STATISTICS_NAME};
 use jostle_results::table::order::ORDER_NAME;
 use jostle_results::table::{self, CSV_NAME, OrderSeries, OrderWriter, PARQUET_NAME};
-use jostle_results::touch::{self, TOUCH_NAME};
 use rustix::fs::{FlockOperation, flock};
 use rustix::io::Errno;
 
@@ -34,7 +34,7 @@ use self::list::{
 };
 pub use self::part::{Part, parts_in};
 use crate::plan::Plan;
-use crate::run::Finished;
+use crate::run::FinishedRun;
 use crate::subset::Subset;
 
 mod checkpoints;
@@ -173,7 +173,7 @@ impl Folder {
     pub fn append(
         &mut self,
         plan: &Plan,
-        batch: Vec<(usize, Finished)>,
+        batch: Vec<(usize, FinishedRun)>,
     ) -> Result<(), FolderError> {
         let mut lines = Vec::new();
         let mut entries = Vec::with_capacity(batch.len());
@@ -283,7 +283,10 @@ impl Folder {
         if plan.touch {
             let entries = self.finished.values();
             let rows = entries.filter_map(|entry| entry.record.touch.clone());
-            touch::write(&self.path.join(TOUCH_NAME), &rows.collect::<Vec<_>>())?;
+            contact_statistics::write(
+                &self.path.join(CONTACT_STATISTICS_NAME),
+                &rows.collect::<Vec<_>>(),
+            )?;
         }
         if plan.order_every.is_none() {
             return Ok(());

@@ -7,7 +7,7 @@ use jostle_proto::Spec;
 use toml::{Spanned, Value};
 
 use crate::error::PlanError;
-use crate::file::{Source, Table};
+use crate::file::{Source, Table, in_words};
 
 /// The axes that a `[[grid]]` may vary, in the order in which the names of runs contain them.
 pub const AXES: [&str; 13] = [
@@ -158,7 +158,7 @@ fn check(source: Source<'_>, key: &str, value: &Spanned<Value>) -> Result<(), Pl
     table.insert(key.to_owned(), value.get_ref().clone());
     match table.try_into::<Spec>() {
         Ok(_) => Ok(()),
-        Err(error) => reject(format!("{key}: {}", error.message())),
+        Err(error) => reject(format!("{key}: {}", in_words(error.message()))),
     }
 }
 
@@ -212,7 +212,7 @@ impl Grid {
             return Err(source.reject(&self.span, reason));
         }
         let spec: Spec = table.try_into().map_err(|error: toml::de::Error| {
-            source.reject(&self.span, error.message().to_owned())
+            source.reject(&self.span, in_words(error.message()))
         })?;
         let informed = match given {
             Some((axis, value)) => count_informed(&spec, axis, value.get_ref())

@@ -2,10 +2,9 @@
 //!
 //! [`Plan::parse`] parses and checks an experiment's file. A [`Folder`] contains the results.
 //! [`execute`] executes the unfinished runs, while other threads read its progress and pause or
-//! cancel it through a [`Control`]. No daemon is needed.
+//! cancel it through an [`ExecutionControl`]. No daemon is needed.
 
 mod contact_events;
-mod control;
 mod error;
 mod execute;
 mod file;
@@ -14,11 +13,11 @@ mod grid;
 mod limits;
 mod merge;
 mod plan;
+mod progress;
 mod run;
 pub mod shell;
 mod subset;
 
-pub use control::{Control, Progress};
 pub use error::PlanError;
 pub use execute::{ExecuteError, Execution, Outcome, execute};
 pub use folder::{Folder, FolderError, unfinished};
@@ -27,5 +26,6 @@ pub use jostle_physics::model::MODEL_VERSION;
 pub use limits::{MAX_ENTRIES, MAX_INDIVIDUALS, MAX_RUNS, MAX_STEPS};
 pub use merge::{Difference, MergeError, Parts, missing};
 pub use plan::{Plan, PlannedRun, Point};
-pub use run::{Finished, conduct, start};
+pub use progress::{ExecutionControl, Progress};
+pub use run::{FinishedRun, execute_run, start};
 pub use subset::{Subset, SubsetError};

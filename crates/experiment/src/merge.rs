@@ -14,7 +14,7 @@ use thiserror::Error;
 use crate::error::PlanError;
 use crate::folder::{EXPERIMENT, Folder, FolderError, Part, parts_in, unfinished};
 use crate::plan::Plan;
-use crate::run::{Finished, conduct};
+use crate::run::{FinishedRun, execute_run};
 use crate::subset::Subset;
 
 /// How many runs or folders an error names.
@@ -300,8 +300,8 @@ impl Parts {
         let run = &self.plan.runs()[index];
         let part = &self.parts[self.part_of[index]];
         let theirs = part.result(&self.plan, index)?;
-        let ours = conduct(&self.plan, run, |_| true).unwrap_or_default();
-        let hash = |result: Finished| result.row.map_or_else(String::new, |row| row.state_hash);
+        let ours = execute_run(&self.plan, run, |_| true).unwrap_or_default();
+        let hash = |result: FinishedRun| result.row.map_or_else(String::new, |row| row.state_hash);
         Ok((ours != theirs).then(|| Difference {
             run: run.name.clone(),
             folder: part.path().to_owned(),

@@ -70,7 +70,11 @@ impl Plan {
         let file = source.read()?;
         let name = file.name.get_ref();
         if !keys::is_name(name) {
-            let reason = format!("name = {name:?} does not fit {}", keys::NAME_RULE);
+            let reason = format!(
+                "invalid name = {name:?}: use 1 to {} lowercase letters, digits, '-' and '_', the \
+                 first a letter or digit",
+                keys::MAX_NAME_LENGTH
+            );
             return Err(source.reject(&file.name.span(), reason));
         }
         let seed = source.whole("seed", file.seed.as_ref(), 0, [0, LARGEST_WHOLE])?;
@@ -376,6 +380,11 @@ mod tests {
             ("replicates = -1\n", 3, "-1"),
             ("seed = 9007199254740992\n", 3, "seed = 9007199254740992"),
             ("[spec\n", 3, ""),
+            ("[spec]\nn = 10.5\n", 4, "10.5`: give a whole number"),
+            ("[[grid]]\nn = [10.5]\n", 4, "10.5`: give a whole number"),
+            ("replicates = 1.5\n", 3, "1.5`: give a whole number"),
+            ("[spec]\nn = 3\npi1 = \"4\"\n", 5, "\"4\": give a number"),
+            ("[grid]\nn = [3]\n", 3, "write [[grid]]"),
             ("[[grid]]\npi1 = 3\n", 4, "n is given neither"),
             ("[[grid]]\nn = 3\ninformed = 4\n", 5, "more than n = 3"),
             ("[[grid]]\nn = 3\ninformed = -1\n", 5, "informed"),
@@ -407,6 +416,13 @@ mod tests {
                 Err(PlanError::Field { line: 1, .. })
             ));
         }
+        let unnamed = Plan::parse("name = \"\"\nduration = 1").unwrap_err();
+        let unnamed = unnamed.to_string();
+        assert!(
+            unnamed.contains("use 1 to 64 lowercase letters"),
+            "{unnamed}"
+        );
+        assert!(!unnamed.contains('^'), "{unnamed}");
         for duration in ["0", "-1", "nan", "inf"] {
             let text = format!("name = \"a\"\nduration = {duration}\nspec = {{ n = 3 }}");
             assert!(matches!(

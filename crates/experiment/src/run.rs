@@ -5,12 +5,12 @@ use jostle_physics::model::State;
 use jostle_physics::model::selection::{Candidates, Selection, select};
 use jostle_physics::simulation::{self, ChangeError, Checkpoint, Exactness};
 use jostle_physics::stepper::Stepper;
-use jostle_proto::snapshot::Doing;
+use jostle_proto::snapshot::SnapshotPhase;
 use jostle_results::ResultRow;
+use jostle_results::contact_statistics::ContactStatistics;
 use jostle_results::table::OrderSeries;
-use jostle_results::touch::Touch;
 
-use crate::contact_events::Meter;
+use crate::contact_events::ContactMeter;
 use crate::plan::{Plan, PlannedRun};
 
 pub use self::checkpoint::RunCheckpoint;
@@ -29,7 +29,7 @@ const DIRECTION: f64 = 0.0;
 
 /// The result of a run.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Finished {
+pub struct FinishedRun {
     /// The row of the run; none if it ended before its first step.
     pub row: Option<ResultRow>,
     /// Why the run ended early, if it did.
@@ -37,7 +37,7 @@ pub struct Finished {
     /// The order over time, if the plan has `order_every`.
     pub series: Option<OrderSeries>,
     /// The measurements of contacts, if the plan has `touch`.
-    pub touch: Option<Touch>,
+    pub touch: Option<ContactStatistics>,
 }
 
 /// A run between two steps.
@@ -47,29 +47,29 @@ pub struct CurrentRun<'a> {
     state: State,
     stepper: Stepper,
     measures: Measures,
-    meter: Option<Meter>,
+    meter: Option<ContactMeter>,
 }
 
 /// Executes one run. The result depends only on the plan and the run.
 ///
-/// After every step `go_on` is called with the number of steps taken. If it returns false, the run
+/// After every step `on_step` is called with the number of steps taken. If it returns false, the run
 /// stops and the result is none.
-pub fn conduct(
+pub fn execute_run(
     plan: &Plan,
     run: &PlannedRun,
-    mut go_on: impl FnMut(u64) -> bool,
-) -> Option<Finished> {
-    conduct_from(plan, run, None, |current| go_on(current.steps()))
+    mut on_step: impl FnMut(u64) -> bool,
+) -> Option<FinishedRun> {
+    execute_run_from(plan, run, None, |current| on_step(current.steps()))
 }
 
-/// As [`conduct`], from a checkpoint of the run if there is one, with the same result as from the
+/// As [`execute_run`], from a checkpoint of the run if there is one, with the same result as from the
 /// start.
-pub fn conduct_from(
+pub fn execute_run_from(
     plan: &Plan,
     run: &PlannedRun,
     checkpoint: Option<RunCheckpoint>,
-    mut go_on: impl FnMut(&CurrentRun<'_>) -> bool,
-) -> Option<Finished> {
+    mut on_step: impl FnMut(&CurrentRun<'_>) -> bool,
+) -> Option<FinishedRun> {
     let resumed = checkpoint.and_then(|checkpoint| CurrentRun::resume(plan, run, checkpoint));
     let current = match resumed {
         Some(current) => Ok(current),
@@ -78,9 +78,9 @@ pub fn conduct_from(
     let mut current = match current {
         Ok(current) => current,
         Err(error) => {
-            return Some(Finished {
+            return Some(FinishedRun {
                 fault: Some(error.to_string()),
-                ..Finished::default()
+                ..FinishedRun::default()
             });
         }
     };
@@ -91,11 +91,11 @@ pub fn conduct_from(
             fault = Some(reason);
             break;
         }
-        if !go_on(&current) {
+        if !on_step(&current) {
             return None;
         }
     }
-    Some(current.conclude(fault))
+    Some(current.finish(fault))
 }
 
 impl<'a> CurrentRun<'a> {
@@ -105,7 +105,7 @@ impl<'a> CurrentRun<'a> {
             plan,
             run,
             measures: Measures::new(plan, &state),
-            meter: plan.touch.then(|| Meter::new(&state)),
+            meter: plan.touch.then(|| ContactMeter::new(&state)),
             state,
             stepper: Stepper::new(),
         })
@@ -123,7 +123,7 @@ impl<'a> CurrentRun<'a> {
             means: self.measures.means,
             exactness: Exactness::default(),
         };
-        let doing = Doing::Paused {
+        let doing = SnapshotPhase::Paused {
             reason: String::new(),
         };
         RunCheckpoint {
@@ -171,12 +171,12 @@ impl<'a> CurrentRun<'a> {
         Ok(())
     }
 
-    fn conclude(self, fault: Option<String>) -> Finished {
-        let (row, series) = self.measures.conclude(self.plan, self.run, &self.state);
+    fn finish(self, fault: Option<String>) -> FinishedRun {
+        let (row, series) = self.measures.finish(self.plan, self.run, &self.state);
         let touch = row.as_ref().zip(self.meter);
-        let touch = touch
-            .and_then(|(row, meter)| meter.conclude(&self.run.name, &row.contacts, &self.state));
-        Finished {
+        let touch =
+            touch.and_then(|(row, meter)| meter.finish(&self.run.name, &row.contacts, &self.state));
+        FinishedRun {
             row,
             fault,
             series,
@@ -224,17 +224,17 @@ mod tests {
         Plan::parse(&format!("name = \"a\"\n{rest}")).unwrap()
     }
 
-    fn finish(plan: &Plan) -> Finished {
-        conduct(plan, &plan.runs()[0], |_| true).unwrap()
+    fn finished_run(plan: &Plan) -> FinishedRun {
+        execute_run(plan, &plan.runs()[0], |_| true).unwrap()
     }
 
     #[test]
     fn a_single_uninformed_individual_has_order_1_and_no_overlap() {
         let plan =
             plan("duration = 20\nspec = { n = 1, dt = 0.01 }\nmeasure = { order_every = 500 }");
-        let Finished {
+        let FinishedRun {
             row, fault, series, ..
-        } = finish(&plan);
+        } = finished_run(&plan);
         let row = row.unwrap();
         assert_eq!((fault, row.steps, row.time), (None, 2000, 20.0));
         assert!((row.number(Measure::V) - 1.0).abs() < 1e-12);
@@ -271,7 +271,7 @@ mod tests {
         let start = "start = { kind = \"given\", x = [0], y = [0], alpha = [2] }";
         let text =
             format!("duration = 10\n[spec]\nn = 1\ndt = 0.0005\n{start}\n[[grid]]\ninformed = 1");
-        let row = finish(&plan(&text)).row.unwrap();
+        let row = finished_run(&plan(&text)).row.unwrap();
         assert_eq!(
             ResultRow::from_cells(row.cells()),
             Some(row.clone()),
@@ -293,7 +293,7 @@ mod tests {
         ] {
             let text = format!("duration = 8\n[spec]\nn = 15\n{settings}\n[[grid]]\ninformed = 4");
             let plan = plan(&text);
-            let row = finish(&plan).row.unwrap();
+            let row = finished_run(&plan).row.unwrap();
             let spec = plan.spec(&plan.runs()[0]);
             let mut swarm = Simulation::new(&spec).unwrap();
             swarm.seq = 1;
@@ -327,7 +327,7 @@ mod tests {
     fn a_stopped_run_has_no_result() {
         let plan = plan("duration = 8\nspec = { n = 3 }");
         let mut calls = Vec::new();
-        let stopped = conduct(&plan, &plan.runs()[0], |steps| {
+        let stopped = execute_run(&plan, &plan.runs()[0], |steps| {
             calls.push(steps);
             steps < 3
         });
@@ -344,7 +344,10 @@ mod tests {
                  start = {{ kind = \"disc\", radius = {radius} }}"
             );
             let plan = Plan::parse(&text).ok()?;
-            let finished = plan.runs().iter().map(|run| conduct(&plan, run, |_| false));
+            let finished = plan
+                .runs()
+                .iter()
+                .map(|run| execute_run(&plan, run, |_| false));
             finished.flatten().next()
         });
         let finished = crowded.unwrap();

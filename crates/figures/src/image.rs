@@ -92,7 +92,7 @@ mod tests {
     use crate::svg::{Anchor, Canvas, INK};
 
     #[test]
-    fn the_extension_selects_the_format_and_others_are_refused() {
+    fn the_extension_selects_the_format_and_others_are_rejected() {
         let directory = tempfile::tempdir().unwrap();
         let picture = Canvas::new(40.0, 30.0).finish();
         let path = directory.path().join("a.svg");

@@ -4,12 +4,12 @@
 //! of a row.
 
 pub mod claims;
+pub mod contact_statistics;
 pub mod disorder;
 pub mod recording;
 #[cfg(test)]
 mod samples;
 pub mod statistics;
 pub mod table;
-pub mod touch;
 
 pub use jostle_proto::{COLUMNS, Cell, CellKind, Column, Measure, ResultRow};

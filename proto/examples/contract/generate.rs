@@ -85,11 +85,14 @@ fn with_tables(readme: &str) -> String {
 /// The table of keys.
 fn keys() -> String {
     let mut table =
-        "| key below the prefix | how | message | what |\n|---|---|---|---|\n".to_owned();
+        "| key below the prefix | use | messages | meaning and parameters |\n|---|---|---|---|\n"
+            .to_owned();
     for channel in CHANNELS {
         let (how, message) = match channel.kind {
             ChannelKind::Published(message) => ("published", format!("`{message}`")),
-            ChannelKind::Kept(message) => ("published; query", format!("`{message}`")),
+            ChannelKind::PublishedAndQueried(message) => {
+                ("published; query", format!("`{message}`"))
+            }
             ChannelKind::Token => ("liveliness token", String::new()),
             ChannelKind::Put(message) => ("put by a client", format!("`{message}`")),
             ChannelKind::ClientToken => ("a client's liveliness token", String::new()),

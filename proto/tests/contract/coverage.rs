@@ -1,5 +1,5 @@
-//! The fixtures leave nothing out: every variant, every constant and every field of every schema
-//! stands in one of them.
+//! The fixtures are complete: every variant, every constant and every field of every schema
+//! is in one of them.
 
 use std::collections::BTreeSet;
 
@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 
 use crate::generate::fixtures;
 
-/// A schema, and what has been seen of it.
+/// A schema, and the parts of it that fixtures have.
 struct Walk<'a> {
     message: &'a str,
     definitions: &'a Value,
@@ -24,12 +24,12 @@ impl<'a> Walk<'a> {
         }
     }
 
-    /// The schema that is meant and what it is called. A type is the same thing wherever it is
-    /// used, but what is asked for may differ from what is told.
+    /// The schema behind a reference, and its name. A type is the same wherever it is
+    /// used, but may differ between requests and messages of the daemon.
     fn resolve(&self, schema: &'a Value, place: &str) -> (&'a Value, String) {
         let direction = match self.message.ends_with(".args") {
-            true => "asked",
-            false => "told",
+            true => "request",
+            false => "message",
         };
         match (schema["$ref"].as_str(), schema["title"].as_str()) {
             (Some(name), _) => {
@@ -41,7 +41,7 @@ impl<'a> Walk<'a> {
         }
     }
 
-    /// Everything there is to see.
+    /// Collects every part of a schema.
     fn all(&mut self, schema: &'a Value, place: &str) {
         let (schema, place) = self.resolve(schema, place);
         for (i, variant) in variants(schema).enumerate() {
@@ -63,7 +63,7 @@ impl<'a> Walk<'a> {
         }
     }
 
-    /// What there is to see in `value`.
+    /// Collects the parts of the schema that `value` has.
     fn one(&mut self, schema: &'a Value, place: &str, value: &Value) {
         let (schema, place) = self.resolve(schema, place);
         for (i, variant) in variants(schema).enumerate() {
@@ -110,7 +110,7 @@ impl<'a> Walk<'a> {
     }
 }
 
-/// The variants of an enum; that something may be `null` is none.
+/// The variants of an enum; `null` is not a variant.
 fn variants(schema: &Value) -> impl Iterator<Item = &Value> {
     let variants = ["oneOf", "anyOf"].into_iter();
     variants
@@ -118,7 +118,7 @@ fn variants(schema: &Value) -> impl Iterator<Item = &Value> {
         .filter(|variant| variant["type"] != "null")
 }
 
-/// A variant by its constant or its only field, or by its number.
+/// The name of a variant: its constant or its only field, or its number.
 fn name_of(variant: &Value, number: usize) -> String {
     let properties = variant["properties"].as_object();
     let mut constants = properties.into_iter().flatten().map(|(_, it)| &it["const"]);

@@ -1,5 +1,5 @@
-//! Every fixture is a message: its type reads it and writes it back. That its schema takes it is
-//! shown where the AsyncAPI document is checked, whose examples they are.
+//! Every fixture is a message: its type reads it and writes it back. The check of the AsyncAPI
+//! document, whose examples they are, compares them with the schemas.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -12,8 +12,8 @@ use serde_json::{Value, json};
 use crate::generate::{fixtures, folder, message};
 use crate::types::written_back;
 
-/// Whether a client sends it.
-fn is_asked(message: &str) -> bool {
+/// Whether clients send this message.
+fn is_request(message: &str) -> bool {
     message == "request" || message.ends_with(".args")
 }
 
@@ -42,8 +42,8 @@ fn every_fixture_reads_into_its_type_and_nothing_is_dropped() {
     for (message, variant, text) in fixtures().unwrap() {
         let given: Value = serde_json::from_str(&text).unwrap();
         let back = written_back(message, &text).unwrap_or_else(|it| panic!("{variant}: {it}"));
-        if is_asked(message) {
-            // What was left out comes back as its default.
+        if is_request(message) {
+            // A field that is left out is written with its default.
             assert!(
                 holds(&back, &given),
                 "{message} {variant}: {given} came back as {back}"
@@ -56,7 +56,7 @@ fn every_fixture_reads_into_its_type_and_nothing_is_dropped() {
     }
 }
 
-/// Whether all of `part` is in `whole`; 4 and 4.0 are one number.
+/// Whether `whole` contains `part`; 4 and 4.0 are equal.
 fn holds(whole: &Value, part: &Value) -> bool {
     match (whole, part) {
         (Value::Object(whole), Value::Object(part)) => part
@@ -71,7 +71,7 @@ fn holds(whole: &Value, part: &Value) -> bool {
 }
 
 #[test]
-fn a_field_that_nobody_knows_is_refused_in_requests_and_tolerated_in_all_that_is_told() {
+fn an_unknown_field_is_rejected_in_requests_and_ignored_in_messages_of_the_daemon() {
     for (message, variant, text) in fixtures().unwrap() {
         let given: Value = serde_json::from_str(&text).unwrap();
         for place in objects(message, &given, String::new()) {
@@ -79,18 +79,18 @@ fn a_field_that_nobody_knows_is_refused_in_requests_and_tolerated_in_all_that_is
             let object = more.pointer_mut(&place).unwrap();
             object["from_the_future"] = json!({"is": ["tolerated"]});
             let read = written_back(message, &more.to_string());
-            let told = format!("{message} {variant} {place}: {read:?}");
-            if is_asked(message) {
-                assert!(read.is_err(), "{told}");
+            let context = format!("{message} {variant} {place}: {read:?}");
+            if is_request(message) {
+                assert!(read.is_err(), "{context}");
             } else {
-                assert_eq!(read.as_ref(), Ok(&given), "{told}");
+                assert_eq!(read.as_ref(), Ok(&given), "{context}");
             }
         }
     }
 }
 
 #[test]
-fn schemas_refuse_unknown_fields_exactly_where_types_do() {
+fn schemas_reject_unknown_fields_exactly_where_types_do() {
     for (message, schema) in schemas() {
         let schema = schema.to_value();
         let definitions = schema["$defs"].as_object().into_iter().flatten();
@@ -98,7 +98,7 @@ fn schemas_refuse_unknown_fields_exactly_where_types_do() {
         for part in all.flat_map(|it| variants(it).chain([it])) {
             let is_closed = part["additionalProperties"] == false;
             let has_fields = part["properties"].is_object();
-            if is_asked(message) {
+            if is_request(message) {
                 assert!(is_closed || !has_fields, "{message}: {part}");
             } else {
                 assert!(!is_closed, "{message}: {part}");
@@ -111,11 +111,11 @@ fn variants(schema: &Value) -> impl Iterator<Item = &Value> {
     schema["oneOf"].as_array().into_iter().flatten()
 }
 
-/// The places of all objects whose fields are the contract's: not of arguments as they came, of
+/// Pointers to all objects whose fields the contract defines: not those of unparsed arguments, of
 /// an error's details, of JSON Schemas, nor of values that may be anything.
 fn objects(message: &str, value: &Value, place: String) -> Vec<String> {
     let is_open = match place.rsplit('/').next() {
-        Some("args") => message == "request" || !is_asked(message),
+        Some("args") => message == "request" || !is_request(message),
         Some("details" | "schemas" | "default" | "value" | "choices") => true,
         _ => false,
     };

@@ -1,4 +1,4 @@
-//! What stands in `schema/`, `fixtures/`, `asyncapi.json` and `README.md` is true of the types.
+//! The types agree with `schema/`, `fixtures/`, `asyncapi.json` and `README.md`.
 
 #![expect(clippy::unwrap_used, reason = "tests")]
 

@@ -1,4 +1,4 @@
-//! What `README.md` says, as far as it can be read by a test. Its Rust is tested as documentation.
+//! Statements of `README.md` that a test can read. Its Rust is tested as documentation.
 
 use std::fs;
 

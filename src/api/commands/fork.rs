@@ -43,31 +43,36 @@ impl Context {
         {
             return Err(CommandError::NotReached { step, now });
         }
-        let copy = self.copy(name, PauseReason::Forked, &command);
+        let fork = self.swarm_from_checkpoint(name, PauseReason::Forked, &command);
         match step {
             Some(step) => {
                 let (store, swarm) = (self.store.clone(), swarm.clone());
                 let replay = move || match replay::replay_to(&store, &swarm, step) {
-                    Ok(checkpoint) => copy.make(checkpoint),
-                    Err(error) => copy.responder.reject(&error, None),
+                    Ok(checkpoint) => fork.create(checkpoint),
+                    Err(error) => fork.responder.reject(&error, None),
                 };
                 let thread = thread::Builder::new().name("fork".into());
                 thread.spawn(replay).map_err(|_| CommandError::Busy)?;
             }
             None => handle.send(Message::TakeCheckpoint(ReplyTo::new(
                 move |answered| match answered {
-                    Ok((_, Outcome::Checkpoint(checkpoint))) => copy.make(*checkpoint),
-                    Ok(_) => copy.responder.reject(&CommandError::Internal, None),
-                    Err(Rejection { step, error }) => copy.responder.reject(&error.into(), step),
+                    Ok((_, Outcome::Checkpoint(checkpoint))) => fork.create(*checkpoint),
+                    Ok(_) => fork.responder.reject(&CommandError::Internal, None),
+                    Err(Rejection { step, error }) => fork.responder.reject(&error.into(), step),
                 },
             ))),
         }
         Ok(())
     }
 
-    /// A copy of a swarm that `command` makes.
-    pub(super) fn copy(&self, name: String, reason: PauseReason, command: &Parsed<'_>) -> Copy {
-        Copy {
+    /// The swarm that `command` creates from a checkpoint.
+    pub(super) fn swarm_from_checkpoint(
+        &self,
+        name: String,
+        reason: PauseReason,
+        command: &Parsed<'_>,
+    ) -> SwarmFromCheckpoint {
+        SwarmFromCheckpoint {
             registry: self.registry.clone(),
             store: self.store.clone(),
             identity: command.identity(),
@@ -78,8 +83,8 @@ impl Context {
     }
 }
 
-/// A swarm that is to be made from a checkpoint.
-pub(super) struct Copy {
+/// A swarm to create from a checkpoint.
+pub(super) struct SwarmFromCheckpoint {
     registry: Arc<SwarmRegistry>,
     store: Store,
     identity: Option<RequestIdentity>,
@@ -88,9 +93,9 @@ pub(super) struct Copy {
     reason: PauseReason,
 }
 
-impl Copy {
-    /// Makes it, and replies.
-    pub(super) fn make(self, checkpoint: Checkpoint) {
+impl SwarmFromCheckpoint {
+    /// Creates it, and replies.
+    pub(super) fn create(self, checkpoint: Checkpoint) {
         let (name, responder) = (self.name, self.responder);
         let checkpoint = checkpoint.for_another(Phase::Paused(self.reason));
         let spec = checkpoint.simulation.spec.clone();
@@ -100,7 +105,7 @@ impl Copy {
             spec: spec.clone(),
             identity: self.identity,
         });
-        let answer = || {
+        let reply_to = || {
             let (responder, name) = (responder.clone(), name.clone());
             ReplyTo::new(move |answered| {
                 responder.respond(answered, move |stamp, outcome| {
@@ -108,7 +113,10 @@ impl Copy {
                 });
             })
         };
-        if let Err(error) = self.registry.copy(&name, checkpoint, persist, answer) {
+        if let Err(error) = self
+            .registry
+            .create_from_checkpoint(&name, checkpoint, persist, reply_to)
+        {
             responder.reject(&error.into(), None);
         }
     }

@@ -35,8 +35,8 @@ impl Context {
         if n > limit {
             return Err(SwarmError::from(ReserveError::TooMany { n, limit }).into());
         }
-        self.copy(name, PauseReason::Restored, command)
-            .make(checkpoint);
+        self.swarm_from_checkpoint(name, PauseReason::Restored, command)
+            .create(checkpoint);
         Ok(())
     }
 }

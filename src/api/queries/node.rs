@@ -49,7 +49,7 @@ impl Context {
     fn node_noun(&self, noun: &str, incoming: &Incoming) -> Result<Payload, CommandError> {
         Ok(match noun {
             "hello" => self.node_reply(self.hello()?),
-            "whoami" => self.node_reply(self.who_asks(incoming)),
+            "whoami" => self.node_reply(self.whoami(incoming)),
             "status" => self.node_reply(self.node_status()),
             "experiments" => self.node_reply(self.experiments()),
             "recordings" => self.node_reply(convert::recordings(self.recordings.list())),
@@ -57,14 +57,14 @@ impl Context {
             "metrics" => {
                 // The watch starts before the queryables.
                 let watch = self.watch.get().ok_or(CommandError::Internal)?;
-                self.node_reply(convert::metrics(&watch.figures()))
+                self.node_reply(convert::metrics(&watch.metrics()))
             }
             _ => self.node_reply(self.swarms()),
         })
     }
 
     /// The user of the client's token, and the verbs that they may send.
-    fn who_asks(&self, incoming: &Incoming) -> WhoAmI {
+    fn whoami(&self, incoming: &Incoming) -> WhoAmI {
         let (person, role) = match &*self.rights.current() {
             Rights::Open => (None, Some(Role::Operator)),
             known => known.owner(&incoming.token).map_or((None, None), |person| {

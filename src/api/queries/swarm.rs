@@ -31,7 +31,7 @@ impl Context {
             Err(error) => return responder.reject(&error, None),
         };
         let output = handle.output.clone();
-        look(&handle, &responder, move |_, frame| {
+        query_frame(&handle, &responder, move |_, frame| {
             let state = convert::state(&output.name, frame, output.published());
             if is_json {
                 Payload::json(&state)
@@ -105,7 +105,7 @@ impl Context {
         let (name, handle) = (swarm.clone(), self.find(swarm)?);
         let (limits, store) = (self.registry.limits(), self.store.clone());
         let verifying = self.verifications.share(swarm);
-        look(&handle.clone(), responder, move |stamp, seen| match noun {
+        query_frame(&handle.clone(), responder, move |stamp, seen| match noun {
             "spec" => {
                 let spec = jostle_convert::spec::to_proto(&handle.spec, seen.seed);
                 Payload::json(&convert::reply(&name, stamp, spec))
@@ -133,7 +133,7 @@ impl Context {
 }
 
 /// Replies with what `payload` makes of the newest state.
-fn look(
+fn query_frame(
     handle: &Handle,
     responder: &Responder,
     payload: impl FnOnce(&Stamp, &Frame) -> Payload + Send + 'static,

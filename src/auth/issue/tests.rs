@@ -4,7 +4,7 @@ use std::os::unix::fs::PermissionsExt;
 
 use super::*;
 use crate::auth::Rights;
-use crate::auth::tests::made;
+use crate::auth::tests::new_folder;
 
 /// The name of each user in `people.json` and in the file of passwords.
 fn names(folder: &Folder) -> Vec<[String; 2]> {
@@ -22,9 +22,9 @@ fn viewer(name: &str) -> (String, Role) {
 #[test]
 fn init_keeps_what_exists_and_creates_the_rest_for_the_owner_only() {
     let base = tempfile::tempdir().unwrap();
-    let folder = Folder::at(base.path().join("deep/auth"));
-    let refused = Rights::read(folder.clone());
-    assert!(matches!(refused, Err(AuthError::NoUsers(_))));
+    let folder = Folder::new(base.path().join("deep/auth"));
+    let rejected = Rights::read(folder.clone());
+    assert!(matches!(rejected, Err(AuthError::NoUsers(_))));
     init(&folder, &[], &[viewer("anna")]).unwrap();
     let [ca, key] = folder.authority();
     let before = (read(&ca).unwrap(), folder.credentials("anna").unwrap());
@@ -51,14 +51,14 @@ fn init_keeps_what_exists_and_creates_the_rest_for_the_owner_only() {
     Rights::read(folder.clone()).unwrap();
     for path in [key, folder.passwords_file()] {
         set(&path, 0o640);
-        let refused = Rights::read(folder.clone());
-        assert!(matches!(refused, Err(AuthError::Readable(_))));
+        let rejected = Rights::read(folder.clone());
+        assert!(matches!(rejected, Err(AuthError::Readable(_))));
         set(&path, 0o600);
     }
     for (path, mode) in [(folder.path(), 0o700), (&folder.people_file(), 0o600)] {
         set(path, 0o777);
-        let refused = Rights::read(folder.clone());
-        assert!(matches!(refused, Err(AuthError::Writable(_))));
+        let rejected = Rights::read(folder.clone());
+        assert!(matches!(rejected, Err(AuthError::Writable(_))));
         set(path, mode);
     }
     Rights::read(folder).unwrap();
@@ -70,7 +70,7 @@ fn files_that_root_writes_belong_to_the_owner_of_the_folder() {
     if !rustix::process::geteuid().is_root() {
         return;
     }
-    let (_base, folder) = made(&[viewer("anna")]);
+    let (_base, folder) = new_folder(&[viewer("anna")]);
     let files = [
         folder.path().to_owned(),
         folder.people_file(),
@@ -90,7 +90,7 @@ fn files_that_root_writes_belong_to_the_owner_of_the_folder() {
 
 #[test]
 fn init_completes_an_interrupted_run() {
-    let (_base, folder) = made(&[viewer("anna")]);
+    let (_base, folder) = new_folder(&[viewer("anna")]);
     let [[ca, _], [daemon, daemon_key]] = [folder.authority(), folder.daemon()];
     for lost in [&ca, &daemon, &daemon_key] {
         fs::remove_file(lost).unwrap();
@@ -98,14 +98,14 @@ fn init_completes_an_interrupted_run() {
         assert!(lost.exists());
     }
     fs::remove_file(&folder.authority()[1]).unwrap();
-    let refused = add(&folder, &[viewer("ben")]);
-    assert!(matches!(refused, Err(AuthError::NoAuthority(_))));
+    let rejected = add(&folder, &[viewer("ben")]);
+    assert!(matches!(rejected, Err(AuthError::NoAuthority(_))));
     assert_eq!(folder.people().unwrap().people.len(), 1);
 }
 
 #[test]
 fn concurrent_additions_and_removals_all_take_effect() {
-    let (_base, folder) = made(&[viewer("evil")]);
+    let (_base, folder) = new_folder(&[viewer("evil")]);
     std::thread::scope(|scope| {
         scope.spawn(|| remove(&folder, &["evil".into()]).unwrap());
         for name in ["a", "b", "c", "d"] {
@@ -118,7 +118,7 @@ fn concurrent_additions_and_removals_all_take_effect() {
 
 #[test]
 fn the_next_change_removes_what_is_left_of_unknown_users() {
-    let (_base, folder) = made(&[viewer("anna")]);
+    let (_base, folder) = new_folder(&[viewer("anna")]);
     type Change = fn(&Folder);
     let changes: [Change; 3] = [
         |folder| drop(init(folder, &[], &[viewer("anna")]).unwrap()),
@@ -134,7 +134,7 @@ fn the_next_change_removes_what_is_left_of_unknown_users() {
         let warning = &rights.expiry_warnings(60).unwrap()[0];
         assert!(warning.contains("`jostled auth remove ghost`"), "{warning}");
         change(&folder);
-        assert!(!folder.of("ghost").exists() && folder.of("anna").exists());
+        assert!(!folder.person_folder("ghost").exists() && folder.person_folder("anna").exists());
         let passwords = folder.passwords().unwrap();
         assert!(passwords.iter().all(|(name, _)| name != "ghost"));
     }
@@ -145,43 +145,43 @@ fn the_next_change_removes_what_is_left_of_unknown_users() {
     init(&folder, &[], &[]).unwrap();
     assert_eq!(folder.people().unwrap().until, Some(in_days(DAYS)));
     let other = (String::from("anna"), Role::Operator);
-    let refused = init(&folder, &[], &[other]);
-    assert!(matches!(refused, Err(AuthError::Exists(_))));
-    let refused = add(&folder, &[viewer(DAEMON)]);
-    assert!(matches!(refused, Err(AuthError::Name(_))));
+    let rejected = init(&folder, &[], &[other]);
+    assert!(matches!(rejected, Err(AuthError::Exists(_))));
+    let rejected = add(&folder, &[viewer(DAEMON)]);
+    assert!(matches!(rejected, Err(AuthError::Name(_))));
 }
 
 #[test]
 fn an_error_changes_nothing() {
     let base = tempfile::tempdir().unwrap();
-    let folder = Folder::at(base.path().join("auth"));
-    let refused = add(&folder, &[viewer("anna")]);
-    assert!(matches!(refused, Err(AuthError::NoUsers(_))));
-    let refused = init(&folder, &[], &[viewer("anna"), viewer("anna")]);
-    assert!(matches!(refused, Err(AuthError::Duplicate(_))));
+    let folder = Folder::new(base.path().join("auth"));
+    let rejected = add(&folder, &[viewer("anna")]);
+    assert!(matches!(rejected, Err(AuthError::NoUsers(_))));
+    let rejected = init(&folder, &[], &[viewer("anna"), viewer("anna")]);
+    assert!(matches!(rejected, Err(AuthError::Duplicate(_))));
     assert!(!folder.path().exists());
     init(&folder, &[], &[viewer("anna")]).unwrap();
     let people = folder.people().unwrap();
     let operator = (String::from("anna"), Role::Operator);
-    for refused in [
+    for rejected in [
         init(&folder, &["lab.example".into()], &[operator]),
         add(&folder, &[viewer("ben"), viewer("anna")]),
         add(&folder, &[viewer("ben"), viewer("ben")]),
         add(&folder, &[viewer("ben"), viewer("ben-1")]),
         remove(&folder, &["anna".into(), "ben".into()]).map(|()| Vec::new()),
     ] {
-        let refused = refused.unwrap_err().to_string();
-        let is_named = refused.contains("anna") || refused.contains("ben");
-        assert!(is_named, "{refused}");
+        let rejected = rejected.unwrap_err().to_string();
+        let is_named = rejected.contains("anna") || rejected.contains("ben");
+        assert!(is_named, "{rejected}");
         assert_eq!(folder.people().unwrap(), people);
-        assert!(!folder.of("ben").exists() && folder.of("anna").exists());
+        assert!(!folder.person_folder("ben").exists() && folder.person_folder("anna").exists());
     }
     remove(&folder, &["anna".into()]).unwrap();
     assert!(folder.people().unwrap().people.is_empty() && folder.passwords().unwrap().is_empty());
-    assert!(!folder.of("anna").exists());
+    assert!(!folder.person_folder("anna").exists());
     for strange in "no such host,,lab..example,tls/lab:7447,[::1],10.0.0.300".split(',') {
-        let refused = init(&folder, &[strange.into()], &[]);
-        assert!(matches!(refused, Err(AuthError::Host(_))), "{strange}");
+        let rejected = init(&folder, &[strange.into()], &[]);
+        assert!(matches!(rejected, Err(AuthError::Host(_))), "{strange}");
     }
     let hosts = ["10.0.0.1", "fe80::1", "lab-1.example"].map(str::to_owned);
     init(&folder, &hosts, &[]).unwrap();

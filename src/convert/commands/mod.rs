@@ -16,8 +16,8 @@ use crate::swarm::command::{Command, When};
 use crate::swarm::handle::{CommandMessage, ReplyTo};
 use crate::swarm::sender::Sender;
 
-pub mod control;
 pub mod create;
+pub mod set_points;
 pub mod swarm;
 pub mod wait;
 
@@ -107,7 +107,7 @@ pub fn read_journaled(
     let command = match verb {
         "deadline" => Command::Deadline(controller(request)?),
         "lost" => Command::Lost(controller(request)?),
-        "control" => control::journaled(request)?,
+        "control" => set_points::parse_journaled(request)?,
         verb => {
             let (message, returns_state) = read(verb, request)?;
             return Ok((message.command, returns_state));

@@ -21,7 +21,7 @@ impl WireCode for ExperimentError {
                 ErrorCode::IncorrectState
             }
             ExperimentError::TooMany(_) => ErrorCode::ResourceExhausted,
-            ExperimentError::Unkept(_) => ErrorCode::StorageFull,
+            ExperimentError::NotStored(_) => ErrorCode::StorageFull,
             ExperimentError::Unreadable(_) => ErrorCode::Internal,
             ExperimentError::Stopping => ErrorCode::Busy,
         }
@@ -51,7 +51,7 @@ impl WireCode for RecordError {
             | RecordError::TooManyKept(_)
             | RecordError::OverQuota { .. }
             | RecordError::NoThread(_) => ErrorCode::ResourceExhausted,
-            RecordError::Unkept(_) => ErrorCode::StorageFull,
+            RecordError::NotStored(_) => ErrorCode::StorageFull,
             RecordError::Ending(_) | RecordError::Stopping => ErrorCode::Busy,
         }
     }
@@ -77,7 +77,7 @@ impl WireCode for ReplayError {
             ReplayError::NotUploaded(_) | ReplayError::Unknown(_) => ErrorCode::NotFound,
             ReplayError::TooLong(_) => ErrorCode::ResourceExhausted,
             ReplayError::TooMany(_) => ErrorCode::Busy,
-            ReplayError::Unkept(_) => ErrorCode::StorageFull,
+            ReplayError::NotStored(_) => ErrorCode::StorageFull,
         }
     }
 

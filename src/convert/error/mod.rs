@@ -7,7 +7,7 @@ use jostle_convert::error::{named, object};
 use jostle_convert::range::range_of;
 use jostle_convert::{ArgsError, WireCode, WireError};
 use jostle_physics::simulation::ChangeError;
-use jostle_proto::role::refused;
+use jostle_proto::role::rejection;
 use jostle_proto::{Claimant, Error, ErrorCode, RequestError, claim, keys};
 use serde_json::{Map, Value, json};
 use thiserror::Error as ThisError;
@@ -94,7 +94,7 @@ pub enum CommandError {
     #[error(transparent)]
     NotPermitted(#[from] NotPermitted),
     /// Another daemon serves the same name and has executed commands on it.
-    #[error("{}", claim::refused(swarm.as_deref(), claimants).message)]
+    #[error("{}", claim::rejection(swarm.as_deref(), claimants).message)]
     Contested {
         /// The swarm; `None` for the daemon's own name.
         swarm: Option<String>,
@@ -266,7 +266,7 @@ impl WireCode for CommandError {
                 object(json!({"field": "n", "value": n, "range": format!("[1, {limit}]")}))
             }
             CommandError::Contested { swarm, claimants } => {
-                claim::refused(swarm.as_deref(), claimants).details
+                claim::rejection(swarm.as_deref(), claimants).details
             }
             CommandError::Claimed(node) => object(json!({"node": node})),
             CommandError::Snapshot(_) => named("snapshot", Value::Null, range_of("snapshot")),
@@ -301,7 +301,7 @@ impl WireCode for NotPermitted {
             NotPermitted::Verb { user: person, verb } => {
                 let person = person.as_ref();
                 let person = person.map(|person| (person.name.as_str(), person.role));
-                refused(person, verb).details
+                rejection(person, verb).details
             }
             NotPermitted::Controller {
                 user: person,

@@ -8,11 +8,11 @@ struct Everything {
     swarms: Vec<(String, Vec<u8>)>,
     rows: Vec<Vec<Row>>,
     checkpoints: Vec<Vec<Checkpoint>>,
-    answers: Vec<Answer>,
+    replies: Vec<StoredReply>,
 }
 
 /// Reads everything; an error if damage was reported.
-fn everything(folder: &Path, max_checked_bytes: u64) -> Result<Everything, String> {
+fn read_everything(folder: &Path, max_checked_bytes: u64) -> Result<Everything, String> {
     let store = Store::open_checking(folder, UNLIMITED, Box::new(|_| {}), max_checked_bytes)
         .map_err(|error| error.to_string())?;
     let read = read_all(&store).map_err(|error| error.to_string());
@@ -36,7 +36,7 @@ fn read_all(store: &Store) -> Result<Everything, StoreError> {
         swarms,
         rows,
         checkpoints,
-        answers: store.answers()?,
+        replies: store.replies()?,
     })
 }
 
@@ -56,11 +56,15 @@ fn filled() -> (TempDir, Everything) {
     let mut writes = vec![create("a"), create("b")];
     writes.extend((1..=120).map(|number| append_large("a", number, 300)));
     writes.extend(appends("b", 1..=2));
-    writes.extend([keep("b", 2, 10), keep("a", 60, 9000), keep("a", 120, 50)]);
-    writes.extend((1..=40).map(|number| Write::Answer(answer(number))));
+    writes.extend([
+        save_checkpoint("b", 2, 10),
+        save_checkpoint("a", 60, 9000),
+        save_checkpoint("a", 120, 50),
+    ]);
+    writes.extend((1..=40).map(|number| Write::InsertReply(reply(number))));
     let (folder, store) = stored(writes);
     assert!(store.stop(TIMEOUT));
-    let whole = everything(folder.path(), u64::MAX).unwrap();
+    let whole = read_everything(folder.path(), u64::MAX).unwrap();
     (folder, whole)
 }
 
@@ -84,12 +88,15 @@ fn flip(folder: &Path, name: &str, step: usize, mut judge: impl FnMut(usize, &Pa
 fn flip_file(max_checked_bytes: u64) -> (usize, usize) {
     let (folder, whole) = filled();
     let mut reported = 0;
-    let tried = flip(folder.path(), FILE, 64, |place, damaged| {
-        match everything(damaged, max_checked_bytes) {
+    let tried = flip(
+        folder.path(),
+        FILE,
+        64,
+        |place, damaged| match read_everything(damaged, max_checked_bytes) {
             Ok(read) => assert!(read == whole, "byte {place} changed what is read"),
             Err(_) => reported += 1,
-        }
-    });
+        },
+    );
     println!("{reported} of {tried} reported");
     (tried, reported)
 }
@@ -113,7 +120,7 @@ fn is_prefix(part: &Everything, whole: &Everything) -> bool {
         pairs.all(|(part, whole)| whole.starts_with(part))
     }
     whole.swarms.starts_with(&part.swarms)
-        && whole.answers.starts_with(&part.answers)
+        && whole.replies.starts_with(&part.replies)
         && all(&part.rows, &whole.rows)
         && all(&part.checkpoints, &whole.checkpoints)
 }
@@ -129,9 +136,9 @@ fn crashed(has_checkpointed: bool) -> (TempDir, Everything) {
             store = open(live.path());
         }
         let mut writes = vec![append("a", number), append("b", number)];
-        writes.push(Write::Answer(answer(number)));
+        writes.push(Write::InsertReply(reply(number)));
         if number % 20 == 0 {
-            writes.push(keep("a", number, 6000));
+            writes.push(save_checkpoint("a", number, 6000));
         }
         durable(&store, writes).unwrap();
     }
@@ -151,10 +158,11 @@ fn with_a_flipped_byte_of_the_wal_a_prefix_is_read() {
     let (crashed, whole) = crashed(false);
     let mut lengths = std::collections::BTreeSet::new();
     flip(crashed.path(), WAL, 64 * 61, |place, damaged| {
-        let read = everything(damaged, 0).unwrap_or_else(|error| panic!("byte {place}: {error}"));
+        let read =
+            read_everything(damaged, 0).unwrap_or_else(|error| panic!("byte {place}: {error}"));
         let is_prefix = is_prefix(&read, &whole);
         assert!(is_prefix, "byte {place} changed what is read");
-        lengths.insert(read.answers.len());
+        lengths.insert(read.replies.len());
     });
     assert!(lengths.len() > 30, "{lengths:?}");
 }
@@ -169,7 +177,7 @@ fn damage_to_a_checkpointed_wal_leaves_a_prefix_or_is_reported() {
         crashed.path(),
         WAL,
         64 * 61,
-        |place, damaged| match everything(damaged, 0) {
+        |place, damaged| match read_everything(damaged, 0) {
             Ok(read) => assert!(is_prefix(&read, &whole), "byte {place}"),
             Err(_) => reported += 1,
         },
@@ -195,10 +203,10 @@ fn the_rows_before_a_damaged_one_are_read() {
 }
 
 #[test]
-fn damaged_checkpoints_and_answers_are_left_out_and_counted() {
+fn damaged_checkpoints_and_replies_are_left_out_and_counted() {
     let mut writes = vec![create("a"), append("a", 1), append("a", 2)];
-    writes.extend([keep("a", 1, 100), keep("a", 2, 100)]);
-    writes.extend((1..=5).map(|number| Write::Answer(answer(number))));
+    writes.extend([save_checkpoint("a", 1, 100), save_checkpoint("a", 2, 100)]);
+    writes.extend((1..=5).map(|number| Write::InsertReply(reply(number))));
     let (folder, store) = stored(writes);
     let sql = "UPDATE checkpoint SET step = 0 WHERE number = 2;
                UPDATE checkpoint SET body = x'00' WHERE number = 1;
@@ -211,7 +219,7 @@ fn damaged_checkpoints_and_answers_are_left_out_and_counted() {
         assert!(matches!(read, Err(StoreError::Damaged { .. })), "{number}");
     }
     assert_eq!(store.health().damaged, 1);
-    assert_eq!(store.answers().unwrap(), [answer(1), answer(3), answer(4)]);
+    assert_eq!(store.replies().unwrap(), [reply(1), reply(3), reply(4)]);
     assert_eq!(store.health().damaged, 3);
 }
 
@@ -224,7 +232,7 @@ fn a_damaged_or_missing_swarm_is_named_and_can_only_be_deleted() {
         matches!(&error, StoreError::Damaged { swarm, .. } if swarm == "b"),
         "{error}"
     );
-    assert!(is_refused(&store, vec![append("b", 8)]));
+    assert!(is_rejected(&store, vec![append("b", 8)]));
     durable(&store, vec![append("a", 1)]).unwrap();
     durable(&store, vec![delete("b"), create("b")]).unwrap();
     assert_eq!(store.swarms().unwrap().len(), 2);
@@ -236,8 +244,8 @@ fn a_damaged_or_missing_swarm_is_named_and_can_only_be_deleted() {
 fn rows_can_follow_a_cut_before_a_damaged_row() {
     let mut writes = vec![create("a"), create("b"), append("b", 1)];
     writes.extend(appends("a", 1..=9));
-    writes.insert(6, keep("a", 3, 50));
-    writes.push(keep("a", 8, 50));
+    writes.insert(6, save_checkpoint("a", 3, 50));
+    writes.push(save_checkpoint("a", 8, 50));
     let (folder, store) = stored(writes);
     assert!(store.stop(TIMEOUT));
     let sql = "UPDATE row SET step = step + 1 WHERE number = 5";
@@ -250,7 +258,7 @@ fn rows_can_follow_a_cut_before_a_damaged_row() {
         after,
     };
     for outside in [10, u64::MAX] {
-        assert!(is_refused(&store, vec![cut(outside)]));
+        assert!(is_rejected(&store, vec![cut(outside)]));
     }
     durable(&store, vec![cut(4), append("a", 5)]).unwrap();
     let expected = Rows {
@@ -259,7 +267,7 @@ fn rows_can_follow_a_cut_before_a_damaged_row() {
     };
     assert_eq!(store.rows("a", 0, 99).unwrap(), expected);
     assert_eq!(checkpoints(&store, "a"), [3, 0]);
-    durable(&store, vec![keep("a", 5, 50), append("b", 2)]).unwrap();
+    durable(&store, vec![save_checkpoint("a", 5, 50), append("b", 2)]).unwrap();
     assert!(store.stop(TIMEOUT));
     let copied = fs::read(folder.path().join("damaged-1.sqlite")).unwrap();
     assert!(copied == damaged, "a copy of the damaged file");

@@ -115,13 +115,13 @@ fn without_a_free_page_nothing_is_lost_and_deletions_succeed() {
         kept = writer.backlog.writes();
     }
     assert!(kept > 50, "the file was not full: {kept}");
-    let of_b = vec![append("b", 1), keep("b", 1, 9000)];
+    let of_b = vec![append("b", 1), save_checkpoint("b", 1, 9000)];
     assert_eq!(process(&mut writer, of_b), Err(StoreFault::Full));
     assert!(writer.connection.is_autocommit(), "rolled back");
-    process(&mut writer, vec![delete("b"), Write::Answer(answer(1))]).unwrap();
+    process(&mut writer, vec![delete("b"), Write::InsertReply(reply(1))]).unwrap();
     assert_eq!(writer.backlog.writes(), kept);
     // The backlog of the deleted swarm is dropped.
-    let lazy = deferred(keep("a", 200, 9000));
+    let lazy = deferred(save_checkpoint("a", 200, 9000));
     writer.process(vec![lazy]).unwrap();
     assert_eq!(writer.backlog.writes(), kept + 1);
 
@@ -133,7 +133,7 @@ fn without_a_free_page_nothing_is_lost_and_deletions_succeed() {
     assert_eq!(numbers(&store, "a"), (1..=201).collect::<Vec<_>>());
     assert_eq!(store.checkpoint("a", 200).unwrap(), state(200, 9000));
     assert_eq!(store.swarms().unwrap().len(), 1);
-    assert_eq!(store.answers().unwrap(), [answer(1)]);
+    assert_eq!(store.replies().unwrap(), [reply(1)]);
 }
 
 #[test]
@@ -161,14 +161,14 @@ fn deleting_a_swarm_on_a_full_disk_drops_its_backlog() {
 }
 
 #[test]
-fn beyond_its_limits_the_backlog_drops_checkpoints_then_answers_and_never_rows() {
+fn beyond_its_limits_the_backlog_drops_checkpoints_then_replies_and_never_rows() {
     let mut backlog = Backlog::new((4, usize::MAX));
     for (write, writes, is_overrun) in [
         (append("a", 1), 1, false),
-        (keep("a", 1, 10), 2, false),
-        (Write::Answer(answer(1)), 3, false),
+        (save_checkpoint("a", 1, 10), 2, false),
+        (Write::InsertReply(reply(1)), 3, false),
         (append("a", 2), 4, false),
-        // The checkpoint is dropped, then the answer.
+        // The checkpoint is dropped, then the reply.
         (append("a", 3), 4, false),
         (append("a", 4), 4, false),
         (append("a", 5), 5, true),
@@ -196,11 +196,11 @@ fn a_submit_without_writes_is_never_dropped() {
         writes: Vec::new(),
         durability: Durability::Deferred(Some(Box::new(count))),
     };
-    let keeps = |number| deferred(keep("a", number, 10));
-    for submit in [keeps(1), waits, keeps(2)] {
+    let saves = |number| deferred(save_checkpoint("a", number, 10));
+    for submit in [saves(1), waits, saves(2)] {
         backlog.push(submit);
     }
-    backlog.forget("a");
+    backlog.remove_swarm("a");
     let left = backlog.pop(1);
     assert!(backlog.is_empty());
     for submit in left {

@@ -105,15 +105,15 @@ fn delete(swarm: &str) -> Write {
     }
 }
 
-fn keep(swarm: &str, number: u64, bytes: usize) -> Write {
-    Write::Keep {
+fn save_checkpoint(swarm: &str, number: u64, bytes: usize) -> Write {
+    Write::SaveCheckpoint {
         swarm: swarm.to_string(),
         checkpoint: state(number, bytes),
     }
 }
 
-fn answer(number: u64) -> Answer {
-    Answer {
+fn reply(number: u64) -> StoredReply {
+    StoredReply {
         client: number.is_multiple_of(2).then(|| "someone".to_string()),
         request_id: format!("request {number}"),
         digest: [number as u8; 32],
@@ -155,7 +155,7 @@ fn names(store: &Store) -> Vec<String> {
     swarms.map(|(name, _)| name).collect()
 }
 
-fn is_refused(store: &Store, writes: Vec<Write>) -> bool {
+fn is_rejected(store: &Store, writes: Vec<Write>) -> bool {
     matches!(durable(store, writes), Err(StoreFault::Refused(_)))
 }
 

@@ -21,7 +21,7 @@ fn beyond_the_quota_checkpoints_thin_out_then_the_oldest_history_goes() {
     for number in 1..=600 {
         let mut writes = vec![append("a", number)];
         if number % 10 == 0 {
-            writes.push(keep("a", number, 10_000));
+            writes.push(save_checkpoint("a", number, 10_000));
         }
         store.submit(writes, None);
         let kept = checkpoints(&store, "a");
@@ -40,7 +40,11 @@ fn beyond_the_quota_checkpoints_thin_out_then_the_oldest_history_goes() {
     for number in 601..=8000 {
         store.submit(vec![append("a", number)], None);
     }
-    durable(&store, vec![append("a", 8001), keep("a", 8001, 10_000)]).unwrap();
+    durable(
+        &store,
+        vec![append("a", 8001), save_checkpoint("a", 8001, 10_000)],
+    )
+    .unwrap();
     // The rows after the second newest checkpoint alone are over the quota, and stay.
     wait_until("the older history is gone", || {
         store.history_from("a").unwrap() == Some(state(600, 0).info())
@@ -60,13 +64,13 @@ fn history_from_is_the_oldest_checkpoint_after_every_change() {
     assert_eq!(begins(), Some(first.step));
     // One of the same number replaces it.
     let checkpoint = Checkpoint { step: 77, ..first };
-    let keep_again = Write::Keep {
+    let save_again = Write::SaveCheckpoint {
         swarm: "a".to_owned(),
         checkpoint,
     };
-    durable(&store, vec![keep_again]).unwrap();
+    durable(&store, vec![save_again]).unwrap();
     assert_eq!(begins(), Some(77));
-    durable(&store, vec![append("a", 1), keep("a", 1, 0)]).unwrap();
+    durable(&store, vec![append("a", 1), save_checkpoint("a", 1, 0)]).unwrap();
     assert_eq!(begins(), Some(77));
     durable(&store, vec![delete("a")]).unwrap();
     assert!(store.history_from("a").is_err());
@@ -80,7 +84,7 @@ fn the_two_newest_checkpoints_and_the_rows_after_them_stay_whatever_the_quota() 
     let store = open_with(folder.path(), 1);
     durable(&store, vec![create("a")]).unwrap();
     let mut writes = appends("a", 1..=2000);
-    writes.extend([500, 1000, 1500].map(|number| keep("a", number, 5000)));
+    writes.extend([500, 1000, 1500].map(|number| save_checkpoint("a", number, 5000)));
     for write in writes {
         store.submit(vec![write], None);
     }
@@ -104,52 +108,52 @@ fn a_checkpoint_of_the_same_row_replaces_the_one_before() {
         step: 777,
         ..state(0, 4000)
     };
-    let keep_later = Write::Keep {
+    let save_later = Write::SaveCheckpoint {
         swarm: "a".to_string(),
         checkpoint: later.clone(),
     };
-    durable(&store, vec![keep_later]).unwrap();
+    durable(&store, vec![save_later]).unwrap();
     assert_eq!(store.checkpoints("a").unwrap(), [later.info()]);
     assert_eq!(store.checkpoint("a", 0).unwrap(), later);
 }
 
 #[test]
-fn deleted_answers_do_not_count_as_damaged() {
-    let forget = |number| {
-        let Answer {
+fn deleted_replies_do_not_count_as_damaged() {
+    let delete_reply = |number| {
+        let StoredReply {
             client, request_id, ..
-        } = answer(number);
-        Write::Forget { client, request_id }
+        } = reply(number);
+        Write::DeleteReply { client, request_id }
     };
-    // The request of 7 has two answers; that of another client stays.
-    let mut writes: Vec<Write> = (1..=2500).map(|it| Write::Answer(answer(it))).collect();
-    let namesake = Answer {
+    // The request of 7 has two replies; that of another client stays.
+    let mut writes: Vec<Write> = (1..=2500).map(|it| Write::InsertReply(reply(it))).collect();
+    let namesake = StoredReply {
         client: Some("someone else".to_string()),
-        ..answer(7)
+        ..reply(7)
     };
-    writes.push(Write::Answer(answer(7)));
-    writes.push(Write::Answer(namesake.clone()));
+    writes.push(Write::InsertReply(reply(7)));
+    writes.push(Write::InsertReply(namesake.clone()));
     let (folder, store) = stored(writes);
     assert!(!store.has_evicted());
     // 9999 does not exist.
-    durable(&store, vec![forget(9999)]).unwrap();
+    durable(&store, vec![delete_reply(9999)]).unwrap();
     assert!(!store.has_evicted());
-    let forgotten = (1..=2500).filter(|it| it % 3 == 1);
-    durable(&store, forgotten.map(forget).collect()).unwrap();
+    let deleted = (1..=2500).filter(|it| it % 3 == 1);
+    durable(&store, deleted.map(delete_reply).collect()).unwrap();
     assert!(store.has_evicted());
-    let mut left: Vec<Answer> = (1..=2500).filter(|it| it % 3 != 1).map(answer).collect();
+    let mut left: Vec<StoredReply> = (1..=2500).filter(|it| it % 3 != 1).map(reply).collect();
     left.push(namesake);
-    assert_eq!(store.answers().unwrap(), left);
+    assert_eq!(store.replies().unwrap(), left);
     assert_eq!(store.health().damaged, 0);
-    // New answers do not fill the gaps, and a missing one is still counted.
-    durable(&store, vec![Write::Answer(answer(2501))]).unwrap();
-    left.push(answer(2501));
+    // New replies do not fill the gaps, and a missing one is still counted.
+    durable(&store, vec![Write::InsertReply(reply(2501))]).unwrap();
+    left.push(reply(2501));
     assert!(store.stop(TIMEOUT));
     let store = open(folder.path());
-    assert_eq!(store.answers().unwrap(), left);
+    assert_eq!(store.replies().unwrap(), left);
     assert_eq!(store.health().damaged, 0);
     let store = altered(&store, &folder, "DELETE FROM answer WHERE id = 2");
-    assert_eq!(store.answers().unwrap(), left[1..]);
+    assert_eq!(store.replies().unwrap(), left[1..]);
     assert_eq!(store.health().damaged, 1);
 }
 
@@ -159,7 +163,11 @@ fn space_of_deleted_swarms_is_reused() {
     let store = open(folder.path());
     let mut sizes = Vec::new();
     for _ in 0..6 {
-        let large = vec![create("a"), append("a", 1), keep("a", 1, 6_000_000)];
+        let large = vec![
+            create("a"),
+            append("a", 1),
+            save_checkpoint("a", 1, 6_000_000),
+        ];
         durable(&store, large).unwrap();
         durable(&store, vec![delete("a")]).unwrap();
         wait_until("all is swept", || {
@@ -174,10 +182,10 @@ fn space_of_deleted_swarms_is_reused() {
 fn fixture(folder: &Path) {
     let store = open(folder);
     let mut of_a = vec![create("a"), append("a", 1), append("a", 2)];
-    of_a.push(keep("a", 1, 5000));
+    of_a.push(save_checkpoint("a", 1, 5000));
     durable(&store, of_a).unwrap();
-    let answers = [1, 2].map(|number| Write::Answer(answer(number)));
-    let rest = [create("b")].into_iter().chain(answers);
+    let replies = [1, 2].map(|number| Write::InsertReply(reply(number)));
+    let rest = [create("b")].into_iter().chain(replies);
     durable(&store, rest.collect()).unwrap();
     assert!(store.stop(TIMEOUT));
 }
@@ -195,6 +203,6 @@ fn a_file_of_version_1_opens() {
     assert_eq!(store.rows("a", 0, 9).unwrap().rows, [row(1), row(2)]);
     assert_eq!(store.checkpoint("a", 1).unwrap(), state(1, 5000));
     assert_eq!(store.checkpoint("b", 0).unwrap(), state(0, 300));
-    assert_eq!(store.answers().unwrap(), [answer(1), answer(2)]);
+    assert_eq!(store.replies().unwrap(), [reply(1), reply(2)]);
     durable(&store, vec![append("a", 3)]).unwrap();
 }

@@ -5,7 +5,7 @@ use super::*;
 #[test]
 fn done_is_called_after_the_data_is_durable() {
     let mut writes = vec![create("a"), append("a", 1), append("a", 2)];
-    writes.push(keep("a", 2, 5000));
+    writes.push(save_checkpoint("a", 2, 5000));
     let (folder, store) = stored(writes);
     // The files as a crash would leave them: the WAL was never checkpointed.
     let crashed = self::folder();
@@ -65,10 +65,16 @@ fn all_writes_of_a_submit_are_written_or_none() {
         (append("a", 3), "a gap"),
         (append("b", 1), "no such swarm"),
         (create("a"), "it exists"),
-        (keep("a", 2, 9), "a checkpoint of what is not there"),
+        (
+            save_checkpoint("a", 2, 9),
+            "a checkpoint of what is not there",
+        ),
         (delete("b"), "no such swarm to delete"),
     ] {
-        assert!(is_refused(&store, vec![append("a", 1), write]), "{problem}");
+        assert!(
+            is_rejected(&store, vec![append("a", 1), write]),
+            "{problem}"
+        );
     }
     assert_eq!(numbers(&store, "a"), [0; 0]);
     durable(&store, vec![append("a", 1)]).unwrap();
@@ -79,7 +85,7 @@ fn all_writes_of_a_submit_are_written_or_none() {
 fn a_deleted_swarm_leaves_nothing_to_the_next_of_its_name() {
     let (folder, store) = stored(vec![create("a")]);
     durable(&store, appends("a", 1..=2500)).unwrap();
-    durable(&store, vec![keep("a", 2500, 100_000)]).unwrap();
+    durable(&store, vec![save_checkpoint("a", 2500, 100_000)]).unwrap();
     let again = vec![delete("a"), create("a"), append("a", 1)];
     durable(&store, again).unwrap();
     assert_eq!(numbers(&store, "a"), [1]);
@@ -101,7 +107,7 @@ fn any_text_is_a_name() {
     // Sorted.
     let given = ["", "%_", drop_table, "a\0b", "ä/../*", "\u{202e}"];
     for name in given.into_iter().rev() {
-        let writes = vec![create(name), append(name, 1), keep(name, 1, 10)];
+        let writes = vec![create(name), append(name, 1), save_checkpoint(name, 1, 10)];
         durable(&store, writes).unwrap();
     }
     drop(store);
@@ -115,12 +121,12 @@ fn any_text_is_a_name() {
 }
 
 #[test]
-fn answers_come_back_as_they_were() {
-    let answers: Vec<Answer> = (1..=2500).map(answer).collect();
-    let (folder, store) = stored(answers.iter().cloned().map(Write::Answer).collect());
-    assert_eq!(store.answers().unwrap(), answers);
+fn replies_are_read_as_they_were_written() {
+    let replies: Vec<StoredReply> = (1..=2500).map(reply).collect();
+    let (folder, store) = stored(replies.iter().cloned().map(Write::InsertReply).collect());
+    assert_eq!(store.replies().unwrap(), replies);
     drop(store);
-    assert_eq!(open(folder.path()).answers().unwrap(), answers);
+    assert_eq!(open(folder.path()).replies().unwrap(), replies);
 }
 
 #[test]
@@ -168,8 +174,8 @@ fn durable_submits_a_second() {
                     let swarm = format!("swarm {thread}");
                     durable(store, vec![create(&swarm)]).unwrap();
                     for number in 1..u64::from(each) {
-                        let answer = Write::Answer(answer(number));
-                        durable(store, vec![append(&swarm, number), answer]).unwrap();
+                        let reply = Write::InsertReply(reply(number));
+                        durable(store, vec![append(&swarm, number), reply]).unwrap();
                     }
                 });
             }

@@ -17,7 +17,7 @@ fn a_full_lossless_queue_has_no_room_until_it_is_drained() {
     let writer = (Arc::new(NoWriter) as _, Box::new(|_| Ok(())) as _);
     let ignored = &|_: &_| ReplyTo::ignored();
     let worker = Worker::restore(start, &handle, Duration::ZERO, writer, ignored);
-    let (_, frame) = worker.look();
+    let (_, frame) = worker.stamp_and_frame();
     let output = Output::new("demo".to_owned());
     let woken = Arc::new(AtomicBool::new(false));
     let wakes = woken.clone();
@@ -30,7 +30,7 @@ fn a_full_lossless_queue_has_no_room_until_it_is_drained() {
     });
     for step in 0..2 {
         assert!(output.has_room());
-        output.state((0, step), || frame.clone());
+        output.push_state((0, step), || frame.clone());
     }
     assert!(!output.has_room());
     assert!(!woken.load(Ordering::Relaxed));
@@ -61,7 +61,7 @@ fn a_subscription_receives_every_state_and_event_until_it_is_dropped() {
             kind,
         });
     };
-    let state = |step| output.state((0, step), || unreachable!("an odd step is not copied"));
+    let state = |step| output.push_state((0, step), || unreachable!("an odd step is not copied"));
     push_event(1);
     let subscription = output.subscribe(Limits {
         every: 2,

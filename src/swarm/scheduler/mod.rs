@@ -142,8 +142,8 @@ impl Queue {
         Some(waiter)
     }
 
-    /// Forgives what was computed while no swarm waited.
-    fn forgive(&mut self, time: Duration) {
+    /// Does not charge what was computed while no swarm waited.
+    fn skip_uncontended_time(&mut self, time: Duration) {
         if self.waiters.is_empty() {
             self.virtual_time = self.virtual_time.max(time);
         }
@@ -174,7 +174,7 @@ impl Share {
             Turn::Running(_) => {
                 self.charge();
                 let mut queue = self.scheduler.queue.lock();
-                queue.forgive(self.virtual_time);
+                queue.skip_uncontended_time(self.virtual_time);
                 let called = queue.pass_on();
                 self.scheduler.unlock(queue, called);
             }
@@ -232,7 +232,7 @@ impl Share {
         self.charge();
         let scheduler = self.scheduler.clone();
         let mut queue = scheduler.queue.lock();
-        queue.forgive(self.virtual_time);
+        queue.skip_uncontended_time(self.virtual_time);
         let first = queue.waiters.first_key_value();
         if first.is_none_or(|((time, _), _)| self.virtual_time < *time) {
             self.turn = Turn::Running(now);

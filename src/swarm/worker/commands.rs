@@ -394,7 +394,7 @@ impl Worker {
     /// Replies to the pending `step`; `next_phase` is the phase in the reply.
     pub(super) fn reply_to_pending(&mut self, next_phase: &Phase) {
         if let Some(Pending { reply_to, from, .. }) = self.pending.take() {
-            let (mut stamp, frame) = self.look();
+            let (mut stamp, frame) = self.stamp_and_frame();
             stamp.phase = next_phase.clone();
             let outcome = Outcome::Stepped {
                 steps: stamp.step - from,

@@ -47,7 +47,7 @@ impl Worker {
                 (Effect::Enter(phase), _) => {
                     let was_moving = std::mem::replace(&mut self.phase, phase).is_moving();
                     match self.phase {
-                        Phase::Stepping { until } => self.journal.reach(until),
+                        Phase::Stepping { until } => self.journal.append_step(until),
                         _ => self.journal.interrupt(self.simulation.state.step),
                     }
                     if !was_moving {
@@ -61,7 +61,7 @@ impl Worker {
                 }
                 (Effect::Advanced(reply_to, from, news, phase), _) => {
                     let (stamp, durable_step, frame) = reached.get_or_insert_with(|| {
-                        let (stamp, frame) = self.look();
+                        let (stamp, frame) = self.stamp_and_frame();
                         let durable_step = self.journal.durable_step_of(stamp.step);
                         (stamp, durable_step, frame)
                     });

@@ -135,7 +135,12 @@ impl Worker {
         let mut worker = Worker {
             pace: Pace::new(checkpoint.rate, state.parameters.dt, now),
             cpu_share: handle.cores.share(handle.waker()),
-            journal: Journal::new(writer, checkpoint.lines, state.step),
+            journal: Journal::new(
+                writer,
+                checkpoint.lines,
+                state.step,
+                handle.progress.clone(),
+            ),
             since_checkpoint: SinceCheckpoint::new(),
             applied_at: None,
             simulation,
@@ -349,10 +354,12 @@ impl Worker {
             // The loop checks the phase, the scheduler and the output after each batch.
             Message::Wake => {}
             Message::Stop => {
-                self.journal.append_checkpoint(Checkpoint {
+                self.update_summary();
+                let checkpoint = Checkpoint {
                     is_last: true,
                     ..self.checkpoint()
-                });
+                };
+                self.journal.append_checkpoint(checkpoint);
                 return Some(End::Stopped);
             }
         }

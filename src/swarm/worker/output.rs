@@ -8,12 +8,12 @@ use crate::swarm::handle::Outcome;
 use crate::swarm::worker::Worker;
 
 impl Worker {
-    pub fn look(&self) -> (Stamp, Arc<Frame>) {
+    pub fn stamp_and_frame(&self) -> (Stamp, Arc<Frame>) {
         (self.stamp(), self.frame(true))
     }
 
     pub(super) fn state_with_controllers(&self) -> (Stamp, Arc<Frame>) {
-        let (stamp, frame) = self.look();
+        let (stamp, frame) = self.stamp_and_frame();
         if self.controllers.is_empty() {
             return (stamp, frame);
         }
@@ -99,7 +99,7 @@ impl Worker {
 
     /// Passes the state to the recordings, whether or not it is published.
     pub(super) fn record_state(&self) {
-        self.output.state(self.at(), || self.frame(false));
+        self.output.push_state(self.at(), || self.frame(false));
     }
 
     pub(super) fn push_event(&mut self, kind: EventKind) {

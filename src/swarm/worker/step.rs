@@ -152,7 +152,8 @@ impl Worker {
 
     pub(super) fn save_checkpoint(&mut self) {
         if !self.journal.is_replaying() {
-            self.journal.append_checkpoint(self.checkpoint());
+            let checkpoint = self.checkpoint();
+            self.journal.append_checkpoint(checkpoint);
             failpoint::kill("swarm-checkpointed");
             self.since_checkpoint = SinceCheckpoint::new();
         }

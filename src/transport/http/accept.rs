@@ -138,7 +138,7 @@ pub async fn record_completion(request: Request, next: Next) -> Response {
 }
 
 /// The body of a request, which is read within [`BODY_TIMEOUT`], or the response if it is not.
-pub async fn whole_body(request: Request) -> Result<Bytes, Response> {
+pub async fn read_body(request: Request) -> Result<Bytes, Response> {
     let slot = request.extensions().get::<Arc<Slot>>().cloned();
     match timeout(BODY_TIMEOUT, Bytes::from_request(request, &())).await {
         Ok(body) => body.map_err(IntoResponse::into_response),

@@ -52,7 +52,7 @@ const LABELS: [&str; 5] = [
 
 /// The connections in numbers.
 #[derive(Debug)]
-pub struct HttpFigures {
+pub struct HttpMetrics {
     pub open: u64,
     pub accept_failures: u64,
     /// Connections that the daemon closed, by the label of the reason.
@@ -104,8 +104,8 @@ impl Connections {
         self.closed[reason as usize].fetch_add(1, Ordering::Relaxed);
     }
 
-    pub fn figures(&self) -> HttpFigures {
-        HttpFigures {
+    pub fn metrics(&self) -> HttpMetrics {
+        HttpMetrics {
             open: self.registry.lock().entries.len() as u64,
             accept_failures: self.accept_failures.load(Ordering::Relaxed),
             closed: std::array::from_fn(|reason| {
@@ -249,7 +249,7 @@ mod tests {
         registry.entries.get_mut(&fourth.id).unwrap().socket = Some(None);
         drop(registry);
         assert!(connections.register(LOCAL).is_none(), "all are WebSockets");
-        let HttpFigures { open, closed, .. } = connections.figures();
+        let HttpMetrics { open, closed, .. } = connections.metrics();
         assert_eq!(
             (open, closed[0], closed[1]),
             (3, ("evicted", 1), ("refused", 1))

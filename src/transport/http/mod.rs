@@ -19,7 +19,7 @@ mod token;
 
 pub use bus::Bus;
 pub use credentials::Credentials;
-pub use tls::acceptor;
+pub use tls::{TlsError, acceptor, check_certificate};
 pub use token::Token;
 
 use std::net::SocketAddr;
@@ -42,8 +42,8 @@ use tokio::net::TcpListener;
 use tokio::task::JoinHandle;
 use tokio_rustls::TlsAcceptor;
 
-use crate::health::Watch;
-use crate::transport::http::accept::{accept, record_completion, whole_body};
+use crate::health::HealthMonitor;
+use crate::transport::http::accept::{accept, read_body, record_completion};
 use crate::transport::http::bus::{Reply, reject};
 use crate::transport::http::connections::{Connections, Slot, max_connections};
 use crate::transport::http::credentials::PROTOCOL;
@@ -70,13 +70,10 @@ pub enum GatewayError {
     #[error("--http {0} needs users: set auth_dir to their folder (`jostled auth init` makes one)")]
     NoUsers(String),
     /// The daemon's certificate cannot be used.
-    #[error("cannot serve HTTP over TLS: {0}")]
-    Certificate(std::io::Error),
+    #[error(transparent)]
+    Certificate(#[from] TlsError),
     /// The address cannot be bound.
-    #[error(
-        "cannot serve HTTP on {address}: {source}; `--http 127.0.0.1:0` selects a free port, \
-         `--http ''` disables HTTP"
-    )]
+    #[error("cannot serve HTTP on {address}: {source}")]
     Listen {
         /// The address.
         address: SocketAddr,
@@ -87,7 +84,7 @@ pub enum GatewayError {
 
 /// The address of the server.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Place {
+pub struct ListenAddress {
     /// The address.
     pub address: SocketAddr,
     /// Whether it uses TLS.
@@ -107,7 +104,7 @@ pub struct Gateway {
 /// # Errors
 ///
 /// [`GatewayError::NoAddress`], [`GatewayError::NotLoopback`] and [`GatewayError::NoUsers`].
-pub fn check(http: &str, has_users: bool) -> Result<Option<Place>, GatewayError> {
+pub fn check(http: &str, has_users: bool) -> Result<Option<ListenAddress>, GatewayError> {
     if http.is_empty() {
         return Ok(None);
     }
@@ -123,7 +120,7 @@ pub fn check(http: &str, has_users: bool) -> Result<Option<Place>, GatewayError>
         (false, _) if !address.ip().is_loopback() => {
             Err(GatewayError::NotLoopback(http.to_owned()))
         }
-        _ => Ok(Some(Place { address, is_secure })),
+        _ => Ok(Some(ListenAddress { address, is_secure })),
     }
 }
 
@@ -149,7 +146,7 @@ impl Gateway {
         acceptor: Option<TlsAcceptor>,
         bus: Bus,
         credentials: Credentials,
-        watch: Arc<Watch>,
+        watch: Arc<HealthMonitor>,
     ) -> std::io::Result<Self> {
         let address = listener.local_addr()?;
         let is_secure = acceptor.is_some();
@@ -204,7 +201,7 @@ impl Gateway {
 struct Server {
     bus: Bus,
     feeds: Arc<Feeds>,
-    watch: Arc<Watch>,
+    watch: Arc<HealthMonitor>,
     credentials: Credentials,
     connections: Arc<Connections>,
 }
@@ -233,13 +230,14 @@ async fn healthz(State(server): SharedServer) -> Response {
     };
     let listed = |code: &str, message: String| json!({"code": code, "message": message});
     let reason_list = reasons.iter().map(|it| listed(it.code(), it.to_string()));
-    let warnings = watch.warning().map(|(code, message)| listed(code, message));
+    let warnings = watch.warnings().into_iter();
+    let warnings = warnings.map(|(code, message)| listed(code, message));
     let document = json!({
         "healthy": reasons.is_empty(),
         "node": node,
         "uptime_secs": watch.uptime().as_secs_f64(),
         "reasons": reason_list.collect::<Vec<_>>(),
-        "warnings": Vec::from_iter(warnings),
+        "warnings": warnings.collect::<Vec<_>>(),
     });
     let json = [(CONTENT_TYPE, "application/json")];
     (status, json, format!("{document}\n")).into_response()
@@ -250,7 +248,7 @@ async fn metrics(
     headers: HeaderMap,
 ) -> Result<impl IntoResponse, Response> {
     server.authorize(server.credentials.may_watch(&headers))?;
-    let text = openmetrics::encode(server.watch.figures(), server.connections.figures());
+    let text = openmetrics::encode(server.watch.metrics(), server.connections.metrics());
     Ok(([(CONTENT_TYPE, openmetrics::CONTENT_TYPE)], text))
 }
 
@@ -319,7 +317,7 @@ async fn node_command(
 /// Sends a command, which needs a token.
 async fn send(server: Arc<Server>, rest: String, request: Request) -> Result<Reply, Response> {
     let headers = request.headers().clone();
-    let body = whole_body(request).await;
+    let body = read_body(request).await;
     server.authorize(server.credentials.may_command(&headers))?;
     let body = body?;
     // A command is not cancelled when the client disconnects.
@@ -333,19 +331,19 @@ async fn send(server: Arc<Server>, rest: String, request: Request) -> Result<Rep
 
 /// The swarm that a tab watches, in addition to the list.
 #[derive(Deserialize)]
-struct Watched {
+struct WatchQuery {
     swarm: Option<String>,
 }
 
 async fn websocket(
     State(server): SharedServer,
-    Query(watched): Query<Watched>,
+    Query(query): Query<WatchQuery>,
     Extension(slot): Extension<Arc<Slot>>,
     headers: HeaderMap,
     upgrade: WebSocketUpgrade,
 ) -> Result<Response, Response> {
     server.authorize(server.credentials.may_watch(&headers))?;
-    if let Some(swarm) = &watched.swarm
+    if let Some(swarm) = &query.swarm
         && !keys::is_name(swarm)
     {
         let message = format!("invalid swarm name {swarm:?}");
@@ -360,7 +358,7 @@ async fn websocket(
     let upgrade = upgrade.max_message_size(4096).max_frame_size(4096);
     Ok(upgrade.on_upgrade(async move |socket| {
         let revoked = server.credentials.revoked(&headers);
-        socket::serve(socket, feeds, watched.swarm, revoked).await;
+        socket::serve(socket, feeds, query.swarm, revoked).await;
         drop(slot);
     }))
 }
@@ -385,7 +383,9 @@ mod tests {
         ] {
             for address in addresses.split(' ') {
                 let checked = match check(address, has_users) {
-                    Ok(Some(Place { is_secure, .. })) => ["plain", "TLS"][usize::from(is_secure)],
+                    Ok(Some(ListenAddress { is_secure, .. })) => {
+                        ["plain", "TLS"][usize::from(is_secure)]
+                    }
                     Err(GatewayError::NoUsers(_)) => "no users",
                     Err(GatewayError::NotLoopback(_)) => "not loopback",
                     Err(GatewayError::NoAddress(_)) => "no address",

@@ -4,10 +4,10 @@
 
 use std::fmt::Write as _;
 
-use crate::health::metrics::{Figures, SwarmFigures};
+use crate::health::metrics::{DaemonMetrics, PerSwarmMetrics};
 use crate::metrics::Durations;
 use crate::swarm::phase::Phase;
-use crate::transport::http::connections::HttpFigures;
+use crate::transport::http::connections::HttpMetrics;
 
 /// The media type.
 pub const CONTENT_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
@@ -17,8 +17,8 @@ const MAX_LABELLED: usize = 1000;
 
 /// What the metrics are computed from.
 struct Input {
-    daemon: Figures,
-    http: HttpFigures,
+    daemon: DaemonMetrics,
+    http: HttpMetrics,
 }
 
 enum Value {
@@ -30,8 +30,8 @@ enum Value {
     /// A gauge for each value of a label.
     Gauges(&'static str, fn(&Input) -> Vec<(&'static str, f64)>),
     Counters(&'static str, fn(&Input) -> Vec<(&'static str, f64)>),
-    SwarmGauge(fn(&SwarmFigures) -> Option<f64>),
-    SwarmCounter(fn(&SwarmFigures) -> Option<f64>),
+    SwarmGauge(fn(&PerSwarmMetrics) -> Option<f64>),
+    SwarmCounter(fn(&PerSwarmMetrics) -> Option<f64>),
 }
 
 use Value::{Counter, Counters, Gauge, Gauges, Histogram, OptionalGauge, SwarmCounter, SwarmGauge};
@@ -105,7 +105,7 @@ fn swarms(input: &Input, is_in: fn(&Phase) -> bool) -> f64 {
 }
 
 /// All metrics. Names and label values contain no character that needs an escape.
-pub fn encode(daemon: Figures, http: HttpFigures) -> String {
+pub fn encode(daemon: DaemonMetrics, http: HttpMetrics) -> String {
     let input = Input { daemon, http };
     let mut text = String::new();
     for (name, help, value) in METRICS {

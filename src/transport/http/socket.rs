@@ -50,7 +50,7 @@ async fn feed(socket: &mut WebSocket, feeds: Arc<Feeds>, swarm: Option<String>) 
         let Some((feed, state)) = feeds.watch(&swarm).await else {
             return send_gone(socket).await;
         };
-        watched = Some(Watched::new(feed));
+        watched = Some(TabSubscription::new(feed));
         if send(socket, state).await.is_none() {
             return;
         }
@@ -89,18 +89,18 @@ async fn send_gone(socket: &mut WebSocket) {
 }
 
 /// The subscription of a tab to a swarm.
-struct Watched {
+struct TabSubscription {
     states: watch::Receiver<Option<Message>>,
     orders: watch::Receiver<Option<Message>>,
     events: broadcast::Receiver<(Message, bool)>,
     _feed: Arc<Feed>,
 }
 
-impl Watched {
+impl TabSubscription {
     fn new(feed: Arc<Feed>) -> Self {
         let mut orders = feed.orders.subscribe();
         orders.mark_changed();
-        Watched {
+        TabSubscription {
             states: feed.states.subscribe(),
             orders,
             events: feed.events.subscribe(),
@@ -110,8 +110,8 @@ impl Watched {
 }
 
 /// The next message of the watched swarm, and whether it is the last. Never completes if there is none.
-async fn next(watched: &mut Option<Watched>) -> (Option<Message>, bool) {
-    let Some(Watched {
+async fn next(watched: &mut Option<TabSubscription>) -> (Option<Message>, bool) {
+    let Some(TabSubscription {
         states,
         orders,
         events,

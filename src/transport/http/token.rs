@@ -40,7 +40,7 @@ impl Token {
         let secret = match stored {
             Some(secret) => secret,
             None => {
-                let drawn = secret::draw(BYTES)?;
+                let drawn = secret::random_hex(BYTES)?;
                 secret::write(&file, &format!("{drawn}\n"))?;
                 drawn
             }

@@ -20,11 +20,11 @@ const MIN_SWEEP_ENTRIES: usize = 64;
 /// The sessions that are open or being closed.
 #[derive(Default)]
 pub struct Sessions {
-    known: Mutex<Known>,
+    known: Mutex<SessionTable>,
 }
 
 #[derive(Default)]
-struct Known {
+struct SessionTable {
     entries: Vec<Entry>,
     /// The number of entries at which those of closed sessions are removed.
     sweep_at: usize,

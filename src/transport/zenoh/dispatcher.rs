@@ -118,7 +118,7 @@ impl Dispatcher {
                     false => None,
                 };
                 match created.as_ref().map(|it| claims.reserve(it)) {
-                    Some(Reserved::At(settled)) => return Some(settled),
+                    Some(Reserved::At(serve_after)) => return Some(serve_after),
                     Some(Reserved::ClaimedBy(node)) => Some(CommandError::Claimed(node)),
                     Some(Reserved::Now) | None => {
                         if gate == Gate::First {

@@ -54,8 +54,8 @@ impl PublishScheduler {
         self.due.insert(swarm, began + window);
     }
 
-    /// Forgets a swarm that is no longer published.
-    pub fn forget(&mut self, swarm: &str) {
+    /// Removes a swarm that is no longer published.
+    pub fn remove(&mut self, swarm: &str) {
         if let Some((swarm, at)) = self.due.remove_entry(swarm) {
             self.delayed.remove(&(at, swarm));
         }
@@ -125,12 +125,12 @@ mod tests {
     }
 
     #[test]
-    fn a_forgotten_swarm_is_neither_delayed_nor_remembered() {
+    fn a_removed_swarm_is_neither_delayed_nor_kept() {
         let (mut scheduler, began) = (PublishScheduler::default(), Instant::now());
         publish(&mut scheduler, "a", began, 100 * MICROSECOND);
         assert!(!notify(&mut scheduler, "a", began + 200 * MICROSECOND));
-        scheduler.forget("a");
-        scheduler.forget("never seen");
+        scheduler.remove("a");
+        scheduler.remove("never seen");
         assert_eq!(scheduler.pop(), None);
         assert!(notify(&mut scheduler, "a", began + 200 * MICROSECOND));
     }

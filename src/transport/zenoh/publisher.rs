@@ -73,7 +73,7 @@ pub struct Publisher {
 enum PublishMessage {
     /// The output of this swarm is no longer empty.
     Notify(String),
-    /// Publish the rest of this swarm, then forget it and notify the dispatcher.
+    /// Publish the rest of this swarm, then remove it and notify the dispatcher.
     Close(String, DeferredReply),
     Stop,
 }
@@ -137,7 +137,7 @@ impl Publisher {
         self.find(swarm).inspect(mute).is_some()
     }
 
-    /// Publishes the rest of a swarm and forgets it. The dispatcher then receives
+    /// Publishes the rest of a swarm and removes it. The dispatcher then receives
     /// [`DispatchMessage::Closed`].
     pub fn close(&self, swarm: &str, reply: DeferredReply) {
         let close = PublishMessage::Close(swarm.to_owned(), reply);
@@ -167,7 +167,7 @@ impl Publisher {
                     if let Some(publication) = publication {
                         publication.publish();
                     }
-                    scheduler.forget(&swarm);
+                    scheduler.remove(&swarm);
                     let closed = DispatchMessage::Closed(swarm, reply);
                     // An error means that the daemon is stopping.
                     let _ = self.dispatcher.send(closed);

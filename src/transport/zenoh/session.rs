@@ -58,10 +58,7 @@ pub enum SessionError {
     )]
     TlsOptions(String),
     /// zenoh cannot listen on the endpoints.
-    #[error(
-        "cannot listen on {endpoints}: {reason}\nanother daemon or a zenoh router, whose default \
-         port is 7447, may use it: `--listen tcp/127.0.0.1:0` selects a free port"
-    )]
+    #[error("cannot listen on {endpoints}: {reason}")]
     Listen {
         /// The endpoints.
         endpoints: String,

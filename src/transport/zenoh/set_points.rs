@@ -14,7 +14,7 @@ use zenoh::sample::{Sample, SampleKind};
 use zenoh::{Session, Wait};
 
 use crate::auth::live::LiveRights;
-use crate::convert::commands::control;
+use crate::convert::commands::set_points;
 use crate::swarm::handle::Message;
 use crate::swarm::registry::SwarmRegistry;
 use crate::transport::zenoh::claims::Claims;
@@ -101,7 +101,7 @@ impl Reader {
             return handle.send(Message::Put(controller.to_owned(), None, None));
         }
         let is_cbor = *sample.encoding() == Encoding::APPLICATION_CBOR;
-        let read = control::read(controller, &sample.payload().to_bytes(), is_cbor);
+        let read = set_points::read(controller, &sample.payload().to_bytes(), is_cbor);
         let (epoch, put) = match read {
             Ok((epoch, put)) => (epoch, Some(put)),
             Err(problem) => {

@@ -8,8 +8,8 @@ use std::path::Path;
 
 use jostle_physics::model::MODEL_VERSION;
 use jostle_results::ResultRow;
+use jostle_results::contact_statistics::ContactStatistics;
 use jostle_results::table::OrderSeries;
-use jostle_results::touch::Touch;
 use serde::{Deserialize, Serialize};
 
 use super::error::{FolderError, io_error};
@@ -37,7 +37,7 @@ pub struct Record {
     /// The row of the run; none if it ended before its first step.
     pub row: Option<ResultRow>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub touch: Option<Touch>,
+    pub touch: Option<ContactStatistics>,
 }
 
 /// A line of the list, with its time series, which is not kept in memory.

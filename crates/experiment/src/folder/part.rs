@@ -14,7 +14,7 @@ use super::list::{
 };
 use super::{EXPERIMENT, LOCK};
 use crate::plan::Plan;
-use crate::run::Finished;
+use crate::run::FinishedRun;
 
 /// Read access to the folder of a part. Files are opened for each read: with many parts, open files
 /// would exceed the limit of the process.
@@ -70,17 +70,17 @@ impl Part {
         self.finished.keys().copied().collect()
     }
 
-    /// Reads the result of a finished run, as `conduct` returns it.
+    /// Reads the result of a finished run, as `execute_run` returns it.
     ///
     /// # Errors
     ///
     /// [`FolderError`]; also if the run is not finished.
-    pub fn result(&self, plan: &Plan, index: usize) -> Result<Finished, FolderError> {
+    pub fn result(&self, plan: &Plan, index: usize) -> Result<FinishedRun, FolderError> {
         let line = self.line(plan, index)?;
         let record = self.finished[&index].record.clone();
         let has_series = plan.order_every.is_some() && record.row.is_some();
         let series = has_series.then(|| read_series(&self.path, plan, index, &line));
-        Ok(Finished {
+        Ok(FinishedRun {
             row: record.row,
             fault: record.fault,
             series: series.transpose()?,

@@ -1,7 +1,7 @@
 //! Tests of the folder: reopening, truncated and damaged files, locks.
 
 use super::*;
-use crate::run::conduct;
+use crate::run::execute_run;
 
 const FILE: &str = "name = \"a\"\nduration = 1\nreplicates = 4\nspec = { n = 3 }\n\
                     measure = { order_every = 10 }\n";
@@ -28,7 +28,7 @@ impl Fixture {
     }
 
     fn append(&self, folder: &mut Folder, index: usize) {
-        let finished = conduct(&self.plan, &self.plan.runs()[index], |_| true).unwrap();
+        let finished = execute_run(&self.plan, &self.plan.runs()[index], |_| true).unwrap();
         folder.append(&self.plan, vec![(index, finished)]).unwrap();
     }
 
@@ -66,7 +66,7 @@ fn a_reopened_folder_returns_rows_in_plan_order_with_their_series() {
     let series = table::order::read(&fixture.path().join(ORDER_NAME)).unwrap();
     let expected = [0, 2].map(|index| {
         let run = &fixture.plan.runs()[index];
-        conduct(&fixture.plan, run, |_| true)
+        execute_run(&fixture.plan, run, |_| true)
             .unwrap()
             .series
             .unwrap()
@@ -222,7 +222,7 @@ fn a_line_that_is_written_in_part_is_replaced_by_the_next_one() {
     let fixture = Fixture::new();
     if let Some(path) = std::env::var_os(LIMITED) {
         let mut folder = Folder::open(Path::new(&path), &fixture.plan).unwrap();
-        let run = |index: usize| conduct(&fixture.plan, &fixture.plan.runs()[index], |_| true);
+        let run = |index: usize| execute_run(&fixture.plan, &fixture.plan.runs()[index], |_| true);
         fixture.append(&mut folder, 0);
         let mut finished = run(1).unwrap();
         if let Some(series) = &mut finished.series {

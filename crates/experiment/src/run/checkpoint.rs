@@ -4,7 +4,7 @@ use jostle_proto::Snapshot;
 use serde::{Deserialize, Serialize};
 
 use super::measures::Measures;
-use crate::contact_events::Meter;
+use crate::contact_events::ContactMeter;
 
 /// The snapshot of a run at one of its steps, and its measurements so far.
 #[derive(Deserialize, Serialize)]
@@ -12,7 +12,7 @@ pub struct RunCheckpoint {
     pub(super) run: String,
     pub(super) snapshot: Snapshot,
     pub(super) measures: Measures,
-    pub(super) meter: Option<Meter>,
+    pub(super) meter: Option<ContactMeter>,
 }
 
 impl RunCheckpoint {
@@ -34,7 +34,7 @@ impl RunCheckpoint {
 mod tests {
     use super::*;
     use crate::plan::Plan;
-    use crate::run::{conduct, conduct_from};
+    use crate::run::{execute_run, execute_run_from};
 
     fn plan(seed: u64, more: &str) -> Plan {
         let text = format!(
@@ -47,7 +47,7 @@ mod tests {
     /// The checkpoint of a run after `steps` steps, as its file has it.
     fn checkpoint(plan: &Plan, run: usize, steps: u64) -> Vec<u8> {
         let mut bytes = Vec::new();
-        conduct_from(plan, &plan.runs()[run], None, |current| {
+        execute_run_from(plan, &plan.runs()[run], None, |current| {
             bytes = current.checkpoint().to_bytes();
             current.steps() < steps
         });
@@ -58,12 +58,12 @@ mod tests {
     fn a_run_continues_after_the_step_of_its_checkpoint_with_the_same_result() {
         let plan = plan(1, "touch = true");
         let run = &plan.runs()[0];
-        let expected = conduct(&plan, run, |_| true).unwrap();
+        let expected = execute_run(&plan, run, |_| true).unwrap();
         assert!(expected.touch.is_some() && expected.series.is_some());
         for steps in [1, 150, 299, 300] {
             let checkpoint = RunCheckpoint::from_bytes(&checkpoint(&plan, 0, steps)).unwrap();
             let mut first = None;
-            let finished = conduct_from(&plan, run, Some(checkpoint), |current| {
+            let finished = execute_run_from(&plan, run, Some(checkpoint), |current| {
                 first.get_or_insert(current.steps());
                 true
             });
@@ -76,7 +76,7 @@ mod tests {
     fn a_checkpoint_of_another_run_is_ignored() {
         let first_step = |plan: &Plan, checkpoint: RunCheckpoint| {
             let mut first = None;
-            conduct_from(plan, &plan.runs()[0], Some(checkpoint), |current| {
+            execute_run_from(plan, &plan.runs()[0], Some(checkpoint), |current| {
                 first = Some(current.steps());
                 false
             });

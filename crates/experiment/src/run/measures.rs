@@ -93,7 +93,7 @@ impl Measures {
     }
 
     /// Returns the row and the time series; `state` is the last state.
-    pub fn conclude(
+    pub fn finish(
         mut self,
         plan: &Plan,
         run: &PlannedRun,

@@ -174,9 +174,9 @@ mod tests {
         // Length at pi1 = 4 is 1.6; at pi1 = 8 it is 16/9.
         let mut state = pair(1.7, 4.0);
         let before = state.clone();
-        let refusal = change_pi1(&mut state, 8.0, false).unwrap_err();
+        let error = change_pi1(&mut state, 8.0, false).unwrap_err();
         assert!(
-            matches!(refusal, ReshapeError::NoRoom { pairs: 1, first: 0, second: 1, gap } if (gap - (1.7 - 16.0 / 9.0)).abs() < 1e-14)
+            matches!(error, ReshapeError::NoRoom { pairs: 1, first: 0, second: 1, gap } if (gap - (1.7 - 16.0 / 9.0)).abs() < 1e-14)
         );
         assert_eq!(state, before);
         let factor = change_pi1(&mut state, 8.0, true).unwrap();
@@ -234,7 +234,7 @@ mod tests {
     }
 
     #[test]
-    fn refusals_change_nothing() {
+    fn rejections_change_nothing() {
         let mut state = pair(5.0, 4.0);
         state.parameters.dt = 0.2;
         let before = state.clone();
@@ -251,9 +251,9 @@ mod tests {
             ))
         ));
         let mut state_at_one_place = pair(0.0, 4.0);
-        let refusal = change_pi1(&mut state_at_one_place, 3.0, true);
+        let error = change_pi1(&mut state_at_one_place, 3.0, true);
         assert_eq!(
-            refusal,
+            error,
             Err(ReshapeError::SamePlace {
                 first: 0,
                 second: 1

@@ -266,7 +266,7 @@ mod tests {
     }
 
     #[test]
-    fn ids_are_found_in_any_order_and_refused_if_unknown_or_repeated() {
+    fn ids_are_found_in_any_order_and_rejected_if_unknown_or_repeated() {
         let ids = |candidates, ids: &[u32]| pick(candidates, Selection::Ids(ids.to_vec()));
         assert_eq!(ids(Candidates::All, &[19, 10, 12]).unwrap(), [0, 2, 9]);
         assert!(ids(Candidates::All, &[]).unwrap().is_empty());
@@ -325,20 +325,17 @@ mod tests {
                 .unwrap()
                 .is_empty()
         );
-        let refusal = SelectionError::Count {
+        let error = SelectionError::Count {
             field: "select.count",
             count: 6,
             candidates: 5,
             among: Candidates::Informed,
         };
         assert_eq!(
-            refusal.to_string(),
+            error.to_string(),
             "select.count = 6, but only 5 individuals are informed: select fewer"
         );
-        assert_eq!(
-            pick(Candidates::Informed, Selection::Count(6)),
-            Err(refusal)
-        );
+        assert_eq!(pick(Candidates::Informed, Selection::Count(6)), Err(error));
         for (fraction, count) in [(0.0, 0), (0.04, 0), (0.05, 1), (0.5, 5), (1.0, 10)] {
             assert_eq!(
                 pick(Candidates::All, Selection::Fraction(fraction))
@@ -348,11 +345,8 @@ mod tests {
             );
         }
         for fraction in [-0.1, 1.1, f64::NAN, f64::INFINITY] {
-            let refusal = pick(Candidates::All, Selection::Fraction(fraction)).unwrap_err();
-            assert!(
-                refusal.to_string().starts_with("select.fraction"),
-                "{refusal}"
-            );
+            let error = pick(Candidates::All, Selection::Fraction(fraction)).unwrap_err();
+            assert!(error.to_string().starts_with("select.fraction"), "{error}");
         }
     }
 

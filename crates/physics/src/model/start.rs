@@ -297,21 +297,21 @@ mod tests {
 
     #[test]
     fn the_error_of_a_full_disc_has_the_numbers() {
-        let refusal = disc(&Parameters::default(), 50, Some(1.0), 1).unwrap_err();
+        let error = disc(&Parameters::default(), 50, Some(1.0), 1).unwrap_err();
         let StartError::NoRoom {
             placed,
             n: 50,
             radius: 1.0,
             tries: TRIES,
-        } = refusal
+        } = error
         else {
-            panic!("{refusal}");
+            panic!("{error}");
         };
         assert!((2..12).contains(&placed), "{placed}");
     }
 
     #[test]
-    fn a_disc_of_an_invalid_count_or_radius_is_refused() {
+    fn a_disc_of_an_invalid_count_or_radius_is_rejected() {
         let parameters = Parameters::default();
         assert_eq!(
             disc(&parameters, 0, None, 1),
@@ -323,8 +323,8 @@ mod tests {
             Err(StartError::Count { n: too_many })
         );
         for radius in [0.0, -1.0, f64::NAN, 1.1e6] {
-            let refusal = disc(&parameters, 3, Some(radius), 1).unwrap_err();
-            assert!(refusal.to_string().starts_with("start.radius"), "{refusal}");
+            let error = disc(&parameters, 3, Some(radius), 1).unwrap_err();
+            assert!(error.to_string().starts_with("start.radius"), "{error}");
         }
         let parameters = Parameters {
             pi3: 0.0,
@@ -360,9 +360,9 @@ mod tests {
             )
         };
         assert!(at(0.3 + 1e-12, 0.0).is_ok());
-        let refusal = at(0.3 - 1e-12, 0.0).unwrap_err();
+        let error = at(0.3 - 1e-12, 0.0).unwrap_err();
         assert!(
-            matches!(refusal, StartError::Overlap { first: 0, second: 1, gap, .. } if gap < -0.1)
+            matches!(error, StartError::Overlap { first: 0, second: 1, gap, .. } if gap < -0.1)
         );
         assert_eq!(
             at(0.3, 1.5),
@@ -374,7 +374,7 @@ mod tests {
     }
 
     #[test]
-    fn an_invalid_given_start_is_refused() {
+    fn an_invalid_given_start_is_rejected() {
         let parameters = Parameters::default();
         let start =
             |x: &[f64], y: &[f64], alpha: &[f64]| given(&parameters, x, y, alpha).unwrap_err();

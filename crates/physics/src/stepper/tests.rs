@@ -14,7 +14,7 @@ fn touching() -> State {
     }
 }
 
-fn refusal(mut state: State) -> StepError {
+fn error(mut state: State) -> StepError {
     let before = format!("{state:?}");
     let error = Stepper::new().step(&mut state).unwrap_err();
     assert_eq!(
@@ -75,12 +75,12 @@ fn headings_and_displacements_are_those_of_the_last_step() {
 }
 
 #[test]
-fn crossed_bodies_are_refused() {
+fn crossed_bodies_are_rejected() {
     let mut state = touching();
     state.configuration.alpha[1] = 1.5;
     state.configuration.id = vec![4, 7, 9];
     assert_eq!(
-        refusal(state),
+        error(state),
         StepError::CrossedBodies {
             first: 4,
             second: 7
@@ -89,7 +89,7 @@ fn crossed_bodies_are_refused() {
 }
 
 #[test]
-fn a_step_after_which_bodies_would_cross_is_refused() {
+fn a_step_after_which_bodies_would_cross_is_rejected() {
     // These steps are too long for the check of the parameters, so that linearisation fails.
     let parameters = Parameters {
         pi1: 32.0,
@@ -98,7 +98,7 @@ fn a_step_after_which_bodies_would_cross_is_refused() {
         ..Parameters::default()
     };
     let mut stream = Stream::new(1, 0, 0, Purpose::Start);
-    let mut refused = 0;
+    let mut rejected = 0;
     for _ in 0..2000 {
         let mut state = State {
             parameters,
@@ -115,29 +115,29 @@ fn a_step_after_which_bodies_would_cross_is_refused() {
             Err(error) => {
                 assert!(matches!(error, StepError::CrossedBodies { .. }), "{error}");
                 assert_eq!(format!("{state:?}"), before);
-                refused += usize::from(gaps.crossed == 0);
+                rejected += usize::from(gaps.crossed == 0);
             }
         }
     }
-    assert!(refused > 0, "no step would have crossed");
+    assert!(rejected > 0, "no step would have crossed");
 }
 
 #[test]
-fn a_position_that_is_not_finite_is_refused_with_its_id() {
+fn a_position_that_is_not_finite_is_rejected_with_its_id() {
     for bad in [f64::NAN, f64::INFINITY] {
         for column in 0..3 {
             let mut state = touching();
             let Configuration { x, y, alpha, .. } = &mut state.configuration;
             [x, y, alpha][column][2] = bad;
-            assert_eq!(refusal(state), StepError::NotFinite { id: 2 });
+            assert_eq!(error(state), StepError::NotFinite { id: 2 });
         }
     }
 }
 
 #[test]
-fn a_program_without_solution_is_refused() {
+fn a_program_without_solution_is_rejected() {
     let mut state = touching();
     state.parameters.pi4 = f64::NAN;
-    let error = refusal(state);
+    let error = error(state);
     assert!(matches!(error, StepError::NotSolved { residual } if residual > solve::ACCEPTABLE));
 }

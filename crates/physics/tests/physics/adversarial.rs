@@ -6,7 +6,7 @@ use std::f64::consts::PI;
 use jostle_physics::model::{Parameters, State, start};
 use jostle_physics::stepper::{StepError, Stepper, solve};
 
-use crate::exact::Tally;
+use crate::exact::StepTotals;
 use crate::with;
 
 /// Steps of each state.
@@ -79,12 +79,12 @@ fn hexagonal(n: usize) -> Poses {
 
 /// Steps a state and asserts that every residual is at most the target. If `may_cross`, the run may
 /// end with crossed axes.
-fn settle(name: &str, mut state: State, may_cross: bool) -> Tally {
-    let (mut tally, mut stepper) = (Tally::default(), Stepper::new());
+fn step_and_check(name: &str, mut state: State, may_cross: bool) -> StepTotals {
+    let (mut totals, mut stepper) = (StepTotals::default(), Stepper::new());
     let mut end = String::new();
     for step in 0..STEPS {
         match stepper.step(&mut state) {
-            Ok(report) => tally += &report,
+            Ok(report) => totals += &report,
             Err(error @ StepError::CrossedBodies { .. }) if may_cross => {
                 end = format!(", then {error}");
                 break;
@@ -92,13 +92,13 @@ fn settle(name: &str, mut state: State, may_cross: bool) -> Tally {
             Err(error) => panic!("{name}, step {step}: {error}"),
         }
         assert!(
-            tally.residual <= solve::TARGET,
+            totals.residual <= solve::TARGET,
             "{name}, step {step}: {:e}",
-            tally.residual
+            totals.residual
         );
     }
-    println!("{name}: {tally}{end}");
-    tally
+    println!("{name}: {totals}{end}");
+    totals
 }
 
 /// Returns parameters with `pi3` and `pi4` at the ends of their ranges and in the middle. `dt` is
@@ -130,11 +130,11 @@ fn named(name: &str, parameters: &Parameters) -> String {
     format!("{name}, pi1 {pi1}, pi3 {pi3}, pi4 {pi4}")
 }
 
-/// Calls [`settle`] on a formation for three aspect ratios and all [`extremes`].
+/// Calls [`step_and_check`] on a formation for three aspect ratios and all [`extremes`].
 fn settle_all(name: &str, poses: impl Fn(&Parameters) -> Poses) {
     for parameters in [1.5, 4.0, 32.0].into_iter().flat_map(extremes) {
         let name = named(name, &parameters);
-        settle(&name, state(parameters, &poses(&parameters)), true);
+        step_and_check(&name, state(parameters, &poses(&parameters)), true);
     }
 }
 
@@ -189,9 +189,9 @@ fn three_hundred_packed_discs_driven_to_the_centre() {
                 pose[2] += past * ((k % 7) as f64 - 3.0) / 3.0;
             }
             let name = format!("{}, off by {past}", named("packed discs", &parameters));
-            let tally = settle(&name, state(parameters, &poses), false);
+            let totals = step_and_check(&name, state(parameters, &poses), false);
             // 600 coordinates do not determine more than 600 multipliers.
-            assert!(past > 1.0 || tally.max_active > 700, "{name}: {tally}");
+            assert!(past > 1.0 || totals.max_active > 700, "{name}: {totals}");
         }
     }
 }

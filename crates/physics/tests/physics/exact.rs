@@ -28,7 +28,7 @@ const ROUNDING: f64 = 1e-10;
 
 /// Totals and maxima over many steps.
 #[derive(Clone, Debug, Default)]
-pub struct Tally {
+pub struct StepTotals {
     /// Steps taken.
     pub steps: u64,
     /// Contacts listed, in total.
@@ -45,7 +45,7 @@ pub struct Tally {
     pub residual: f64,
 }
 
-impl AddAssign<&StepReport> for Tally {
+impl AddAssign<&StepReport> for StepTotals {
     fn add_assign(&mut self, report: &StepReport) {
         self.steps += 1;
         self.contacts += report.contacts;
@@ -58,7 +58,7 @@ impl AddAssign<&StepReport> for Tally {
     }
 }
 
-impl fmt::Display for Tally {
+impl fmt::Display for StepTotals {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         let mean = |sum: usize| sum as f64 / self.steps.max(1) as f64;
         write!(
@@ -165,14 +165,15 @@ impl Comparison {
 fn every_step_of_random_groups_is_exact_and_the_fallback_agrees() {
     let long = std::env::var_os("JOSTLE_LONG").is_some();
     let steps = if long { 10 * STEPS } else { STEPS };
-    let (mut tally, mut comparison, mut crossed) = (Tally::default(), Comparison::default(), 0);
+    let (mut totals, mut comparison, mut crossed) =
+        (StepTotals::default(), Comparison::default(), 0);
     let mut seed = 0;
-    while tally.steps < steps {
+    while totals.steps < steps {
         seed += 1;
         let (mut state, lasts) = draw(seed);
         let mut stepper = Stepper::new();
         for _ in 0..lasts {
-            let before = (tally.steps % CHECK_INTERVAL == 0).then(|| state.clone());
+            let before = (totals.steps % CHECK_INTERVAL == 0).then(|| state.clone());
             let report = match stepper.step(&mut state) {
                 Ok(report) => report,
                 // For some of the drawn drags the step is too long.
@@ -182,7 +183,7 @@ fn every_step_of_random_groups_is_exact_and_the_fallback_agrees() {
                 }
                 Err(error) => panic!("seed {seed}, step {}: {error}", state.step),
             };
-            tally += &report;
+            totals += &report;
             if let Some(before) = before.filter(|_| report.active > 0) {
                 comparison.compare(&before, &state, &report);
             }
@@ -196,10 +197,10 @@ fn every_step_of_random_groups_is_exact_and_the_fallback_agrees() {
             );
         }
     }
-    println!("seeds 1 to {seed}, {crossed} of them ended by crossed axes: {tally}");
+    println!("seeds 1 to {seed}, {crossed} of them ended by crossed axes: {totals}");
     println!("fallback: {comparison:?}");
     assert!(
-        tally.active as u64 > 5 * tally.steps,
+        totals.active as u64 > 5 * totals.steps,
         "too few contacts push"
     );
     assert!(

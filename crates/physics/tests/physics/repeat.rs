@@ -24,7 +24,7 @@ fn hex(state: &State) -> String {
 }
 
 /// Returns a group of `n` in contact, always drawn with the same seed.
-fn settled(n: usize, stepper: &mut Stepper) -> State {
+fn settled_state(n: usize, stepper: &mut Stepper) -> State {
     let mut state = drawn(Parameters::default(), n, 1);
     state
         .configuration
@@ -40,7 +40,7 @@ fn settled(n: usize, stepper: &mut Stepper) -> State {
 #[test]
 fn two_hundred_steps_in_contact_end_in_the_golden_state() {
     let mut stepper = Stepper::new();
-    let mut state = settled(74, &mut stepper);
+    let mut state = settled_state(74, &mut stepper);
     advance(&mut stepper, &mut state, 200);
     assert_eq!(hex(&state), GOLDEN);
 }
@@ -74,7 +74,7 @@ fn restore(mut state: State, points: usize, mut straight: Stepper, new: impl Fn(
 fn a_hundred_restored_states_have_the_same_future() {
     for n in [74, 200] {
         let mut stepper = Stepper::new();
-        let state = settled(n, &mut stepper);
+        let state = settled_state(n, &mut stepper);
         restore(state, 100, stepper, Stepper::new);
     }
 }
@@ -121,7 +121,7 @@ fn a_state_restored_before_a_fallback_step_has_the_same_future() {
 
 #[test]
 fn restored_states_have_the_same_future_with_the_fallback_alone() {
-    let state = settled(74, &mut Stepper::new());
+    let state = settled_state(74, &mut Stepper::new());
     let fallback = || Stepper::with_backend(Backend::Fallback);
     restore(state, 3, fallback(), fallback);
 }
@@ -161,7 +161,7 @@ fn every_simd_level_takes_the_same_steps() {
 /// gives the same future.
 #[test]
 fn a_used_stepper_and_another_thread_change_nothing() {
-    let mut here = settled(74, &mut Stepper::new());
+    let mut here = settled_state(74, &mut Stepper::new());
     let there = here.clone();
     let mut used = Stepper::new();
     advance(
@@ -190,7 +190,7 @@ fn a_used_stepper_and_another_thread_change_nothing() {
 #[test]
 fn a_state_without_its_warm_start_has_another_hash() {
     let mut stepper = Stepper::new();
-    let mut state = settled(74, &mut stepper);
+    let mut state = settled_state(74, &mut stepper);
     let mut cold = State {
         warm_start: Default::default(),
         ..state.clone()

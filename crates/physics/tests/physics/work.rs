@@ -20,7 +20,7 @@ struct Work {
 }
 
 /// Steps a group of `n` for `settling` steps, then counts the work of [`COUNTED`] steps.
-fn counted(n: usize, settling: u64) -> Work {
+fn work_of_steps(n: usize, settling: u64) -> Work {
     let mut stepper = Stepper::new();
     let mut state: State = drawn(Parameters::default(), n, 1);
     for index in 0..n / 5 {
@@ -54,7 +54,7 @@ fn ordinary_steps_take_one_factorisation_and_no_fallback() {
         (120, 1500, 1.1),
         (200, 1500, 1.1),
     ] {
-        let work = counted(n, settling);
+        let work = work_of_steps(n, settling);
         assert_eq!(work.fallback, 0, "n = {n}");
         assert!(work.worst <= 1e-9, "n = {n}: {}", work.worst);
         assert!(

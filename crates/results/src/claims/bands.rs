@@ -5,8 +5,8 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
+use crate::contact_statistics::ContactStatistics;
 use crate::table::TableError;
-use crate::touch::Touch;
 use crate::{Measure, ResultRow};
 
 /// The half-width of a band in standard errors of the difference between few and many runs. With a
@@ -19,7 +19,7 @@ const ROUNDING: f64 = 1e-6;
 /// A measured quantity: a value of each run, or of each run's contacts.
 enum Quantity {
     OfRun(Measure),
-    OfTouch(fn(&Touch) -> f64),
+    OfContacts(fn(&ContactStatistics) -> f64),
 }
 
 const QUANTITIES: [(&str, Quantity); 8] = [
@@ -27,10 +27,10 @@ const QUANTITIES: [(&str, Quantity); 8] = [
     ("ordered_time", Quantity::OfRun(Measure::ORDERED_TIME)),
     ("worst_overlap", Quantity::OfRun(Measure::WORST_OVERLAP)),
     ("crossed_share", Quantity::OfRun(Measure::CROSSED_SHARE)),
-    ("listed", Quantity::OfTouch(|it| it.listed)),
-    ("pushing", Quantity::OfTouch(|it| it.pushing)),
-    ("turned", Quantity::OfTouch(|it| it.turned)),
-    ("beside", Quantity::OfTouch(|it| it.beside)),
+    ("listed", Quantity::OfContacts(|it| it.listed)),
+    ("pushing", Quantity::OfContacts(|it| it.pushing)),
+    ("turned", Quantity::OfContacts(|it| it.turned)),
+    ("beside", Quantity::OfContacts(|it| it.beside)),
 ];
 
 /// The interval that should contain the mean of a quantity over the runs of one condition.
@@ -50,14 +50,14 @@ pub struct Band {
 
 /// A band and the measured mean.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Judged {
+pub struct BandResult {
     /// The band.
     pub band: Band,
     /// The measured mean; none without runs of the condition.
     pub mean: Option<f64>,
 }
 
-impl Judged {
+impl BandResult {
     /// Returns whether the mean is inside the band.
     #[must_use]
     pub fn is_inside(&self) -> bool {
@@ -68,10 +68,14 @@ impl Judged {
 
 /// Measures the mean of each band's quantity.
 #[must_use]
-pub fn judge(bands: &[Band], runs: &[ResultRow], touches: &[Touch]) -> Vec<Judged> {
+pub fn judge(
+    bands: &[Band],
+    runs: &[ResultRow],
+    contact_rows: &[ContactStatistics],
+) -> Vec<BandResult> {
     let judged = bands.iter().map(|band| {
-        let values = values(&band.quantity, band.pi1, band.n, runs, touches);
-        Judged {
+        let values = values(&band.quantity, band.pi1, band.n, runs, contact_rows);
+        BandResult {
             band: band.clone(),
             mean: mean_and_variance(&values).map(|(mean, _)| mean),
         }
@@ -79,16 +83,16 @@ pub fn judge(bands: &[Band], runs: &[ResultRow], touches: &[Touch]) -> Vec<Judge
     judged.collect()
 }
 
-/// Computes the bands for the means of `count` runs of a condition from many `runs` and `touches`.
+/// Computes the bands for the means of `count` runs of a condition from many `runs` and `contact_rows`.
 #[must_use]
-pub fn make(runs: &[ResultRow], touches: &[Touch], count: usize) -> Vec<Band> {
+pub fn make(runs: &[ResultRow], contact_rows: &[ContactStatistics], count: usize) -> Vec<Band> {
     let mut conditions: Vec<(f64, u64)> = runs.iter().map(|run| (run.pi1, run.n)).collect();
     conditions.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
     conditions.dedup();
     let mut bands = Vec::new();
     for (pi1, n) in conditions {
         for (quantity, _) in &QUANTITIES {
-            let values = values(quantity, pi1, n, runs, touches);
+            let values = values(quantity, pi1, n, runs, contact_rows);
             if let Some((mean, variance)) = mean_and_variance(&values) {
                 let shares = 1.0 / values.len() as f64 + 1.0 / count as f64;
                 let width = ERRORS * (variance * shares).sqrt() + ROUNDING;
@@ -153,16 +157,22 @@ pub fn write(path: &Path, bands: &[Band]) -> Result<(), TableError> {
     jostle_atomic_file::publish(file, path).map_err(io)
 }
 
-fn values(quantity: &str, pi1: f64, n: u64, runs: &[ResultRow], touches: &[Touch]) -> Vec<f64> {
+fn values(
+    quantity: &str,
+    pi1: f64,
+    n: u64,
+    runs: &[ResultRow],
+    contact_rows: &[ContactStatistics],
+) -> Vec<f64> {
     let of = QUANTITIES.iter().find(|(name, _)| *name == quantity);
     match of.map(|(_, of)| of) {
         Some(Quantity::OfRun(measure)) => {
             let runs = runs.iter().filter(|run| run.pi1 == pi1 && run.n == n);
             runs.map(|run| run.number(*measure)).collect()
         }
-        Some(Quantity::OfTouch(of)) => {
-            let touches = touches.iter().filter(|it| it.pi1 == pi1 && it.n == n);
-            touches.map(of).collect()
+        Some(Quantity::OfContacts(of)) => {
+            let contact_rows = contact_rows.iter().filter(|it| it.pi1 == pi1 && it.n == n);
+            contact_rows.map(of).collect()
         }
         None => Vec::new(),
     }
@@ -209,25 +219,25 @@ mod tests {
     #[test]
     fn a_contact_band_uses_only_runs_of_its_condition() {
         let n = sample().n;
-        let touch = |pi1: f64, n: u64, pushing: f64| Touch {
+        let touch = |pi1: f64, n: u64, pushing: f64| ContactStatistics {
             pi1,
             n,
             pushing,
-            ..Touch::default()
+            ..ContactStatistics::default()
         };
         let pi1 = sample().pi1;
-        let touches = [
+        let contact_rows = [
             touch(pi1, n, 0.5),
             touch(pi1, n + 1, 7.0),
             touch(pi1 + 1.0, n, 9.0),
         ];
-        let bands = make(&[sample()], &touches, 4);
+        let bands = make(&[sample()], &contact_rows, 4);
         let band = bands.iter().find(|it| it.quantity == "pushing").unwrap();
         assert!((band.low - 0.5).abs() < 1.1e-6 && (band.high - 0.5).abs() < 1.1e-6);
     }
 
     #[test]
-    fn bands_round_trip_and_invalid_files_are_refused() {
+    fn bands_round_trip_and_invalid_files_are_rejected() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("bands.csv");
         let bands = make(&[with_v(0.5), with_v(0.75)], &[], 4);

@@ -1,42 +1,42 @@
 //! Claim 5: the drift of groups with informed individuals (Figure 6).
 
 use super::{
-    Answer, Case, Claim, Evidence, Verdict, at_most, counts, of_difference, ratio, with_error,
+    Case, Claim, ClaimResult, Evidence, Verdict, at_most, counts, of_difference, ratio, with_error,
 };
 use crate::statistics::{Spread, Summary};
 
 pub(super) const CLAIMS: [Claim; 5] = [
     Claim {
         name: "5a",
-        says: "Elongation increases the drift speed, by up to a factor of 2.",
-        criterion: "elongated bodies (π1 ≥ 2) are quicker than discs, and at most 2.5 times as quick, at \
-                    every n and k; and some are at least 1.5 times as quick",
-        ask: elongation_helps,
+        statement: "Elongation increases the drift speed, by up to a factor of 2.",
+        criterion: "at every n and k, the drift of elongated bodies (π1 ≥ 2) is larger than that of discs, \
+                    and at most 2.5 times as large; in some condition it is at least 1.5 times as large",
+        judge: elongation_helps,
     },
     Claim {
         name: "5b",
-        says: "Elongated and n ≤ 20: v_pd is significantly higher than k/n.",
-        criterion: "in every condition with π1 ≥ 2",
-        ask: more_than_their_share,
+        statement: "Elongated and n ≤ 20: v_pd is significantly higher than k/n.",
+        criterion: "v_pd is above k/n in every condition with π1 ≥ 2 and n ≤ 20",
+        judge: more_than_their_share,
     },
     Claim {
         name: "5c",
-        says: "Larger groups are led less well: v_pd is lower at n = 40 than at 10 and 20.",
-        criterion: "below both at every k/n and π1 ≥ 2",
-        ask: larger_groups_are_slower,
+        statement: "Larger groups are led less well: v_pd is lower at n = 40 than at 10 and 20.",
+        criterion: "v_pd at n = 40 is below both at every k/n and π1 ≥ 2",
+        judge: larger_groups_are_slower,
     },
     Claim {
         name: "5d",
-        says: "Moderate elongation (2 ≤ π1 ≤ 4) sometimes does better than π1 = 8.",
-        criterion: "some v_pd at π1 = 2, 3 or 4 above that at 8 by 3 standard errors",
-        ask: moderate_is_sometimes_better,
+        statement: "Moderate elongation (2 ≤ π1 ≤ 4) sometimes does better than π1 = 8.",
+        criterion: "some v_pd at π1 = 2, 3 or 4 exceeds that at π1 = 8 by more than 3 standard errors",
+        judge: moderate_is_sometimes_better,
     },
     Claim {
         name: "5e",
-        says: "Runs differ much, especially at n = 10 and for elongated shapes.",
-        criterion: "mean standard deviation of runs at n = 10 at least 1.5 times that at n = 40, and \
-                    that of π1 ≥ 4 above that of discs",
-        ask: runs_differ,
+        statement: "Runs differ much, especially at n = 10 and for elongated shapes.",
+        criterion: "the mean standard deviation of v_pd at n = 10 (π1 ≥ 4) is at least 1.5 times that at \
+                    n = 40, and above that of discs at n = 10",
+        judge: runs_differ,
     },
 ];
 
@@ -61,7 +61,7 @@ fn name(it: &Summary) -> String {
     )
 }
 
-fn elongation_helps(evidence: &Evidence) -> Answer {
+fn elongation_helps(evidence: &Evidence) -> ClaimResult {
     let (mut cases, mut best) = (Vec::new(), None::<(f64, Option<f64>, String)>);
     let (mut quicker, mut too_quick) = (Vec::new(), 0);
     for it in elongated(evidence) {
@@ -81,16 +81,16 @@ fn elongation_helps(evidence: &Evidence) -> Answer {
         }
     }
     let Some((largest, error, place)) = best else {
-        return Answer::no_runs();
+        return ClaimResult::no_runs();
     };
     let verdict = match Verdict::of_cases(&cases) {
         Verdict::Holds if largest < 1.5 => Verdict::InPart,
         verdict => verdict,
     };
-    Answer {
+    ClaimResult {
         measured: format!(
-            "quicker than discs: {}; more than 2.5 times as quick in {too_quick}; largest ratio {} \
-             ({place})",
+            "drift larger than that of discs: {}; more than 2.5 times as large in {too_quick}; largest \
+             ratio {} ({place})",
             counts(&quicker),
             with_error(largest, error)
         ),
@@ -98,7 +98,7 @@ fn elongation_helps(evidence: &Evidence) -> Answer {
     }
 }
 
-fn more_than_their_share(evidence: &Evidence) -> Answer {
+fn more_than_their_share(evidence: &Evidence) -> ClaimResult {
     let few: Vec<_> = elongated(evidence)
         .into_iter()
         .filter(|it| it.condition.n <= 20)
@@ -112,9 +112,9 @@ fn more_than_their_share(evidence: &Evidence) -> Answer {
     }
     gains.sort_by(f64::total_cmp);
     let Some(median) = gains.get(gains.len() / 2) else {
-        return Answer::no_runs();
+        return ClaimResult::no_runs();
     };
-    Answer {
+    ClaimResult {
         measured: format!(
             "v_pd / (k/n): median {median:.2}, least {:.2}, largest {:.2}; above 1: {}",
             gains[0],
@@ -125,7 +125,7 @@ fn more_than_their_share(evidence: &Evidence) -> Answer {
     }
 }
 
-fn larger_groups_are_slower(evidence: &Evidence) -> Answer {
+fn larger_groups_are_slower(evidence: &Evidence) -> ClaimResult {
     let (mut cases, mut losses) = (Vec::new(), Vec::new());
     for it in elongated(evidence) {
         let condition = &it.condition;
@@ -145,10 +145,10 @@ fn larger_groups_are_slower(evidence: &Evidence) -> Answer {
         losses.push(2.0 * forty.mean / (ten.mean + twenty.mean));
     }
     if losses.is_empty() {
-        return Answer::no_runs();
+        return ClaimResult::no_runs();
     }
     let mean = losses.iter().sum::<f64>() / losses.len() as f64;
-    Answer {
+    ClaimResult {
         measured: format!(
             "v_pd at n = 40 is {mean:.2} times the mean of n = 10 and 20, on average; below both: {}",
             counts(&cases)
@@ -157,7 +157,7 @@ fn larger_groups_are_slower(evidence: &Evidence) -> Answer {
     }
 }
 
-fn moderate_is_sometimes_better(evidence: &Evidence) -> Answer {
+fn moderate_is_sometimes_better(evidence: &Evidence) -> ClaimResult {
     let (mut met, mut all, mut best) = (0, 0, None::<(f64, String)>);
     for it in elongated(evidence) {
         if it.condition.pi1 > 4.0 {
@@ -183,15 +183,15 @@ fn moderate_is_sometimes_better(evidence: &Evidence) -> Answer {
         }
     }
     let Some((_, clearest)) = best else {
-        return Answer::no_runs();
+        return ClaimResult::no_runs();
     };
-    Answer {
+    ClaimResult {
         measured: format!("in {met} of {all} conditions; clearest: {clearest}"),
         verdict: Verdict::of_cases(&[Case::sure(met > 0)]),
     }
 }
 
-fn runs_differ(evidence: &Evidence) -> Answer {
+fn runs_differ(evidence: &Evidence) -> ClaimResult {
     let mean = |is_among: &dyn Fn(&Summary) -> bool| {
         let among = evidence.informed().filter(|it| is_among(it));
         let spreads: Vec<f64> = among.filter_map(|it| it.v_pd?.deviation).collect();
@@ -202,10 +202,10 @@ fn runs_differ(evidence: &Evidence) -> Answer {
     let [ten, twenty, forty] = [10, 20, 40].map(of);
     let discs = mean(&|it: &Summary| it.condition.pi1 == 1.0 && it.condition.n == 10);
     if [ten, twenty, forty, discs].iter().any(|it| it.is_nan()) {
-        return Answer::no_runs();
+        return ClaimResult::no_runs();
     }
     let cases = [ten >= 1.5 * forty, ten > discs].map(Case::sure);
-    Answer {
+    ClaimResult {
         measured: format!(
             "standard deviation of v_pd among runs, π1 ≥ 4: {ten:.3}, {twenty:.3}, {forty:.3} at n = \
              10, 20, 40; discs at n = 10: {discs:.3}"

@@ -1,8 +1,8 @@
 //! The runs on which claims are judged.
 
 use crate::ResultRow;
+use crate::contact_statistics::ContactStatistics;
 use crate::statistics::{Spread, Summary, summarise};
-use crate::touch::Touch;
 
 /// The paper's π3 and π4, for all runs but its animations.
 const PI3: f64 = 1.0;
@@ -23,7 +23,7 @@ pub struct Evidence {
     /// The summaries of the conditions of both series.
     pub summaries: Vec<Summary>,
     /// The measurements of contacts in the animations.
-    pub touches: Vec<Touch>,
+    pub contact_rows: Vec<ContactStatistics>,
 }
 
 /// Lists the rules of `runs` at the paper's π3 and π4, `endpoints` first.
@@ -46,7 +46,7 @@ pub fn rules(runs: &[ResultRow]) -> Vec<Rule> {
 impl Evidence {
     /// Selects the runs of `rule`. Runs that a fault ended early are excluded.
     #[must_use]
-    pub fn new(rule: &Rule, runs: &[ResultRow], touches: &[Touch]) -> Self {
+    pub fn new(rule: &Rule, runs: &[ResultRow], contact_rows: &[ContactStatistics]) -> Self {
         let steps_of = |run: &&ResultRow| run.contacts == rule.contacts && run.dt == rule.dt;
         let longest = |run: &ResultRow| {
             let alike = runs.iter().filter(|it| it.n == run.n && it.dt == run.dt);
@@ -56,10 +56,12 @@ impl Evidence {
         let whole = whole.filter(|run| run.time >= longest(run) * (1.0 - 1e-9));
         let paper = whole.filter(|run| run.pi3 == PI3 && run.pi4 == PI4);
         let runs: Vec<ResultRow> = paper.cloned().collect();
-        let touches = touches.iter().filter(|it| it.contacts == rule.contacts);
+        let contact_rows = contact_rows
+            .iter()
+            .filter(|it| it.contacts == rule.contacts);
         Self {
             summaries: summarise(&runs),
-            touches: touches.cloned().collect(),
+            contact_rows: contact_rows.cloned().collect(),
         }
     }
 

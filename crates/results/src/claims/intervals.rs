@@ -2,43 +2,47 @@
 //! 4 and 5).
 
 use super::order::ELONGATED;
-use super::{Answer, Case, Claim, Evidence, Verdict, counts, of_difference, with_error};
+use super::{Case, Claim, ClaimResult, Evidence, Verdict, counts, of_difference, with_error};
 use crate::disorder::n_eff;
 use crate::statistics::Summary;
 
 pub(super) const CLAIMS: [Claim; 5] = [
     Claim {
         name: "3a",
-        says: "Build-up times grow exponentially with n (π1 ≥ 4).",
-        criterion: "from n = 10 on a straight line of log time over n fits with R² ≥ 0.9, and better \
-                    than over log n, for both",
-        ask: build_up_grows,
+        statement: "Build-up times grow exponentially with n (π1 ≥ 4).",
+        criterion: "for both values of π1, from n = 10 on, the logarithm of the time is linear in n with \
+                    R² ≥ 0.9, and R² is larger than for a fit over log n",
+        judge: build_up_grows,
     },
     Claim {
         name: "3b",
-        says: "Breakdown times are still well above 1 at n = 50 for π1 ≥ 4.",
-        criterion: "2 or more for both; as the paper, only where every run reached order",
-        ask: breakdown_at_50,
+        statement: "Breakdown times are still well above 1 at n = 50 for π1 ≥ 4.",
+        criterion: "the breakdown time is 2 or more for both values of π1; as in the paper, only if every run \
+                    reached order",
+        judge: breakdown_at_50,
     },
     Claim {
         name: "4a",
-        says: "n_eff is close to n for groups of a few (π1 ≥ 4).",
+        statement: "n_eff is close to n for groups of a few (π1 ≥ 4).",
         criterion: "n_eff ≥ 0.8 n at every n ≤ 7",
-        ask: few_are_one_cluster,
+        judge: few_are_one_cluster,
     },
     Claim {
         name: "4b",
-        says: "n_eff ≈ 10 at n = 50 for π1 ≥ 4.",
-        criterion: "between 7 and 14 for both",
-        ask: ten_of_fifty,
+        statement: "n_eff ≈ 10 at n = 50 for π1 ≥ 4.",
+        criterion: "n_eff is between 7 and 14 for both values of π1",
+        judge: ten_of_fifty,
     },
     Claim {
         name: "4c",
-        says: "n_eff probably saturates.",
-        criterion: "n_eff grows by less than a quarter from n = 50 to 74, for both",
-        ask: saturates,
+        statement: "n_eff probably saturates.",
+        criterion: "n_eff grows by less than a quarter from n = 50 to 74, for both values of π1",
+        judge: saturates,
     },
 ];
+
+/// The fewest values of n through which a line is fitted: through two, every line has R² = 1.
+const FIT_POINTS: usize = 3;
 
 /// Fits a straight line to points (x, y). Returns the explained share of the variance, R², and the
 /// slope.
@@ -54,17 +58,17 @@ fn line(points: &[(f64, f64)]) -> (f64, f64) {
     (xy * xy / (xx * yy), xy / xx)
 }
 
-fn build_up_grows(evidence: &Evidence) -> Answer {
+fn build_up_grows(evidence: &Evidence) -> ClaimResult {
     let (mut cases, mut fits) = (Vec::new(), Vec::new());
     for pi1 in ELONGATED {
-        let all = evidence.uninformed(pi1);
-        let of = |it: &&Summary| Some((it.condition.n as f64, it.build_up?.mean));
-        let points: Vec<_> = all
-            .iter()
-            .filter_map(of)
-            .filter(|it| it.0 >= 10.0)
-            .collect();
-        if points.len() < 3 {
+        let mut large = evidence.uninformed(pi1);
+        large.retain(|it| it.condition.n >= 10);
+        if large.len() < FIT_POINTS {
+            return ClaimResult::no_runs();
+        }
+        let of = |it: &Summary| Some((it.condition.n as f64, it.build_up?.mean));
+        let points: Vec<_> = large.iter().filter_map(|it| of(it)).collect();
+        if points.len() < FIT_POINTS {
             fits.push(format!(
                 "{} points where every run reached order (π1 = {pi1})",
                 points.len()
@@ -87,20 +91,17 @@ fn build_up_grows(evidence: &Evidence) -> Answer {
             last.0
         ));
     }
-    if evidence.uninformed(ELONGATED[0]).is_empty() {
-        return Answer::no_runs();
-    }
-    Answer {
+    ClaimResult {
         measured: fits.join("; "),
         verdict: Verdict::of_cases(&cases),
     }
 }
 
-fn breakdown_at_50(evidence: &Evidence) -> Answer {
+fn breakdown_at_50(evidence: &Evidence) -> ClaimResult {
     let (mut cases, mut times) = (Vec::new(), Vec::new());
     for pi1 in ELONGATED {
         let Some(it) = evidence.one(pi1, 50) else {
-            return Answer::no_runs();
+            return ClaimResult::no_runs();
         };
         match it.breakdown {
             Some(time) => {
@@ -116,7 +117,7 @@ fn breakdown_at_50(evidence: &Evidence) -> Answer {
             }
         }
     }
-    Answer {
+    ClaimResult {
         measured: times.join(", "),
         verdict: Verdict::of_cases(&cases),
     }
@@ -134,7 +135,7 @@ fn cluster(it: &Summary) -> Option<(f64, Option<f64>)> {
     Some((size, error))
 }
 
-fn few_are_one_cluster(evidence: &Evidence) -> Answer {
+fn few_are_one_cluster(evidence: &Evidence) -> ClaimResult {
     let few = ELONGATED.map(|pi1| evidence.uninformed(pi1)).concat();
     let few = few.into_iter().filter(|it| it.condition.n <= 7);
     let shares: Vec<(f64, Option<f64>, &Summary)> = few
@@ -145,11 +146,11 @@ fn few_are_one_cluster(evidence: &Evidence) -> Answer {
         })
         .collect();
     let Some((least, error, it)) = shares.iter().min_by(|a, b| a.0.total_cmp(&b.0)) else {
-        return Answer::no_runs();
+        return ClaimResult::no_runs();
     };
     let cases = shares.iter().map(|it| Case::new(it.0 - 0.8, it.1));
     let cases: Vec<Case> = cases.collect();
-    Answer {
+    ClaimResult {
         measured: format!(
             "least n_eff / n = {} (π1 = {}, n = {}); at 0.8 or more: {}",
             with_error(*least, *error),
@@ -161,11 +162,11 @@ fn few_are_one_cluster(evidence: &Evidence) -> Answer {
     }
 }
 
-fn ten_of_fifty(evidence: &Evidence) -> Answer {
+fn ten_of_fifty(evidence: &Evidence) -> ClaimResult {
     let (mut cases, mut sizes) = (Vec::new(), Vec::new());
     for pi1 in ELONGATED {
         let Some(it) = evidence.one(pi1, 50) else {
-            return Answer::no_runs();
+            return ClaimResult::no_runs();
         };
         let Some((size, error)) = cluster(it) else {
             sizes.push(format!("none: v is below v_ind (π1 = {pi1})"));
@@ -175,17 +176,17 @@ fn ten_of_fifty(evidence: &Evidence) -> Answer {
         cases.push(Case::new(f64::min(size - 7.0, 14.0 - size), error));
         sizes.push(format!("{} (π1 = {pi1})", with_error(size, error)));
     }
-    Answer {
+    ClaimResult {
         measured: format!("n_eff = {}", sizes.join(", ")),
         verdict: Verdict::of_cases(&cases),
     }
 }
 
-fn saturates(evidence: &Evidence) -> Answer {
+fn saturates(evidence: &Evidence) -> ClaimResult {
     let (mut cases, mut sizes) = (Vec::new(), Vec::new());
     for pi1 in ELONGATED {
         let (Some(fifty), Some(more)) = (evidence.one(pi1, 50), evidence.one(pi1, 74)) else {
-            return Answer::no_runs();
+            return ClaimResult::no_runs();
         };
         let (Some(before), Some(after)) = (cluster(fifty), cluster(more)) else {
             sizes.push(format!("none: v is below v_ind (π1 = {pi1})"));
@@ -200,7 +201,7 @@ fn saturates(evidence: &Evidence) -> Answer {
             with_error(after.0, after.1)
         ));
     }
-    Answer {
+    ClaimResult {
         measured: format!("n_eff = {}", sizes.join("; ")),
         verdict: Verdict::of_cases(&cases),
     }
@@ -230,7 +231,7 @@ mod tests {
         let runs: Vec<ResultRow> = ELONGATED.iter().flat_map(of_shape).collect();
         Evidence {
             summaries: summarise(&runs),
-            touches: Vec::new(),
+            contact_rows: Vec::new(),
         }
     }
 
@@ -238,9 +239,15 @@ mod tests {
     fn three_sizes_are_enough_for_a_line_and_two_are_not() {
         let of = |sizes: &[u64]| build_up_grows(&growing(sizes)).verdict;
         assert_eq!(of(&[10, 20, 50]), Verdict::Holds);
-        assert_eq!(of(&[10, 50]), Verdict::Fails);
+        assert_eq!(of(&[10, 50]), Verdict::NoData);
         // Smaller groups do not count.
-        assert_eq!(of(&[5, 10, 50]), Verdict::Fails);
+        assert_eq!(of(&[5, 10, 50]), Verdict::NoData);
+        // Of three sizes, one where a run did not reach order.
+        let mut evidence = growing(&[10, 20, 50]);
+        for it in &mut evidence.summaries {
+            it.build_up = it.build_up.filter(|_| it.condition.n < 50);
+        }
+        assert_eq!(build_up_grows(&evidence).verdict, Verdict::Fails);
     }
 
     #[test]
@@ -258,7 +265,7 @@ mod tests {
             let runs: Vec<ResultRow> = ELONGATED.iter().flat_map(pair).collect();
             ten_of_fifty(&Evidence {
                 summaries: summarise(&runs),
-                touches: Vec::new(),
+                contact_rows: Vec::new(),
             })
         };
         assert_eq!(of_clusters(5).verdict, Verdict::Holds);

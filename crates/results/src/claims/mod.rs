@@ -20,15 +20,15 @@ use verdict::{Case, counts};
 
 /// The result of judging a claim on the runs of one rule.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Answer {
+pub struct ClaimResult {
     /// The measured values, with standard errors.
     pub measured: String,
     /// The verdict that follows from them.
     pub verdict: Verdict,
 }
 
-impl Answer {
-    /// The answer to a claim for which runs are missing.
+impl ClaimResult {
+    /// The result of a claim for which runs are missing.
     fn no_runs() -> Self {
         Self {
             measured: "no such runs".to_owned(),
@@ -43,11 +43,11 @@ pub struct Claim {
     /// The number of the claim in the paper's order, and a letter for each of its parts.
     pub name: &'static str,
     /// The claim, paraphrased.
-    pub says: &'static str,
+    pub statement: &'static str,
     /// The condition under which it holds.
     pub criterion: &'static str,
     /// Judges the claim.
-    pub ask: fn(&Evidence) -> Answer,
+    pub judge: fn(&Evidence) -> ClaimResult,
 }
 
 /// Returns every claim, in the paper's order.
@@ -115,7 +115,7 @@ mod tests {
         let mut names = Vec::new();
         for claim in claims() {
             assert_eq!(
-                (claim.ask)(&evidence).verdict,
+                (claim.judge)(&evidence).verdict,
                 Verdict::NoData,
                 "{}",
                 claim.name

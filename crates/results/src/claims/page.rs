@@ -4,7 +4,7 @@
 use std::fmt::Write as _;
 
 use super::{Claim, Evidence, Rule, Verdict, claims, of_difference, rules, with_error};
-use crate::touch::Touch;
+use crate::contact_statistics::ContactStatistics;
 use crate::{Measure, ResultRow};
 
 /// The origin of the results on a page.
@@ -16,38 +16,42 @@ pub struct Origin {
     pub figures: Vec<(String, String)>,
 }
 
-/// A claim and its answers, rule by rule.
-type Row<'a> = (&'a Claim, Vec<super::Answer>);
+/// A claim and its results, rule by rule.
+type Row<'a> = (&'a Claim, Vec<super::ClaimResult>);
 
 /// Writes the page in Markdown. The same results give the same bytes.
 #[must_use]
-pub fn page(runs: &[ResultRow], touches: &[Touch], origin: &Origin) -> String {
+pub fn page(runs: &[ResultRow], contact_rows: &[ContactStatistics], origin: &Origin) -> String {
     let rules = rules(runs);
     let evidence: Vec<Evidence> = rules
         .iter()
-        .map(|rule| Evidence::new(rule, runs, touches))
+        .map(|rule| Evidence::new(rule, runs, contact_rows))
         .collect();
     let claims = claims();
     let rows: Vec<Row> = claims
         .iter()
-        .map(|claim| (claim, evidence.iter().map(claim.ask).collect()))
+        .map(|claim| (claim, evidence.iter().map(claim.judge).collect()))
         .collect();
     let mut page = String::new();
     let mut put = |text: &str| page.push_str(text);
     put(HEAD);
+    put("<!-- run by: paper/reproduce -->\n");
     put(&format!("```sh\n{}\n```\n\n", origin.commands.trim_end()));
     put(&of_the_rules(runs, &rules));
     put(&summary(&rules, &rows));
     put(&meaning(&rules, &evidence));
-    put("## Claim by claim\n\nErrors are standard errors of means over runs.\n");
-    for (claim, answers) in &rows {
+    put(
+        "## Claim by claim\n\nThe line below each claim is its criterion. Errors (±) are \
+         standard errors of means over runs; `2 errors` are\ntwo of them.\n",
+    );
+    for (claim, results) in &rows {
         put(&format!(
-            "\n### {} {}\n\nHolds: {}.\n\n| contacts | measured | verdict |\n|---|---|---|\n",
-            claim.name, claim.says, claim.criterion
+            "\n### {} {}\n\nCriterion: {}.\n\n| contact rule | measured | verdict |\n|---|---|---|\n",
+            claim.name, claim.statement, claim.criterion
         ));
-        for (rule, answer) in rules.iter().zip(answers) {
-            let (title, verdict) = (title(rule), answer.verdict);
-            put(&format!("| {title} | {} | {verdict} |\n", answer.measured));
+        for (rule, result) in rules.iter().zip(results) {
+            let (title, verdict) = (title(rule), result.verdict);
+            put(&format!("| {title} | {} | {verdict} |\n", result.measured));
         }
     }
     put("\n## Figures\n");
@@ -61,18 +65,19 @@ const HEAD: &str = "\
 # The paper's results, reproduced
 
 P. L. Várkonyi, *Communication and collective consensus making in animal groups via mechanical
-interactions*, J. Nonlinear Sci. 21 (2011). Everything below is written by the last of these
-commands from the tables that the others make; nothing is typed by hand.
+interactions*, J. Nonlinear Sci. 21 (2011), makes claims about this model. This page compares them with
+simulations. The last of these commands writes the whole page from the results of the others:
 
 ";
 
 /// The explanation of how a verdict follows from the cases of a claim.
 const HOW: &str = "\
-A claim speaks of one or more conditions. A condition meets its criterion, or misses it, if the
-measured value is more than two standard errors away from the limit. A claim *holds* if all conditions
-meet it, and *holds in part* if at least half do and the mean over all conditions is on the claim's side.
-Otherwise it *does not hold*. It is *undecided* if the conditions within two standard errors of the limit
-decide which of these it is.
+A claim is about one or more conditions, and has a criterion with a limit
+([claim by claim](#claim-by-claim)). A condition meets or misses the criterion if its measured value is more
+than two standard errors from the limit. A claim *holds* if all conditions meet the criterion, and *holds in
+part* if at least half of them do and the mean over all conditions is on the claim's side of the limit.
+Otherwise it *does not hold*. It is *undecided* if the verdict depends on conditions that are within two
+standard errors of the limit.
 ";
 
 fn title(rule: &Rule) -> String {
@@ -82,8 +87,9 @@ fn title(rule: &Rule) -> String {
 /// Writes the table of the runs of each rule.
 fn of_the_rules(runs: &[ResultRow], rules: &[Rule]) -> String {
     let mut table = String::from(
-        "| contacts | runs | steps | ended by a fault | time with crossed bodies | at the worst \
-         condition | deepest overlap | worst residual | degraded steps | left to the fallback |\n\
+        "The table has the totals of the runs under each contact rule:\n\n| contact rule | runs | steps | \
+         runs ended by a fault | share of time with crossed bodies | the same, in the worst condition | \
+         deepest overlap | worst residual | degraded steps | calls of the fallback |\n\
          |---|---|---|---|---|---|---|---|---|---|\n",
     );
     for rule in rules {
@@ -136,12 +142,12 @@ fn meaning(rules: &[Rule], evidence: &[Evidence]) -> String {
         return String::new();
     };
     let mut text = String::from(
-        "## What the rule decides\n\nThe paper states neither its time step nor its treatment of bodies \
-         side by side, whose closest points are not unique. `endpoints` imposes every smooth \
-         distance of a pair that no smaller one implies; `closest` follows the appendix literally, \
-         one distance a pair. Held by one point, bodies side by side turn into each other, and axes \
-         come to cross.\n\n| π1, n | rule | v | n_eff | build-up | breakdown | share of time ordered | \
-         share of time with crossed bodies |\n|---|---|---|---|---|---|---|---|\n",
+        "## The effect of the contact rule\n\nThe paper states neither its time step nor its \
+         treatment of bodies side by side, whose closest points are not unique. `endpoints` constrains every \
+         smooth distance of a pair that no smaller distance implies; `closest` follows the appendix of \
+         the paper literally, and constrains one distance of each pair. With one constraint, bodies side \
+         by side rotate into each other until their axes cross.\n\n| π1, n | rule | v | n_eff | \
+         build-up | breakdown | share of time ordered | share of time with crossed bodies |\n|---|---|---|---|---|---|---|---|\n",
     );
     let mut differ = Vec::new();
     for (pi1, n) in [
@@ -180,7 +186,7 @@ fn meaning(rules: &[Rule], evidence: &[Evidence]) -> String {
     }
     let _ = writeln!(
         text,
-        "\n- Order is greater with exact contacts at {}.",
+        "\n- Order is greater with `endpoints` than with `closest` at {}.",
         if differ.is_empty() {
             "none of these".to_owned()
         } else {
@@ -191,20 +197,20 @@ fn meaning(rules: &[Rule], evidence: &[Evidence]) -> String {
         let shares = [one, other].map(|it| 100.0 * it.ordered_share);
         let _ = writeln!(
             text,
-            "- That order falls with n stands under both rules. How far it falls does not: groups of 74 \
-             with π1 = 4 are ordered {:.1} % of the time with exact contacts and {:.1} % with \
-             `closest`, where some bodies cross {:.1} % of the time. What the paper says of larger \
-             groups rests on how its program treated bodies side by side.",
+            "- Order decreases with n under both rules, but the extent depends on the rule: groups of 74 with \
+             π1 = 4 are ordered {:.1} % of the time with `endpoints` and {:.1} % of the time with \
+             `closest`, where some bodies are crossed {:.1} % of the time. So the paper's results for \
+             larger groups depend on how its program treated bodies side by side.",
             shares[0],
             shares[1],
             100.0 * other.crossed_share
         );
     }
     text.push_str(
-        "- A time step and a treatment of parallel bodies other than these two may give other \
-         numbers: `closest` is a reading of the paper, not its program. For its animations the paper \
-         gives no number of individuals; here they have 50, and `closest` a time step of 0.05, \
-         since bodies at π3 = 10 turn too fast for 0.1.\n\n",
+        "- Another time step or another treatment of parallel bodies may give other results: `closest` is \
+         an interpretation of the paper, not the paper's program. The paper does not state the number \
+         of individuals in its animations. The animations here have 50 individuals and, with `closest`, \
+         a time step of 0.05, since bodies at π3 = 10 turn too fast for 0.1.\n\n",
     );
     text
 }
@@ -216,11 +222,11 @@ fn summary(rules: &[Rule], rows: &[Row]) -> String {
         let _ = write!(text, " {} |", title(rule));
     });
     let _ = writeln!(text, "\n|---|{}", "---|".repeat(rules.len()));
-    for (claim, answers) in rows {
-        let _ = write!(text, "| {} {} |", claim.name, claim.says);
-        for answer in answers {
-            let verdict = answer.verdict.to_string();
-            let verdict = match answer.verdict {
+    for (claim, results) in rows {
+        let _ = write!(text, "| {} {} |", claim.name, claim.statement);
+        for result in results {
+            let verdict = result.verdict.to_string();
+            let verdict = match result.verdict {
                 Verdict::Holds => format!("**{verdict}**"),
                 _ => verdict,
             };
@@ -233,7 +239,7 @@ fn summary(rules: &[Rule], rows: &[Row]) -> String {
         let count = |verdict| {
             let alike = rows
                 .iter()
-                .filter(|(_, answers)| answers[index].verdict == verdict);
+                .filter(|(_, results)| results[index].verdict == verdict);
             alike.count()
         };
         let _ = writeln!(
@@ -246,20 +252,20 @@ fn summary(rules: &[Rule], rows: &[Row]) -> String {
             count(Verdict::Undecided)
         );
     }
-    let depends = |answers: &[super::Answer]| {
-        answers
+    let depends = |results: &[super::ClaimResult]| {
+        results
             .windows(2)
             .any(|pair| pair[0].verdict != pair[1].verdict)
     };
     let dependent: Vec<&str> = rows
         .iter()
-        .filter(|(_, answers)| depends(answers))
+        .filter(|(_, results)| depends(results))
         .map(|(claim, _)| claim.name)
         .collect();
     if rules.len() > 1 {
         let _ = writeln!(
             text,
-            "- The rule decides the verdict of {} of {} claims: {}.",
+            "- The contact rule changes the verdict of {} of {} claims: {}.",
             dependent.len(),
             rows.len(),
             dependent.join(", ")
@@ -272,7 +278,7 @@ fn summary(rules: &[Rule], rows: &[Row]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::claims::Answer;
+    use crate::claims::ClaimResult;
 
     #[test]
     fn the_summary_lists_verdicts_totals_and_claims_that_depend_on_the_rule() {
@@ -282,11 +288,11 @@ mod tests {
         });
         let claims = claims();
         let of = |verdicts: [Verdict; 2]| {
-            let answer = |verdict| Answer {
+            let result = |verdict| ClaimResult {
                 measured: String::new(),
                 verdict,
             };
-            verdicts.map(answer).to_vec()
+            verdicts.map(result).to_vec()
         };
         let verdicts = [
             [Verdict::Holds, Verdict::Holds],
@@ -297,7 +303,7 @@ mod tests {
         let text = summary(&rules, &rows);
         let row = |index: usize, verdicts: &str| {
             let claim = &claims[index];
-            format!("\n| {} {} | {verdicts} |\n", claim.name, claim.says)
+            format!("\n| {} {} | {verdicts} |\n", claim.name, claim.statement)
         };
         let lines = [
             row(0, "**holds** | **holds**"),

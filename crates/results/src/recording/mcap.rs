@@ -9,7 +9,7 @@ use mcap::records::{MessageHeader, Metadata};
 use mcap::{McapError, WriteOptions, Writer};
 
 use super::error::io_error;
-use super::temp_file::Draft;
+use super::temp_file::TempFile;
 use super::{About, Moment, RecordingError};
 
 /// The channels in order: the topic and the encoding of its messages.
@@ -52,14 +52,14 @@ pub struct McapPart {
 
 impl McapPart {
     /// Begins the file with the metadata `about`, so that a partial file has them too.
-    pub fn begin(draft: &Draft, about: &About) -> Result<Self, RecordingError> {
-        let failed = |error| failed(draft, error);
+    pub fn begin(temp_file: &TempFile, about: &About) -> Result<Self, RecordingError> {
+        let failed = |error| failed(temp_file, error);
         let mut writer = WriteOptions::new()
             // Doubles of moving bodies hardly compress, and readers need no decompression library.
             .compression(None)
             .profile("jostle")
             .library(concat!("jostle-results ", env!("CARGO_PKG_VERSION")))
-            .create(BufWriter::new(draft.file()?))
+            .create(BufWriter::new(temp_file.file()?))
             .map_err(failed)?;
         if !about.is_empty() {
             writer.write_metadata(&metadata(about)).map_err(failed)?;
@@ -72,7 +72,7 @@ impl McapPart {
             .collect::<Result<_, _>>()
             .map_err(failed)?;
         Ok(McapPart {
-            path: draft.path.clone(),
+            path: temp_file.path.clone(),
             writer,
             channels,
             bytes: FILE_OVERHEAD + 2 * length(about),
@@ -85,7 +85,7 @@ impl McapPart {
     /// Writes a message if the disk has space for it.
     pub fn message(
         &mut self,
-        draft: &mut Draft,
+        temp_file: &mut TempFile,
         channel: usize,
         moment: &Moment,
         log_time: u64,
@@ -101,13 +101,13 @@ impl McapPart {
             log_time,
             publish_time: u64::try_from(taken).unwrap_or(u64::MAX),
         };
-        self.write(draft, &header, data)
+        self.write(temp_file, &header, data)
     }
 
     /// Copies a message of another file unchanged, if the disk has space for it.
     pub fn copy(
         &mut self,
-        draft: &mut Draft,
+        temp_file: &mut TempFile,
         channel: usize,
         header: &MessageHeader,
         data: &[u8],
@@ -117,21 +117,21 @@ impl McapPart {
             channel_id,
             ..*header
         };
-        self.write(draft, &header, data)
+        self.write(temp_file, &header, data)
     }
 
     fn write(
         &mut self,
-        draft: &mut Draft,
+        temp_file: &mut TempFile,
         header: &MessageHeader,
         data: &[u8],
     ) -> Result<(), RecordingError> {
         let bytes = self.bytes + data.len() as u64 + MESSAGE_OVERHEAD;
-        draft.reserve(bytes)?;
+        temp_file.reserve(bytes)?;
         self.is_dirty = true;
         self.writer
             .write_to_known_channel(header, data)
-            .map_err(|error| failed(draft, error))?;
+            .map_err(|error| failed(temp_file, error))?;
         self.bytes = bytes;
         self.data_bytes += data.len() as u64;
         Ok(())
@@ -139,28 +139,34 @@ impl McapPart {
 
     /// Ends the current chunk and flushes the file to the operating system, with the metadata
     /// `so_far` if it has changed. Returns whether anything was written.
-    pub fn flush(&mut self, draft: &mut Draft, so_far: &About) -> Result<bool, RecordingError> {
+    pub fn flush(
+        &mut self,
+        temp_file: &mut TempFile,
+        so_far: &About,
+    ) -> Result<bool, RecordingError> {
         let has_changed = !so_far.is_empty() && self.flushed_about != *so_far;
         if !self.is_dirty && !has_changed {
             return Ok(false);
         }
         if has_changed {
             let bytes = self.bytes + 2 * length(so_far) + MESSAGE_OVERHEAD;
-            draft.reserve(bytes)?;
+            temp_file.reserve(bytes)?;
             self.bytes = bytes;
             self.writer
                 .write_metadata(&metadata(so_far))
-                .map_err(|error| failed(draft, error))?;
+                .map_err(|error| failed(temp_file, error))?;
             self.flushed_about.clone_from(so_far);
         }
-        self.writer.flush().map_err(|error| failed(draft, error))?;
+        self.writer
+            .flush()
+            .map_err(|error| failed(temp_file, error))?;
         self.is_dirty = false;
         Ok(true)
     }
 
     /// Adds the metadata `closing` and ends the file.
-    pub fn finish(mut self, draft: &Draft, closing: &About) -> Result<(), RecordingError> {
-        let failed = |error| failed(draft, error);
+    pub fn finish(mut self, temp_file: &TempFile, closing: &About) -> Result<(), RecordingError> {
+        let failed = |error| failed(temp_file, error);
         if !closing.is_empty() {
             let closing = metadata(closing);
             self.writer.write_metadata(&closing).map_err(failed)?;
@@ -197,11 +203,11 @@ pub fn length(about: &About) -> u64 {
     about.iter().map(of).sum()
 }
 
-fn failed(draft: &Draft, error: McapError) -> RecordingError {
+fn failed(temp_file: &TempFile, error: McapError) -> RecordingError {
     match error {
-        McapError::Io(source) => io_error(&draft.path, source),
+        McapError::Io(source) => io_error(&temp_file.path, source),
         error => RecordingError::Mcap {
-            path: draft.path.clone(),
+            path: temp_file.path.clone(),
             reason: error.to_string(),
         },
     }

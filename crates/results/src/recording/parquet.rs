@@ -12,7 +12,7 @@ use parquet::file::writer::SerializedFileWriter;
 use parquet::schema::types::ColumnPath;
 
 use super::mcap::length;
-use super::temp_file::Draft;
+use super::temp_file::TempFile;
 use super::{About, Frame, RecordingError};
 use crate::table::TableError;
 use crate::table::column::ParquetValue;
@@ -96,7 +96,7 @@ pub struct ParquetPart {
 
 impl ParquetPart {
     /// Begins the file with the metadata `about`.
-    pub fn begin(draft: &Draft, about: &About) -> Result<Self, RecordingError> {
+    pub fn begin(temp_file: &TempFile, about: &About) -> Result<Self, RecordingError> {
         let mut properties = WriterProperties::builder()
             .set_compression(Compression::SNAPPY)
             .set_created_by(concat!("jostle-results ", env!("CARGO_PKG_VERSION")).to_owned())
@@ -105,14 +105,14 @@ impl ParquetPart {
         for column in ["x", "y", "alpha"] {
             properties = properties.set_column_dictionary_enabled(ColumnPath::from(column), false);
         }
-        let file = draft.file()?;
+        let file = temp_file.file()?;
         let writer = group("frames", Columns::schemas())
             .and_then(|schema| {
                 SerializedFileWriter::new(file, Arc::new(schema), Arc::new(properties.build()))
             })
-            .map_err(|error| malformed(&draft.path, &error))?;
+            .map_err(|error| malformed(&temp_file.path, &error))?;
         Ok(ParquetPart {
-            path: draft.path.clone(),
+            path: temp_file.path.clone(),
             writer,
             columns: Columns::default(),
             groups: 0,
@@ -121,9 +121,13 @@ impl ParquetPart {
     }
 
     /// Buffers a frame if the disk has space for it; writes a row group once enough are buffered.
-    pub fn frame(&mut self, draft: &mut Draft, frame: &Frame<'_>) -> Result<(), RecordingError> {
+    pub fn frame(
+        &mut self,
+        temp_file: &mut TempFile,
+        frame: &Frame<'_>,
+    ) -> Result<(), RecordingError> {
         let n = frame.id.len();
-        draft.reserve(self.bytes() + n as u64 * MAX_ROW_BYTES)?;
+        temp_file.reserve(self.bytes() + n as u64 * MAX_ROW_BYTES)?;
         let columns = &mut self.columns;
         columns.swarm.extend(vec![Arc::from(frame.swarm); n]);
         columns.epoch.extend(vec![frame.moment.epoch; n]);
@@ -168,7 +172,7 @@ impl ParquetPart {
     }
 
     /// Adds the metadata `closing` and ends the file; Parquet stores metadata at the end.
-    pub fn finish(mut self, draft: &Draft, closing: &About) -> Result<(), RecordingError> {
+    pub fn finish(mut self, temp_file: &TempFile, closing: &About) -> Result<(), RecordingError> {
         // An empty row group is valid, but some readers fail on it.
         if !self.columns.id.is_empty() {
             self.write_group()?;
@@ -178,7 +182,7 @@ impl ParquetPart {
         }
         self.writer
             .finish()
-            .map_err(|error| malformed(&draft.path, &error))?;
+            .map_err(|error| malformed(&temp_file.path, &error))?;
         Ok(())
     }
 

@@ -9,7 +9,7 @@ use super::extent::{self, Extent};
 use super::folder::{PART, number_of, parts};
 use super::mcap::{self, McapPart};
 use super::parquet::ParquetPart;
-use super::temp_file::Draft;
+use super::temp_file::TempFile;
 use super::timeline::Timeline;
 use super::{About, Decode, Format, Frame, Moment, RecordingError, Written, recovery};
 
@@ -18,7 +18,7 @@ const PART_BYTES: u64 = 64 * 1024 * 1024;
 
 /// Writes a recording: one file, or the parts of a folder.
 pub struct Recorder {
-    place: Place,
+    destination: Destination,
     /// The format of the part being written; a single file is converted when it is finished.
     format: Format,
     about: About,
@@ -33,7 +33,7 @@ pub struct Recorder {
 }
 
 /// The destination of a recording.
-enum Place {
+enum Destination {
     File {
         path: PathBuf,
         replace: bool,
@@ -44,8 +44,8 @@ enum Place {
 
 /// A part being written.
 pub(super) enum Part {
-    Parquet(Draft, Box<ParquetPart>),
-    Mcap(Draft, Box<McapPart>),
+    Parquet(TempFile, Box<ParquetPart>),
+    Mcap(TempFile, Box<McapPart>),
 }
 
 impl Recorder {
@@ -64,12 +64,12 @@ impl Recorder {
         decode: Decode,
     ) -> Result<Self, RecordingError> {
         Format::of(path)?;
-        let place = Place::File {
+        let destination = Destination::File {
             path: path.to_owned(),
             replace,
             decode,
         };
-        let mut recorder = Recorder::new(place, Format::Mcap, about);
+        let mut recorder = Recorder::new(destination, Format::Mcap, about);
         recorder.begin_part()?;
         Ok(recorder)
     }
@@ -86,8 +86,8 @@ impl Recorder {
             },
             _ => io_error(folder, source),
         })?;
-        let place = Place::Folder(folder.to_owned());
-        Ok(Recorder::new(place, format, about))
+        let destination = Destination::Folder(folder.to_owned());
+        Ok(Recorder::new(destination, format, about))
     }
 
     /// Resumes an unfinished recording in its folder with a new part. The caller calls
@@ -96,8 +96,8 @@ impl Recorder {
     /// # Errors
     ///
     /// [`RecordingError`] with the part that cannot be read.
-    pub fn go_on(folder: &Path, format: Format, about: About) -> Result<Self, RecordingError> {
-        let mut recorder = Recorder::new(Place::Folder(folder.to_owned()), format, about);
+    pub fn resume(folder: &Path, format: Format, about: About) -> Result<Self, RecordingError> {
+        let mut recorder = Recorder::new(Destination::Folder(folder.to_owned()), format, about);
         for part in parts(folder)? {
             let Extent {
                 frames,
@@ -114,9 +114,9 @@ impl Recorder {
         Ok(recorder)
     }
 
-    fn new(place: Place, format: Format, about: About) -> Self {
+    fn new(destination: Destination, format: Format, about: About) -> Self {
         Recorder {
-            place,
+            destination,
             format,
             about,
             timeline: Timeline::default(),
@@ -140,13 +140,20 @@ impl Recorder {
     pub fn frame(&mut self, frame: &Frame<'_>) -> Result<(), RecordingError> {
         let log_time = self.timeline.at(&frame.moment);
         match self.begin_part()? {
-            Part::Parquet(draft, part) => part.frame(draft, frame)?,
-            Part::Mcap(draft, part) => {
-                part.message(draft, mcap::STATE, &frame.moment, log_time, frame.published)?;
+            Part::Parquet(temp_file, part) => part.frame(temp_file, frame)?,
+            Part::Mcap(temp_file, part) => {
+                part.message(
+                    temp_file,
+                    mcap::STATE,
+                    &frame.moment,
+                    log_time,
+                    frame.published,
+                )?;
             }
         }
         self.written.frames += 1;
-        if matches!(self.place, Place::Folder(_)) && self.bytes_of_part() >= PART_BYTES {
+        if matches!(self.destination, Destination::Folder(_)) && self.bytes_of_part() >= PART_BYTES
+        {
             self.end_part(&About::new())?;
         }
         Ok(())
@@ -161,8 +168,8 @@ impl Recorder {
     /// As with [`Recorder::frame`].
     pub fn flush(&mut self, so_far: &About) -> Result<Option<File>, RecordingError> {
         match &mut self.part {
-            Some(Part::Mcap(draft, part)) => match part.flush(draft, so_far)? {
-                true => draft.file().map(Some),
+            Some(Part::Mcap(temp_file, part)) => match part.flush(temp_file, so_far)? {
+                true => temp_file.file().map(Some),
                 false => Ok(None),
             },
             Some(Part::Parquet(..)) | None => Ok(None),
@@ -199,7 +206,7 @@ impl Recorder {
         let log_time = self.timeline.at(moment);
         match self.begin_part()? {
             Part::Parquet(..) => Ok(()),
-            Part::Mcap(draft, part) => part.message(draft, channel, moment, log_time, json),
+            Part::Mcap(temp_file, part) => part.message(temp_file, channel, moment, log_time, json),
         }
     }
 
@@ -215,27 +222,27 @@ impl Recorder {
             return Ok(());
         };
         let mut closing = closing.clone();
-        if matches!(self.place, Place::Folder(_)) {
+        if matches!(self.destination, Destination::Folder(_)) {
             let frames = self.written.frames - self.frames_before;
             closing.insert(extent::FRAMES.to_owned(), frames.to_string());
         }
-        let draft = match part {
-            Part::Parquet(draft, part) => {
-                part.finish(&draft, &closing)?;
-                draft
+        let temp_file = match part {
+            Part::Parquet(temp_file, part) => {
+                part.finish(&temp_file, &closing)?;
+                temp_file
             }
-            Part::Mcap(draft, part) => {
-                part.finish(&draft, &closing)?;
-                draft
+            Part::Mcap(temp_file, part) => {
+                part.finish(&temp_file, &closing)?;
+                temp_file
             }
         };
-        self.written.bytes += match &self.place {
-            Place::File {
+        self.written.bytes += match &self.destination {
+            Destination::File {
                 path,
                 replace,
                 decode,
-            } => publish(&draft, path, *replace, *decode)?,
-            Place::Folder(_) => draft.publish(false)?,
+            } => publish(&temp_file, path, *replace, *decode)?,
+            Destination::Folder(_) => temp_file.publish(false)?,
         };
         self.written.parts += 1;
         self.next += 1;
@@ -292,28 +299,28 @@ impl Recorder {
     /// Returns the current part, or begins one.
     fn begin_part(&mut self) -> Result<&mut Part, RecordingError> {
         if self.part.is_none() {
-            let draft = match &self.place {
-                Place::File { path, replace, .. } => {
-                    let draft = Draft::begin(path, *replace, false)?;
+            let temp_file = match &self.destination {
+                Destination::File { path, replace, .. } => {
+                    let temp_file = TempFile::begin(path, *replace, false)?;
                     match Format::of(path)? {
-                        Format::Mcap => draft,
-                        Format::Parquet => draft.doubled(),
+                        Format::Mcap => temp_file,
+                        Format::Parquet => temp_file.reserving_twice(),
                     }
                 }
-                Place::Folder(folder) => {
+                Destination::Folder(folder) => {
                     let number = self.next;
                     let name = format!("{PART}{number:05}.{}", self.format.extension());
-                    Draft::begin(&folder.join(name), false, true)?
+                    TempFile::begin(&folder.join(name), false, true)?
                 }
             };
             self.part = Some(match self.format {
                 Format::Parquet => {
-                    let part = Box::new(ParquetPart::begin(&draft, &self.about)?);
-                    Part::Parquet(draft, part)
+                    let part = Box::new(ParquetPart::begin(&temp_file, &self.about)?);
+                    Part::Parquet(temp_file, part)
                 }
                 Format::Mcap => {
-                    let part = Box::new(McapPart::begin(&draft, &self.about)?);
-                    Part::Mcap(draft, part)
+                    let part = Box::new(McapPart::begin(&temp_file, &self.about)?);
+                    Part::Mcap(temp_file, part)
                 }
             });
         }
@@ -324,15 +331,15 @@ impl Recorder {
 /// Publishes a finished file under its name, converted to Parquet if the name requires it. Returns
 /// its length in bytes.
 fn publish(
-    draft: &Draft,
+    temp_file: &TempFile,
     path: &Path,
     replace: bool,
     decode: Decode,
 ) -> Result<u64, RecordingError> {
-    let partial = draft.partial();
+    let partial = temp_file.partial();
     let published = match Format::of(path)? {
-        Format::Mcap => return draft.publish(replace),
-        Format::Parquet => draft.sync().and_then(|_| {
+        Format::Mcap => return temp_file.publish(replace),
+        Format::Parquet => temp_file.sync().and_then(|_| {
             recovery::rebuild(
                 partial,
                 path,

@@ -11,7 +11,7 @@ use super::error::io_error;
 use super::mcap::{CHANNELS, McapPart, STATE};
 use super::parquet::ParquetPart;
 use super::reading::{self, Unfinished, read_unfinished};
-use super::temp_file::{self, Draft, PARTIAL};
+use super::temp_file::{self, PARTIAL, TempFile};
 use super::{About, Decode, Format, RecordingError, extent};
 
 /// The metadata key that marks a recovered recording.
@@ -81,7 +81,11 @@ pub fn recover(path: &Path, replace: bool, decode: Decode) -> Result<Recovery, R
             return Ok(Recovery::Whole(target));
         }
         if format == Format::Parquet {
-            return Err(unreadable(&target, "it is no Parquet file, or has no end"));
+            let reason = match begins_with(&target, &PARQUET)? {
+                true => "a Parquet file whose end is missing cannot be read",
+                false => "it is no Parquet file",
+            };
+            return Err(unreadable(&target, reason));
         }
     } else if !replace && is_there(&target) {
         return Err(RecordingError::Exists { path: target });
@@ -113,7 +117,7 @@ pub fn rebuild(
     about: &About,
     decode: Decode,
 ) -> Result<Recovered, RecordingError> {
-    let mut draft = Draft::rebuild(target)?;
+    let mut temp_file = TempFile::rebuild(target)?;
     let mut rebuilding = Rebuilding {
         source,
         decode,
@@ -121,14 +125,14 @@ pub fn rebuild(
         steps: None,
     };
     let rebuilt = match format {
-        Format::Mcap => rebuilding.mcap(&mut draft, about),
-        Format::Parquet => rebuilding.parquet(&mut draft, about),
+        Format::Mcap => rebuilding.mcap(&mut temp_file, about),
+        Format::Parquet => rebuilding.parquet(&mut temp_file, about),
     };
-    let published = rebuilt.and_then(|read| Ok((draft.publish(replace)?, read)));
+    let published = rebuilt.and_then(|read| Ok((temp_file.publish(replace)?, read)));
     let (bytes, read) = match published {
         Ok(published) => published,
         Err(error) => {
-            draft.discard();
+            temp_file.discard();
             return Err(error);
         }
     };
@@ -153,8 +157,12 @@ struct Rebuilding<'a> {
 }
 
 impl Rebuilding<'_> {
-    fn mcap(&mut self, draft: &mut Draft, about: &About) -> Result<Unfinished, RecordingError> {
-        let mut part = McapPart::begin(draft, &About::new())?;
+    fn mcap(
+        &mut self,
+        temp_file: &mut TempFile,
+        about: &About,
+    ) -> Result<Unfinished, RecordingError> {
+        let mut part = McapPart::begin(temp_file, &About::new())?;
         let read = read_unfinished(self.source, |message| {
             let mut channels = CHANNELS.iter();
             let Some(channel) = channels.position(|(topic, _)| *topic == message.topic) else {
@@ -163,21 +171,25 @@ impl Rebuilding<'_> {
             if channel == STATE {
                 self.state(message.bytes, |_| Ok(()))?;
             }
-            part.copy(draft, channel, &message.header, message.bytes)
+            part.copy(temp_file, channel, &message.header, message.bytes)
         })?;
-        part.finish(draft, &self.closing(&read, about)?)?;
+        part.finish(temp_file, &self.closing(&read, about)?)?;
         Ok(read)
     }
 
-    fn parquet(&mut self, draft: &mut Draft, about: &About) -> Result<Unfinished, RecordingError> {
-        let mut part = ParquetPart::begin(draft, &About::new())?;
+    fn parquet(
+        &mut self,
+        temp_file: &mut TempFile,
+        about: &About,
+    ) -> Result<Unfinished, RecordingError> {
+        let mut part = ParquetPart::begin(temp_file, &About::new())?;
         let read = read_unfinished(self.source, |message| {
             if message.topic != CHANNELS[STATE].0 {
                 return Ok(());
             }
-            self.state(message.bytes, |frame| part.frame(draft, frame))
+            self.state(message.bytes, |frame| part.frame(temp_file, frame))
         })?;
-        part.finish(draft, &self.closing(&read, about)?)?;
+        part.finish(temp_file, &self.closing(&read, about)?)?;
         Ok(read)
     }
 
@@ -210,7 +222,7 @@ impl Rebuilding<'_> {
             return Err(unreadable(self.source, &reason));
         }
         if self.frames == 0 && read.cut.is_some() {
-            let reason = "it holds no state to recover: remove it";
+            let reason = "it holds no state to recover: it ends before the first whole one";
             return Err(unreadable(self.source, reason));
         }
         if read.about.is_empty() {

@@ -22,7 +22,7 @@ const REBUILT: &str = "rebuilt";
 const RESERVE_AHEAD: u64 = 1024 * 1024;
 
 /// A file that is not whole yet.
-pub struct Draft {
+pub struct TempFile {
     /// Its path once it is whole.
     pub path: PathBuf,
     partial: PathBuf,
@@ -37,7 +37,7 @@ pub struct Draft {
     pub disk_bytes: u64,
 }
 
-impl Draft {
+impl TempFile {
     /// Creates the partial file and locks it until all its handles are closed. With `is_hidden` its
     /// name begins with a dot, so that programs that read a whole folder skip it.
     pub fn begin(path: &Path, replace: bool, is_hidden: bool) -> Result<Self, RecordingError> {
@@ -70,18 +70,18 @@ impl Draft {
         // Another process holds the lock only briefly, to test whether this process holds it. If
         // the file system has no locks, a recovery cannot detect that the file is being written.
         let _ = file.lock();
-        Ok(Draft::of(path, partial, file))
+        Ok(TempFile::of(path, partial, file))
     }
 
     /// Creates a temporary file for contents that are rebuilt from another one. It is not locked.
     pub fn rebuild(path: &Path) -> Result<Self, RecordingError> {
         let rebuilt = with_ending(path, REBUILT);
         let file = File::create(&rebuilt).map_err(|source| io_error(path, source))?;
-        Ok(Draft::of(path, rebuilt, file))
+        Ok(TempFile::of(path, rebuilt, file))
     }
 
     fn of(path: &Path, partial: PathBuf, file: File) -> Self {
-        Draft {
+        TempFile {
             path: path.to_owned(),
             partial,
             file,
@@ -94,8 +94,8 @@ impl Draft {
     }
 
     /// Reserves twice the file's length, since another file will be made from it.
-    pub fn doubled(self) -> Self {
-        Draft { times: 2, ..self }
+    pub fn reserving_twice(self) -> Self {
+        TempFile { times: 2, ..self }
     }
 
     /// Returns another handle of the file, for writing.

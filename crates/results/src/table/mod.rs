@@ -187,7 +187,7 @@ mod tests {
     }
 
     #[test]
-    fn a_row_without_a_measure_is_refused_where_its_column_requires_one() {
+    fn a_row_without_a_measure_is_rejected_where_its_column_requires_one() {
         let directory = tempfile::tempdir().unwrap();
         let mut row = sample();
         row.measures
@@ -204,7 +204,7 @@ mod tests {
     }
 
     #[test]
-    fn unknown_extensions_and_missing_files_are_refused() {
+    fn unknown_extensions_and_missing_files_are_rejected() {
         let unknown = read(Path::new("results.txt")).unwrap_err();
         assert!(matches!(unknown, TableError::UnknownKind { .. }));
         let missing = read(Path::new("/nowhere/results.csv")).unwrap_err();

@@ -233,7 +233,7 @@ mod tests {
     }
 
     #[test]
-    fn a_seed_that_does_not_fit_is_refused_and_leaves_no_file() {
+    fn a_seed_that_does_not_fit_is_rejected_and_leaves_no_file() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("results.parquet");
         let mut run = sample();

@@ -17,13 +17,13 @@ fn reply(requests: &mut Requests, client: Option<&str>, id: &str, cost: usize) -
     let payload = Payload {
         bytes: vec![b'1'; cost.saturating_sub(REPLY_BYTES)],
         encoding: JSON,
-        to_remember: None,
+        to_cache: None,
     };
-    let (_, evicted) = requests.remember(name, [0; 32], Ok(payload));
+    let (_, evicted) = requests.insert(name, [0; 32], Ok(payload));
     evicted.iter().map(|name| name.1.clone()).collect()
 }
 
-fn knows(requests: &Requests, client: Option<&str>, id: &str) -> bool {
+fn contains_reply(requests: &Requests, client: Option<&str>, id: &str) -> bool {
     let name = (client.map(str::to_owned), id.to_owned());
     requests.by_name.contains_key(&name)
 }
@@ -37,10 +37,10 @@ fn large_replies_of_one_client_evict_no_reply_of_another() {
         let id = number.to_string();
         reply(&mut requests, Some("controller"), &id, 10 * MIN_COST);
     }
-    assert!(knows(&requests, Some("operator"), "1"));
-    assert!(knows(&requests, None, "1"));
+    assert!(contains_reply(&requests, Some("operator"), "1"));
+    assert!(contains_reply(&requests, None, "1"));
     for number in 0..500 {
-        let is_kept = knows(&requests, Some("controller"), &number.to_string());
+        let is_kept = contains_reply(&requests, Some("controller"), &number.to_string());
         assert_eq!(is_kept, number >= 491, "{number}");
     }
 }
@@ -52,9 +52,9 @@ fn many_replies_of_one_client_evict_no_reply_of_another() {
     for number in 0..50 {
         reply(&mut requests, Some("controller"), &number.to_string(), 10);
     }
-    assert!(knows(&requests, Some("operator"), "1"));
+    assert!(contains_reply(&requests, Some("operator"), "1"));
     for number in 0..50 {
-        let is_kept = knows(&requests, Some("controller"), &number.to_string());
+        let is_kept = contains_reply(&requests, Some("controller"), &number.to_string());
         assert_eq!(is_kept, number >= 42, "{number}");
     }
 }
@@ -69,14 +69,14 @@ fn beside_n_other_names_a_client_keeps_its_share_of_n_plus_1() {
         let name = format!("invented-{}", id % 9);
         reply(&mut requests, Some(&name), &id.to_string(), 10);
     }
-    let kept = (0..10).filter(|id| knows(&requests, Some("operator"), &id.to_string()));
+    let kept = (0..10).filter(|id| contains_reply(&requests, Some("operator"), &id.to_string()));
     assert_eq!(kept.count(), 10);
     // With as many names as there is room for replies, none of it is kept.
     for id in 0..100 {
         let name = format!("more-{id}");
         reply(&mut requests, Some(&name), &id.to_string(), 10);
     }
-    assert!(!(0..10).any(|id| knows(&requests, Some("operator"), &id.to_string())));
+    assert!(!(0..10).any(|id| contains_reply(&requests, Some("operator"), &id.to_string())));
 }
 
 #[test]
@@ -117,7 +117,7 @@ fn the_newest_reply_stays_however_large_and_goes_next() {
     }
     let evicted = reply(&mut requests, Some("b"), "4", 20 * MIN_COST);
     assert_eq!(evicted, ["1", "2", "3"]);
-    assert!(knows(&requests, Some("b"), "4"));
+    assert!(contains_reply(&requests, Some("b"), "4"));
     assert_eq!(reply(&mut requests, Some("a"), "5", 10), ["4"]);
 }
 
@@ -131,7 +131,7 @@ fn a_reply_that_replaces_another_takes_its_place() {
 }
 
 #[test]
-fn the_totals_are_the_sums_of_what_is_remembered() {
+fn the_totals_are_the_sums_of_the_cached_replies() {
     let mut requests = requests(true, 40);
     let (mut number, mut evicted, mut replaced) = (1_u64, 0, 0);
     for _ in 0..5000 {
@@ -143,7 +143,7 @@ fn the_totals_are_the_sums_of_what_is_remembered() {
         let client = (random(20, 41) > 0).then_some(client.as_str());
         // Some ids repeat, so that replies are replaced too.
         let id = random(100, 45).to_string();
-        replaced += usize::from(knows(&requests, client, &id));
+        replaced += usize::from(contains_reply(&requests, client, &id));
         evicted += reply(&mut requests, client, &id, random(3000, 20)).len();
 
         let costs = requests.by_name.values().map(|it| match &it.progress {
@@ -194,5 +194,5 @@ async fn a_retry_of_a_request_that_was_dropped_is_not_executed() {
     }
     // Also after a restart.
     store.commit(Vec::new()).unwrap();
-    assert_eq!(store.answers().unwrap().len(), 2);
+    assert_eq!(store.replies().unwrap().len(), 2);
 }

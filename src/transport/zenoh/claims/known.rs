@@ -36,7 +36,7 @@ pub(super) struct Known {
     /// The recent router connections that held commands.
     holds: VecDeque<Instant>,
     /// The last time when the daemon was known not to be suspended.
-    pub(super) beat: Instant,
+    pub(super) heartbeat: Instant,
     /// Commands are rejected until then, after a suspension.
     pub(super) stale_until: Instant,
     /// The names whose claims changed since the last `reconcile`.
@@ -49,7 +49,7 @@ pub(super) struct Known {
 pub(super) struct Own {
     pub(super) standing: Standing,
     /// The name must not be served before this instant.
-    pub(super) settled: Instant,
+    pub(super) serve_after: Instant,
     /// When the name was reserved for a swarm that is still being built; `None` once it is built.
     pub(super) reserved: Option<Instant>,
     /// Whether its keys are open.
@@ -68,7 +68,7 @@ impl Known {
             routers: BTreeSet::new(),
             held_until: now,
             holds: VecDeque::new(),
-            beat: now,
+            heartbeat: now,
             stale_until: now,
             changed: BTreeSet::new(),
             due: None,
@@ -104,8 +104,8 @@ impl Known {
     }
 
     /// Detects that the daemon was suspended for so long that others may serve its names.
-    pub(super) fn notice_pause(&mut self, now: Instant) {
-        let paused = now.saturating_duration_since(self.beat);
+    pub(super) fn detect_suspension(&mut self, now: Instant) {
+        let paused = now.saturating_duration_since(self.heartbeat);
         if self.routers.is_empty() || paused <= MAX_PAUSE {
             return;
         }
@@ -113,17 +113,17 @@ impl Known {
             secs = paused.as_secs_f64(),
             "daemon was suspended: rejecting commands that arrived meanwhile"
         );
-        self.beat = now;
+        self.heartbeat = now;
         self.stale_until = now + SETTLING;
         self.changed.insert(Name::Node);
     }
 }
 
 impl Own {
-    pub(super) fn new(standing: Standing, settled: Instant, reserved: Option<Instant>) -> Self {
+    pub(super) fn new(standing: Standing, serve_after: Instant, reserved: Option<Instant>) -> Self {
         Own {
             standing,
-            settled,
+            serve_after,
             reserved,
             is_open: false,
             is_rejecting: false,
@@ -137,9 +137,9 @@ impl Own {
         match verdict {
             Verdict::Serve => {
                 if std::mem::take(&mut self.is_contested) {
-                    self.settled = now + SETTLING;
+                    self.serve_after = now + SETTLING;
                 }
-                if now < self.settled {
+                if now < self.serve_after {
                     return actions;
                 }
                 self.standing = self.standing.max(Standing::Serving);
@@ -178,8 +178,8 @@ impl Own {
         }
     }
 
-    /// Whether the name must be judged again at `settled`.
-    pub(super) fn is_settling(&self) -> bool {
+    /// Whether the name must be judged again at `serve_after`.
+    pub(super) fn must_judge_again(&self) -> bool {
         !self.is_contested && (!self.is_open || self.is_rejecting)
     }
 }

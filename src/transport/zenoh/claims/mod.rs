@@ -120,15 +120,15 @@ impl Claims {
         };
         let mut known = self.known.lock();
         known.changed.insert(name.clone());
-        let settled = match known.routers.is_empty() || has_changed {
+        let serve_after = match known.routers.is_empty() || has_changed {
             true => now,
             false => now + SETTLING,
         };
-        let own = Own::new(standing, settled, None);
+        let own = Own::new(standing, serve_after, None);
         known.own.insert(name.clone(), own);
         drop(known);
         // Without a router no daemon can contest the name: `reconcile` declares `serving` first.
-        if has_changed || settled > now {
+        if has_changed || serve_after > now {
             self.declare(name, standing);
         }
     }
@@ -163,7 +163,7 @@ impl Claims {
         let others = known.others.get(&name);
         match known.own.get(&name) {
             Some(own) if own.reserved.is_none() => return Reserved::Now,
-            Some(own) if now < own.settled => return Reserved::At(own.settled),
+            Some(own) if now < own.serve_after => return Reserved::At(own.serve_after),
             Some(own) => {
                 let verdict = others.map(|it| judge(own.standing, &self.claimant, it));
                 let (Some(Verdict::Wait(other)) | Some(Verdict::Reject(other))) = verdict else {
@@ -179,19 +179,19 @@ impl Claims {
                 }
             }
         }
-        let settled = now + SETTLING;
-        let own = Own::new(Standing::Waiting, settled, Some(now));
+        let serve_after = now + SETTLING;
+        let own = Own::new(Standing::Waiting, serve_after, Some(now));
         known.own.insert(name.clone(), own);
         drop(known);
         self.declare(&name, Standing::Waiting);
-        Reserved::At(settled)
+        Reserved::At(serve_after)
     }
 
     /// How to handle a query about `name`; only commands are held.
     pub fn gate(&self, name: &Name, is_command: bool) -> Gate {
         let now = Instant::now();
         let mut known = self.known.lock();
-        known.notice_pause(now);
+        known.detect_suspension(now);
         let Some((verdict, own)) = known.verdict(name, &self.claimant) else {
             // A swarm that was just deleted here, of a name that another daemon serves now.
             let is_of_another = !known.routers.is_empty() && known.others.contains_key(name);
@@ -292,7 +292,7 @@ impl Claims {
                         if own.standing != before {
                             declared.push((name, own.standing));
                         }
-                        own.is_settling().then_some(own.settled)
+                        own.must_judge_again().then_some(own.serve_after)
                     }
                 };
                 known.due = known.due.into_iter().chain(due).min();
@@ -359,7 +359,7 @@ impl Claims {
         known.routers.insert(router);
         known.hold(now);
         if is_first {
-            known.beat = now;
+            known.heartbeat = now;
             let claims = Arc::downgrade(self);
             let beating = thread::Builder::new()
                 .name("heartbeat".into())
@@ -369,8 +369,8 @@ impl Claims {
                         if known.routers.is_empty() {
                             break;
                         }
-                        known.notice_pause(Instant::now());
-                        known.beat = Instant::now();
+                        known.detect_suspension(Instant::now());
+                        known.heartbeat = Instant::now();
                         drop(known);
                         drop(claims);
                         thread::sleep(HEARTBEAT_INTERVAL);

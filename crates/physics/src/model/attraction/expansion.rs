@@ -189,13 +189,13 @@ multiversion! {
 }
 
 /// The factors of a transfer: the powers of `1/Z`, their conjugates and `Z/|Z|`.
-struct Apart<const N: usize> {
+struct TransferFactors<const N: usize> {
     powers: [[f64; N]; 2],
     conjugate: [[f64; N]; 2],
     unit: [f64; 2],
 }
 
-impl<const N: usize> Apart<N> {
+impl<const N: usize> TransferFactors<N> {
     #[inline(always)]
     fn new([x, y]: [f64; 2]) -> Self {
         let square = x * x + y * y;
@@ -227,7 +227,7 @@ multiversion! {
         level,
         halfway: &mut Series<N>,
         moments: &Series<N>,
-        apart: &Apart<N>,
+        apart: &TransferFactors<N>,
     ) {
         let mut scaled = Series::<N>::ZERO;
         for a in 0..N {
@@ -257,7 +257,7 @@ multiversion! {
         level,
         local: &mut Series<N>,
         halfway: &Series<N>,
-        apart: &Apart<N>,
+        apart: &TransferFactors<N>,
     ) {
         for k in 0..N {
             let (mut re, mut im) = ([0.0; N], [0.0; N]);
@@ -299,7 +299,7 @@ pub(super) fn transfer<const N: usize>(
     moments: &Series<N>,
     apart: [f64; 2],
 ) {
-    let apart = Apart::new(apart);
+    let apart = TransferFactors::new(apart);
     transfer_rows(level, halfway, moments, &apart);
     transfer_columns(level, local, halfway, &apart);
 }

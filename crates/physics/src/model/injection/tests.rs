@@ -43,11 +43,11 @@ fn the_error_names_an_overlapping_pose_and_nothing_changes() {
         y: before.y[3],
         alpha: 0.1,
     };
-    let refusal = inject(&[free, occupied]).unwrap_err();
-    assert!(matches!(refusal, InjectionError::Overlap { index: 1, gap } if gap < 0.0));
-    let refusal = inject(&[free, Pose { y: 20.3, ..free }]).unwrap_err();
+    let error = inject(&[free, occupied]).unwrap_err();
+    assert!(matches!(error, InjectionError::Overlap { index: 1, gap } if gap < 0.0));
+    let error = inject(&[free, Pose { y: 20.3, ..free }]).unwrap_err();
     assert!(
-        matches!(refusal, InjectionError::Overlap { index: 1, gap } if (gap + 0.1).abs() < 1e-12)
+        matches!(error, InjectionError::Overlap { index: 1, gap } if (gap + 0.1).abs() < 1e-12)
     );
     for bad in [f64::NAN, f64::INFINITY, 2e6] {
         for pose in [
@@ -183,14 +183,14 @@ fn a_region_is_filled_without_overlap_or_the_error_has_the_numbers() {
             DRAW,
         )
     };
-    let refusal = inject(60).unwrap_err();
+    let error = inject(60).unwrap_err();
     let InjectionError::NoRoom {
         placed,
         count: 60,
         tries: TRIES,
-    } = refusal
+    } = error
     else {
-        panic!("{refusal}");
+        panic!("{error}");
     };
     assert!((8..25).contains(&placed), "{placed}");
     assert_eq!(inject(6).unwrap().len(), 6);
@@ -202,7 +202,7 @@ fn a_region_is_filled_without_overlap_or_the_error_has_the_numbers() {
 }
 
 #[test]
-fn an_invalid_region_is_refused() {
+fn an_invalid_region_is_rejected() {
     let (parameters, mut configuration) = group();
     let before = configuration.clone();
     for (x, radius) in [
@@ -213,8 +213,8 @@ fn an_invalid_region_is_refused() {
         (3e6, 1.0),
     ] {
         let region = Region { x, y: 0.0, radius };
-        let refusal = within(&parameters, &mut configuration, 1, region, 0.0, 0.0, DRAW);
-        assert!(matches!(refusal, Err(InjectionError::Parameters(_))));
+        let error = within(&parameters, &mut configuration, 1, region, 0.0, 0.0, DRAW);
+        assert!(matches!(error, Err(InjectionError::Parameters(_))));
     }
     assert_eq!(configuration, before);
 }

@@ -19,7 +19,7 @@ fn a_body_of_four_widths_has_size_one() {
 }
 
 #[test]
-fn every_field_is_refused_outside_its_range_and_accepted_at_its_ends() {
+fn every_field_is_rejected_outside_its_range_and_accepted_at_its_ends() {
     let field_of = |parameters: Parameters, weight: f64| match parameters.check(weight) {
         Err(ParametersError::OutOfRange { field, .. }) => field,
         Err(ParametersError::StepTooLong { .. }) => "too long",
@@ -36,8 +36,8 @@ fn every_field_is_refused_outside_its_range_and_accepted_at_its_ends() {
         assert_eq!(field_of(Parameters { pi3: bad, ..fine }, 0.0), "pi3");
         assert_eq!(field_of(Parameters { pi4: bad, ..fine }, 0.0), "pi4");
         assert_eq!(field_of(fine, bad), "weight");
-        let refusal = if bad == 1.1e6 { "too long" } else { "dt" };
-        assert_eq!(field_of(Parameters { dt: bad, ..fine }, 0.0), refusal);
+        let expected = if bad == 1.1e6 { "too long" } else { "dt" };
+        assert_eq!(field_of(Parameters { dt: bad, ..fine }, 0.0), expected);
     }
     assert_eq!(field_of(Parameters { pi3: 0.0, ..fine }, 0.0), "pi3");
     assert_eq!(field_of(Parameters { pi4: 0.0, ..fine }, 0.0), "pi4");
@@ -103,10 +103,10 @@ fn the_numbers_of_an_attraction_law_have_ranges() {
     };
     for (name, law, bad, fine) in laws {
         for &bad in bad.iter().chain(&[f64::NAN, f64::INFINITY]) {
-            let refusal = check(law(bad));
+            let error = check(law(bad));
             assert!(
-                matches!(refusal, Err(ParametersError::OutOfRange { field, .. }) if field == name),
-                "{refusal:?}"
+                matches!(error, Err(ParametersError::OutOfRange { field, .. }) if field == name),
+                "{error:?}"
             );
         }
         for &fine in fine {

@@ -255,22 +255,22 @@ fn existing_files_are_kept() {
 }
 
 #[test]
-fn invalid_names_are_refused_and_create_no_file() {
+fn invalid_names_are_rejected_and_create_no_file() {
     let folder = tempfile::tempdir().unwrap();
-    let refused = |path: &str| {
-        let refused = Recorder::to_file(&folder.path().join(path), false, about(), decode);
-        refused.err().unwrap()
+    let rejected = |path: &str| {
+        let rejected = Recorder::to_file(&folder.path().join(path), false, about(), decode);
+        rejected.err().unwrap()
     };
     for path in ["take", "take.csv", ".parquet"] {
-        let error = refused(path);
+        let error = rejected(path);
         assert!(
             matches!(error, RecordingError::UnknownKind { .. }),
             "{error}"
         );
     }
-    let error = refused("nowhere/take.parquet");
+    let error = rejected("nowhere/take.parquet");
     assert!(matches!(error, RecordingError::Io { .. }), "{error}");
-    let error = refused(&format!("{}.mcap", "a".repeat(300)));
+    let error = rejected(&format!("{}.mcap", "a".repeat(300)));
     assert!(matches!(error, RecordingError::Io { .. }), "{error}");
     assert!(names(folder.path()).is_empty());
 }
@@ -282,7 +282,9 @@ fn a_full_disk_ends_a_recording_and_keeps_its_frames() {
         let path = folder.path().join(name);
         let mut recorder = Recorder::to_file(&path, false, about(), decode).unwrap();
         match recorder.part.as_mut().unwrap() {
-            Part::Parquet(draft, _) | Part::Mcap(draft, _) => draft.disk_bytes = 512 * 1024,
+            Part::Parquet(temp_file, _) | Part::Mcap(temp_file, _) => {
+                temp_file.disk_bytes = 512 * 1024;
+            }
         }
         let mut taken = 0;
         let error = loop {
@@ -355,7 +357,7 @@ fn a_recording_resumes_after_a_crash() {
         drop(recorder);
         sweep(&take).unwrap();
 
-        let mut recorder = Recorder::go_on(&take, format, about()).unwrap();
+        let mut recorder = Recorder::resume(&take, format, about()).unwrap();
         assert_eq!(recorder.written(), whole);
         assert_eq!((whole.frames, whole.parts), (3, 1));
         recorder.frame(&frame(1, b"")).unwrap();
@@ -375,7 +377,7 @@ fn a_recording_resumes_after_a_crash() {
         // A damaged part is an error, also after the removal of an earlier part.
         fs::remove_file(&parts[0]).unwrap();
         fs::write(&parts[1], "damaged").unwrap();
-        let error = Recorder::go_on(&take, format, about()).err().unwrap();
+        let error = Recorder::resume(&take, format, about()).err().unwrap();
         assert!(
             matches!(error, RecordingError::Unreadable { .. }),
             "{error}"

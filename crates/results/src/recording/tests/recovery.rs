@@ -48,15 +48,15 @@ fn mcap_messages_are_read_in_order_with_their_offsets() {
         assert_eq!(bytes_at(&mut file, *offset, bytes.len()).unwrap(), *bytes);
     }
     assert_eq!(messages[3].2, [3; 100]);
-    let refused = read(&path, |_| Err("enough".to_owned())).unwrap_err();
+    let rejected = read(&path, |_| Err("enough".to_owned())).unwrap_err();
     assert!(
-        refused.to_string().ends_with("take.mcap: enough"),
-        "{refused}"
+        rejected.to_string().ends_with("take.mcap: enough"),
+        "{rejected}"
     );
 }
 
 #[test]
-fn truncated_files_are_refused_and_damaged_ones_not_misread() {
+fn truncated_files_are_rejected_and_damaged_ones_not_misread() {
     let folder = tempfile::tempdir().unwrap();
     let path = recorded(folder.path());
     let whole = fs::read(&path).unwrap();
@@ -75,7 +75,7 @@ fn truncated_files_are_refused_and_damaged_ones_not_misread() {
             "{length}"
         );
     }
-    let mut refused = 0;
+    let mut rejected = 0;
     for place in 0..whole.len() {
         let mut bytes = whole.clone();
         bytes[place] ^= 0x41;
@@ -87,10 +87,10 @@ fn truncated_files_are_refused_and_damaged_ones_not_misread() {
                     assert!(expected.iter().any(|it| it.2 == message.2), "{place}");
                 }
             }
-            Err(_) => refused += 1,
+            Err(_) => rejected += 1,
         }
     }
-    assert!(refused > 400, "{refused}");
+    assert!(rejected > 400, "{rejected}");
 }
 
 /// Reads the partial file, as a kill of the recorder at this moment would leave it.
@@ -203,9 +203,9 @@ fn flushed_frames_are_recovered_at_every_truncation() {
 fn unrecoverable_files_stay_and_the_error_has_the_reason() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("take.mcap");
-    let refused = |path: &Path, replace| recover(path, replace, decode).err().unwrap().to_string();
-    assert!(refused(&path, false).contains("No such file"));
-    assert!(refused(folder.path(), false).contains("neither"));
+    let rejected = |path: &Path, replace| recover(path, replace, decode).err().unwrap().to_string();
+    assert!(rejected(&path, false).contains("No such file"));
+    assert!(rejected(folder.path(), false).contains("neither"));
 
     let mut recorder = Recorder::to_file(&path, false, about(), decode).unwrap();
     recorder.frame(&frame(1, &published(1))).unwrap();
@@ -213,7 +213,7 @@ fn unrecoverable_files_stay_and_the_error_has_the_reason() {
     let left = left_behind(&path);
     for name in [path.clone(), partial(&path)] {
         assert!(
-            refused(&name, true).contains("running recording"),
+            rejected(&name, true).contains("running recording"),
             "it is being written"
         );
     }
@@ -222,7 +222,7 @@ fn unrecoverable_files_stay_and_the_error_has_the_reason() {
 
     // The partial file of a recording that would have replaced a whole one.
     fs::write(partial(&path), &left).unwrap();
-    assert!(refused(&path, false).contains("it already exists"));
+    assert!(rejected(&path, false).contains("it already exists"));
     assert_eq!(fs::read(&path).unwrap(), whole);
     recover(&path, true, decode).unwrap();
     assert_eq!(steps(&path), [5]);
@@ -236,12 +236,12 @@ fn unrecoverable_files_stay_and_the_error_has_the_reason() {
     ] {
         let path = folder.path().join(name);
         fs::write(partial(&path), bytes).unwrap();
-        let error = refused(&path, false);
+        let error = rejected(&path, false);
         assert!(error.contains(reason), "{name}: {error}");
         assert_eq!(fs::read(partial(&path)).unwrap(), bytes, "{name}");
         assert!(!path.exists(), "{name}");
         fs::rename(partial(&path), &path).unwrap();
-        refused(&path, false);
+        rejected(&path, false);
         assert_eq!(fs::read(&path).unwrap(), bytes, "{name}");
     }
 
@@ -262,7 +262,7 @@ fn unrecoverable_files_stay_and_the_error_has_the_reason() {
         .write_to_known_channel(&header, &published(1))
         .unwrap();
     writer.finish().unwrap();
-    assert!(refused(&other, false).contains("jostle did not record it"));
+    assert!(rejected(&other, false).contains("jostle did not record it"));
 }
 
 #[test]

@@ -8,13 +8,13 @@ use serde::{Deserialize, Serialize};
 use crate::table::TableError;
 
 /// The name of the table within its directory.
-pub const TOUCH_NAME: &str = "touch.csv";
+pub const CONTACT_STATISTICS_NAME: &str = "touch.csv";
 
 /// How much bodies touch in a run, and how contacts turn and displace them.
 ///
 /// Lengths are in body sizes `s`, times in `s/v0`, angles in radians.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Touch {
+pub struct ContactStatistics {
     /// The run's name.
     pub run: String,
     /// Number of individuals.
@@ -49,7 +49,7 @@ pub struct Touch {
 /// # Errors
 ///
 /// [`TableError::Io`], or [`TableError::Malformed`] if a row cannot be encoded.
-pub fn write(path: &Path, rows: &[Touch]) -> Result<(), TableError> {
+pub fn write(path: &Path, rows: &[ContactStatistics]) -> Result<(), TableError> {
     let io = |source| TableError::Io {
         path: path.to_owned(),
         source,
@@ -70,8 +70,8 @@ pub fn write(path: &Path, rows: &[Touch]) -> Result<(), TableError> {
 /// # Errors
 ///
 /// [`TableError::Malformed`] if the file cannot be read.
-pub fn read(directory: &Path) -> Result<Vec<Touch>, TableError> {
-    let path = directory.join(TOUCH_NAME);
+pub fn read(directory: &Path) -> Result<Vec<ContactStatistics>, TableError> {
+    let path = directory.join(CONTACT_STATISTICS_NAME);
     if !path.exists() {
         return Ok(Vec::new());
     }
@@ -99,15 +99,15 @@ mod tests {
     fn rows_round_trip_exactly() {
         let folder = tempfile::tempdir().unwrap();
         assert_eq!(read(folder.path()).unwrap(), []);
-        let row = Touch {
+        let row = ContactStatistics {
             run: "pi4=1 #0".to_owned(),
             pushing: 1.0 / 3.0,
-            ..Touch::default()
+            ..ContactStatistics::default()
         };
         let rows = [row.clone(), row];
-        write(&folder.path().join(TOUCH_NAME), &rows).unwrap();
+        write(&folder.path().join(CONTACT_STATISTICS_NAME), &rows).unwrap();
         assert_eq!(read(folder.path()).unwrap(), rows);
-        std::fs::write(folder.path().join(TOUCH_NAME), "run,n\na,b\n").unwrap();
+        std::fs::write(folder.path().join(CONTACT_STATISTICS_NAME), "run,n\na,b\n").unwrap();
         assert!(read(folder.path()).is_err());
     }
 }

@@ -61,7 +61,7 @@ fn parse(bytes: &[u8], is_cbor: bool) -> Result<Control, String> {
 }
 
 /// Parses set-points from the journal.
-pub fn journaled(request: &Request) -> Result<Command, CommandError> {
+pub fn parse_journaled(request: &Request) -> Result<Command, CommandError> {
     let args = request.args.as_deref().map_or("{}", RawValue::get);
     let applied: Applied = serde_json::from_str(args).map_err(|error| RequestError {
         field: "args".to_owned(),

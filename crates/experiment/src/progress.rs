@@ -43,7 +43,7 @@ pub struct Progress {
 /// Reports the progress of one execution of an experiment, and pauses or cancels it, from any
 /// thread.
 #[derive(Debug, Default)]
-pub struct Control {
+pub struct ExecutionControl {
     /// [`GOING`], [`PAUSED`] or [`CANCELLED`].
     signal: AtomicU8,
     state: Mutex<ProgressState>,
@@ -103,12 +103,12 @@ impl Clock {
 }
 
 /// The side of a run: counts its steps and reads the signal.
-pub struct Watch<'a> {
-    control: &'a Control,
+pub struct RunHandle<'a> {
+    control: &'a ExecutionControl,
     counter: Arc<Counter>,
 }
 
-impl Control {
+impl ExecutionControl {
     /// Returns a control that is neither paused nor cancelled.
     #[must_use]
     pub fn new() -> Self {
@@ -219,7 +219,13 @@ impl Control {
     }
 
     /// Marks a run as current.
-    pub(super) fn begin_run(&self, index: usize, name: &str, steps: u64, cost: f64) -> Watch<'_> {
+    pub(super) fn begin_run(
+        &self,
+        index: usize,
+        name: &str,
+        steps: u64,
+        cost: f64,
+    ) -> RunHandle<'_> {
         let counter = Arc::new(Counter::default());
         let run = CurrentRun {
             name: name.to_owned(),
@@ -228,7 +234,7 @@ impl Control {
             counter: counter.clone(),
         };
         self.state().running.insert(index, run);
-        Watch {
+        RunHandle {
             control: self,
             counter,
         }
@@ -267,11 +273,11 @@ impl Control {
     }
 }
 
-impl Watch<'_> {
+impl RunHandle<'_> {
     /// Stores the number of steps taken. Blocks while the experiment is paused. Returns false if it
     /// was cancelled.
     #[inline]
-    pub fn go_on(&self, steps: u64) -> bool {
+    pub fn report_steps(&self, steps: u64) -> bool {
         self.counter.0.store(steps, Ordering::Relaxed);
         self.control.is(GOING) || self.control.wait()
     }
@@ -282,7 +288,7 @@ mod tests {
     use super::*;
 
     /// Sets the time of the execution so far.
-    fn after(control: &Control, elapsed: Duration) {
+    fn after(control: &ExecutionControl, elapsed: Duration) {
         let mut state = control.state();
         state.clock = Clock {
             past: elapsed,
@@ -292,15 +298,15 @@ mod tests {
 
     #[test]
     fn progress_counts_the_steps_of_current_runs_and_estimates_the_remaining_time() {
-        let control = Control::new();
+        let control = ExecutionControl::new();
         assert_eq!(control.progress(), Progress::default());
         // Runs of 100 s in all, of which runs of 20 s were finished before.
         control.begin(5, 1, 0, [100.0, 20.0]);
-        let watch = control.begin_run(1, "a", 10, 40.0);
+        let handle = control.begin_run(1, "a", 10, 40.0);
         let other = control.begin_run(2, "b", 10, 30.0);
         after(&control, Duration::from_secs(10));
         assert_eq!(control.progress().left_secs, None, "nothing is gained");
-        assert!(watch.go_on(5) && other.go_on(1));
+        assert!(handle.report_steps(5) && other.report_steps(1));
         let progress = control.progress();
         assert_eq!(
             (progress.runs, progress.finished, progress.faulted),
@@ -329,7 +335,7 @@ mod tests {
 
     #[test]
     fn the_end_names_the_runs_that_are_current_and_stops_the_clock() {
-        let control = Control::new();
+        let control = ExecutionControl::new();
         control.begin(3, 0, 0, [3.0, 0.0]);
         assert!(control.state().clock.since.is_some());
         for (index, name) in ["a", "b", "c"].into_iter().enumerate() {
@@ -343,24 +349,24 @@ mod tests {
 
     #[test]
     fn the_clock_stops_while_paused_and_cancellation_is_final() {
-        let control = Control::new();
+        let control = ExecutionControl::new();
         control.begin(1, 0, 0, [1.0, 0.0]);
-        let is_running = |control: &Control| control.state().clock.since.is_some();
+        let is_running = |control: &ExecutionControl| control.state().clock.since.is_some();
         control.pause();
         assert!(control.is_paused() && !is_running(&control));
         control.pause();
         control.resume();
         assert!(!control.is_paused() && is_running(&control));
-        let watch = control.begin_run(0, "a", 1, 1.0);
-        assert!(watch.go_on(0));
+        let handle = control.begin_run(0, "a", 1, 1.0);
+        assert!(handle.report_steps(0));
         control.cancel();
-        assert!(control.is_cancelled() && !watch.go_on(0));
+        assert!(control.is_cancelled() && !handle.report_steps(0));
         control.pause();
         control.resume();
         assert!(control.is_cancelled() && !control.is_paused());
 
         // An execution that begins paused has no running clock.
-        let control = Control::new();
+        let control = ExecutionControl::new();
         control.pause();
         control.begin(1, 0, 0, [1.0, 0.0]);
         assert!(!is_running(&control));

@@ -3,18 +3,18 @@
 use jostle_proto as proto;
 
 use crate::convert::states::phase;
-use crate::health::metrics::{Figures, SwarmFigures};
+use crate::health::metrics::{DaemonMetrics, PerSwarmMetrics};
 
-pub fn metrics(figures: &Figures) -> proto::Metrics {
-    let Figures { totals, store, .. } = figures;
+pub fn metrics(current: &DaemonMetrics) -> proto::Metrics {
+    let DaemonMetrics { totals, store, .. } = current;
     proto::Metrics {
-        uptime_secs: figures.uptime_secs,
-        unwell: figures.reasons.iter().map(ToString::to_string).collect(),
-        warnings: figures.warnings.iter().map(ToString::to_string).collect(),
-        cpu_secs: figures.cpu_secs,
-        cores: figures.cores as u64,
-        memory_bytes: figures.resident_bytes,
-        sessions: figures.sessions as u64,
+        uptime_secs: current.uptime_secs,
+        unwell: current.reasons.iter().map(ToString::to_string).collect(),
+        warnings: current.warnings.iter().map(ToString::to_string).collect(),
+        cpu_secs: current.cpu_secs,
+        cores: current.cores as u64,
+        memory_bytes: current.resident_bytes,
+        sessions: current.sessions as u64,
         steps: totals.step_time.count(),
         step_secs: totals.step_time.secs(),
         faults: totals.faults,
@@ -22,7 +22,7 @@ pub fn metrics(figures: &Figures) -> proto::Metrics {
         residual_max: totals.residual_max,
         frames: totals.frames,
         frames_dropped: totals.frames_dropped,
-        contested: figures.contested as u64,
+        contested: current.contested as u64,
         store: proto::StoreMetrics {
             commits: store.commits,
             commit_secs: store.total_commit_secs,
@@ -34,20 +34,20 @@ pub fn metrics(figures: &Figures) -> proto::Metrics {
             overrun: store.is_overrun,
         },
         recordings: proto::RecordingMetrics {
-            recording: figures.recordings.recording,
-            ended: figures.recordings.ended,
-            failed: figures.recordings.failed.len() as u64,
+            recording: current.recordings.recording,
+            ended: current.recordings.ended,
+            failed: current.recordings.failed.len() as u64,
         },
-        recordings_bytes: figures.recordings_bytes.0,
-        recordings_quota_bytes: figures.recordings_bytes.1,
-        swarms: figures.swarms.iter().map(swarm).collect(),
+        recordings_bytes: current.recordings_bytes.0,
+        recordings_quota_bytes: current.recordings_bytes.1,
+        swarms: current.swarms.iter().map(swarm).collect(),
     }
 }
 
-fn swarm(figures: &SwarmFigures) -> proto::SwarmMetrics {
-    let (summary, totals) = (&figures.summary, &figures.totals);
+fn swarm(current: &PerSwarmMetrics) -> proto::SwarmMetrics {
+    let (summary, totals) = (&current.summary, &current.totals);
     proto::SwarmMetrics {
-        swarm: figures.name.clone(),
+        swarm: current.name.clone(),
         phase: phase(&summary.stamp.phase),
         step: summary.stamp.step,
         n: summary.n as u64,
@@ -57,8 +57,8 @@ fn swarm(figures: &SwarmFigures) -> proto::SwarmMetrics {
         step_secs: totals.step_time.secs(),
         due_steps: totals.lateness.count(),
         late_secs: totals.lateness.secs(),
-        contacts: figures.last.contacts,
-        residual: figures.last.residual,
+        contacts: current.last.contacts,
+        residual: current.last.residual,
         degraded: totals.degraded,
         faults: totals.faults,
     }

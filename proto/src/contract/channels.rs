@@ -1,0 +1,374 @@
+//! Every key that a daemon serves.
+
+/// Something that stands on a key of the bus.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Channel {
+    /// Its key, below the prefix; `{swarm}`, `{node}`, `{controller}` and `{experiment}` stand for
+    /// names.
+    pub key: &'static str,
+    /// How it is used.
+    pub kind: ChannelKind,
+    /// The parameters of a query's selector: each with what it is.
+    pub parameters: &'static [(&'static str, &'static str)],
+    /// What it is for, in a line.
+    pub doc: &'static str,
+}
+
+/// How a key is used. Messages are named as in [`super::schemas`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ChannelKind {
+    /// The daemon publishes this message.
+    Published(&'static str),
+    /// The daemon publishes this message, and answers a query with the newest.
+    PublishedAndQueried(&'static str),
+    /// A liveliness token of the daemon's: no payload.
+    Token,
+    /// A client puts this message.
+    Put(&'static str),
+    /// A liveliness token of a client's: no payload.
+    ClientToken,
+    /// A query that changes nothing, answered with this message.
+    Get(&'static str),
+    /// A query that changes something: its arguments, within `request` or alone, and its answer.
+    Command(&'static str, &'static str),
+}
+
+const PAGE: &[(&str, &str)] = &[
+    (
+        "after",
+        "a whole number, 0 by default: the reply has only entries with higher numbers",
+    ),
+    (
+        "limit",
+        "a whole number from 1 to 1000, 256 by default: the reply has at most this number of \
+         entries",
+    ),
+];
+
+/// Every key a daemon serves.
+pub const CHANNELS: &[Channel] = &{
+    use ChannelKind::{ClientToken, Command, Get, Published, PublishedAndQueried, Put, Token};
+    const fn plain(key: &'static str, kind: ChannelKind, doc: &'static str) -> Channel {
+        Channel {
+            key,
+            kind,
+            parameters: &[],
+            doc,
+        }
+    }
+    [
+        Channel {
+            key: "{swarm}/state",
+            kind: PublishedAndQueried("state"),
+            parameters: &[("format", "`json` or `cbor`, the default")],
+            doc: "The newest state, as a CBOR map of typed arrays.",
+        },
+        plain(
+            "{swarm}/order",
+            Published("order"),
+            "Order and drift beside each state.",
+        ),
+        plain(
+            "{swarm}/event",
+            Published("event"),
+            "The events of the swarm, numbered. An advanced subscriber that joins late gets the \
+             last 64.",
+        ),
+        plain(
+            "{swarm}/alive/{node}",
+            Token,
+            "Exists while the swarm exists.",
+        ),
+        plain(
+            "{swarm}/claim/{node}/{instance}/{standing}",
+            Token,
+            "Held by a daemon that has a swarm of this name, and serves it unless it is `waiting`.",
+        ),
+        plain(
+            "{swarm}/get/status",
+            Get("status.reply"),
+            "The status of the swarm.",
+        ),
+        plain(
+            "{swarm}/get/controllers",
+            Get("controllers.reply"),
+            "The joined controllers: their individuals, misses and puts.",
+        ),
+        plain(
+            "{swarm}/get/spec",
+            Get("spec.reply"),
+            "The spec of the swarm.",
+        ),
+        plain(
+            "{swarm}/get/parameters",
+            Get("parameters.reply"),
+            "Every parameter: value, range, unit, default, whether it may change.",
+        ),
+        Channel {
+            key: "{swarm}/get/events",
+            kind: Get("events.reply"),
+            parameters: PAGE,
+            doc: "The events after the one with a given number.",
+        },
+        Channel {
+            key: "{swarm}/get/journal",
+            kind: Get("journal.reply"),
+            parameters: PAGE,
+            doc: "The commands applied after the one with a given `seq`.",
+        },
+        plain(
+            "{swarm}/get/snapshot",
+            Get("snapshot.reply"),
+            "Everything that the swarm's next steps depend on, as CBOR. A daemon of the same \
+             model version can restore it.",
+        ),
+        plain(
+            "{swarm}/get/verify",
+            Get("verify.reply"),
+            "Whether a replay of the swarm's journal gives the same hashes. The reply takes as \
+             long as the replay.",
+        ),
+        Channel {
+            key: "{swarm}/get/wait",
+            kind: Get("status.reply"),
+            parameters: &[
+                (
+                    "step",
+                    "a whole number: the reply is sent when the swarm reaches this step",
+                ),
+                (
+                    "phase",
+                    "`paused`, `running` or `faulted`: the reply is sent when the swarm is in \
+                     this phase",
+                ),
+                (
+                    "timeout_secs",
+                    "a number above 0, at most 30: the reply is `deadline_exceeded` after this \
+                     time, or earlier if more than 1024 requests wait for the swarm",
+                ),
+            ],
+            doc: "The status, when the swarm reaches a step or a phase; requires either `step` or \
+                 `phase`.",
+        },
+        plain(
+            "{swarm}/cmd/delete",
+            Command("delete.args", "delete.reply"),
+            "Deletes the swarm.",
+        ),
+        plain(
+            "{swarm}/cmd/run",
+            Command("run.args", "run.reply"),
+            "Steps at a rate.",
+        ),
+        plain(
+            "{swarm}/cmd/pause",
+            Command("pause.args", "pause.reply"),
+            "Pauses.",
+        ),
+        plain(
+            "{swarm}/cmd/step",
+            Command("step.args", "step.reply"),
+            "Takes steps.",
+        ),
+        plain(
+            "{swarm}/cmd/reset",
+            Command("reset.args", "reset.reply"),
+            "Restarts from the spec.",
+        ),
+        plain(
+            "{swarm}/cmd/set",
+            Command("set.args", "set.reply"),
+            "Changes parameters.",
+        ),
+        plain(
+            "{swarm}/cmd/inform",
+            Command("inform.args", "inform.reply"),
+            "Gives individuals a direction of their own.",
+        ),
+        plain(
+            "{swarm}/cmd/uninform",
+            Command("uninform.args", "uninform.reply"),
+            "Takes individuals' direction away.",
+        ),
+        plain(
+            "{swarm}/cmd/inject",
+            Command("inject.args", "inject.reply"),
+            "Adds individuals.",
+        ),
+        plain(
+            "{swarm}/cmd/remove",
+            Command("remove.args", "remove.reply"),
+            "Removes individuals.",
+        ),
+        plain(
+            "{swarm}/cmd/batch",
+            Command("batch.args", "batch.reply"),
+            "Applies several changes at one step, or none.",
+        ),
+        plain(
+            "{swarm}/cmd/fork",
+            Command("fork.args", "fork.reply"),
+            "Creates a paused copy of this swarm, of its present state or that at an earlier \
+             step.",
+        ),
+        plain(
+            "{swarm}/cmd/join",
+            Command("join.args", "join.reply"),
+            "Registers a controller, and claims its individuals.",
+        ),
+        plain(
+            "{swarm}/cmd/advance",
+            Command("advance.args", "advance.reply"),
+            "Permits steps; the swarm takes them when all its controllers in lock-step have \
+             permitted them.",
+        ),
+        plain(
+            "{swarm}/cmd/leave",
+            Command("leave.args", "leave.reply"),
+            "Removes a controller.",
+        ),
+        plain(
+            "{swarm}/cmd/annotate",
+            Command("annotate.args", "annotate.reply"),
+            "Writes a note into the journal and the events; the state is unchanged.",
+        ),
+        plain(
+            "{swarm}/cmd/seek",
+            Command("seek.args", "seek.reply"),
+            "Moves a playback to another frame.",
+        ),
+        plain(
+            "{swarm}/ctl/{controller}",
+            Put("control.args"),
+            "Set-points of a controller that joined in mode `free_running`; newer ones replace \
+             older ones.",
+        ),
+        plain(
+            "{swarm}/ctl/{controller}/alive",
+            ClientToken,
+            "Held by a controller; if it disappears, the daemon removes the controller.",
+        ),
+        plain("@node/{node}/alive", Token, "Exists while the daemon runs."),
+        plain(
+            "@node/{node}/claim/{instance}/{standing}",
+            Token,
+            "Held by a daemon of this name.",
+        ),
+        plain(
+            "@node/{node}/get/hello",
+            Get("node.hello.reply"),
+            "The version of the daemon, and its limits.",
+        ),
+        plain(
+            "@node/{node}/get/whoami",
+            Get("node.whoami.reply"),
+            "The user whose token the request carries, and the verbs that this user may send.",
+        ),
+        plain(
+            "@node/{node}/get/status",
+            Get("node.status.reply"),
+            "The status of the daemon.",
+        ),
+        plain(
+            "@node/{node}/get/swarms",
+            Get("node.swarms.reply"),
+            "Every swarm that the daemon hosts.",
+        ),
+        plain(
+            "@node/{node}/get/schema",
+            Get("node.schema.reply"),
+            "The JSON Schema of every message.",
+        ),
+        plain(
+            "@node/{node}/get/metrics",
+            Get("node.metrics.reply"),
+            "Metrics of the daemon and its swarms.",
+        ),
+        plain(
+            "@node/{node}/cmd/create",
+            Command("create.args", "create.reply"),
+            "Creates a swarm, paused.",
+        ),
+        plain(
+            "@node/{node}/cmd/restore",
+            Command("restore.args", "restore.reply"),
+            "Creates a swarm from a snapshot, paused.",
+        ),
+        plain(
+            "@node/{node}/cmd/discard",
+            Command("discard.args", "discard.reply"),
+            "Deletes the swarm of a name on this daemon only.",
+        ),
+        plain(
+            "@node/{node}/get/experiments",
+            Get("node.experiments.reply"),
+            "Every experiment of the daemon, and its progress.",
+        ),
+        plain(
+            "@node/{node}/cmd/experiment",
+            Command("experiment.args", "experiment.reply"),
+            "Submits, pauses, resumes, cancels or deletes an experiment.",
+        ),
+        plain(
+            "@node/{node}/cmd/replay",
+            Command("replay.args", "replay.reply"),
+            "Uploads a recording, and plays it as a swarm.",
+        ),
+        plain(
+            "@node/{node}/get/recordings",
+            Get("node.recordings.reply"),
+            "Every recording of the daemon, and its status.",
+        ),
+        Channel {
+            key: "@node/{node}/get/recording",
+            kind: Get("node.recording.reply"),
+            parameters: &[
+                ("name", "the recording"),
+                (
+                    "part",
+                    "a whole number, 0 by default: the number of a complete part",
+                ),
+                (
+                    "offset",
+                    "a whole number, 0 by default: the byte at which the piece begins",
+                ),
+            ],
+            doc: "A piece of a recording. Requires an operator, and a key without wildcards.",
+        },
+        plain(
+            "@node/{node}/cmd/record",
+            Command("record.args", "record.reply"),
+            "Begins, stops or deletes a recording in the daemon's data directory.",
+        ),
+        plain(
+            "@node/{node}/experiment/{experiment}/progress",
+            PublishedAndQueried("experiment.progress"),
+            "The progress of an experiment, at most twice a second while it changes.",
+        ),
+        Channel {
+            key: "@node/{node}/experiment/{experiment}/results",
+            kind: Get("experiment.results"),
+            parameters: PAGE,
+            doc: "The rows of the finished runs of an experiment. Rows are numbered from 1 in the \
+                 order of the plan.",
+        },
+        Channel {
+            key: "@node/{node}/experiment/{experiment}/order",
+            kind: Get("experiment.order"),
+            parameters: &[
+                ("run", "the name of the run, as in the results"),
+                (
+                    "after",
+                    "a whole number, 0 by default: the reply has only entries with higher \
+                     numbers; the first entry is number 1",
+                ),
+                (
+                    "limit",
+                    "a whole number from 1 to 40000, the default: the reply has at most this \
+                     number of entries",
+                ),
+            ],
+            doc: "The order of one run over time, if the experiment measures it, as CBOR.",
+        },
+    ]
+};

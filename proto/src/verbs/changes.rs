@@ -1,0 +1,295 @@
+//! The arguments and results of the verbs that change parameters or the group.
+
+use std::fmt;
+
+use schemars::JsonSchema;
+use serde::de::{Error as _, IgnoredAny, SeqAccess, Visitor};
+use serde::{Deserialize, Serialize};
+
+use crate::{Attraction, ContactRule, ParameterValues, Stepping};
+
+/// Changes the given parameters, at least one.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct SetArgs {
+    /// Length over width of a body: 1 to 32.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 1.0, max = 32.0))]
+    pub pi1: Option<f64>,
+    /// Weight of individuals informed without one: 0 or more. Those informed keep theirs.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 0.0, max = 1e6))]
+    pub pi2: Option<f64>,
+    /// Body size over turning radius: above 0.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("exclusiveMinimum" = 0), range(max = 1e6))]
+    pub pi3: Option<f64>,
+    /// Translational over rotational drag: above 0.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("exclusiveMinimum" = 0), range(max = 1e6))]
+    pub pi4: Option<f64>,
+    /// Which of a pair's contacts constrain it; all but `closest` need that no axes cross.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub contacts: Option<ContactRule>,
+    /// What a contact limits.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub stepping: Option<Stepping>,
+    /// How many more programs a step solves about what the last one predicts: 0 or 1.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(range(max = 1))]
+    pub relinearise: Option<u8>,
+    /// What an individual turns towards.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub attraction: Option<Attraction>,
+    /// Intensity of white noise on the turning rate, squared angle over time: 0 or more.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 0.0, max = 1e6))]
+    pub noise: Option<f64>,
+    /// Steps between two published states: 1 or more.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 1, max = 1_000_000_000))]
+    pub publish_every: Option<u64>,
+    /// With `pi1`: scale positions about the centroid by the least factor that makes room.
+    #[serde(default)]
+    pub make_room: bool,
+}
+
+/// The result of `set`.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct SetResult {
+    /// The values before.
+    pub before: ParameterValues,
+    /// The values now.
+    pub now: ParameterValues,
+    /// The factor by which positions were scaled to make room; 1 if they were not.
+    pub scaled_by: f64,
+}
+
+/// The individuals that a command changes. A draw is seeded by the swarm's seed and `seq`
+/// minus the number of annotations so far.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+pub enum Select {
+    /// These.
+    Ids(Vec<u32>),
+    /// This many, drawn.
+    Count(u64),
+    /// This share, 0 to 1, drawn; rounded to a whole number of individuals.
+    Fraction(#[schemars(range(min = 0.0, max = 1.0))] f64),
+    /// All whose centre is in a disc.
+    Within(Region),
+    /// The ones furthest along a direction.
+    Foremost(Foremost),
+}
+
+/// A disc, in absolute positions and body sizes.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Region {
+    /// Its centre.
+    pub x: f64,
+    /// Its centre.
+    pub y: f64,
+    /// Its radius, above 0.
+    #[schemars(extend("exclusiveMinimum" = 0), range(max = 1e6))]
+    pub radius: f64,
+}
+
+/// The `count` individuals furthest along a direction.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Foremost {
+    /// How many.
+    pub count: u64,
+    /// The direction in radians, counter-clockwise from +x.
+    #[schemars(range(min = -1e6, max = 1e6))]
+    pub along: f64,
+}
+
+/// Gives individuals a direction of their own.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct InformArgs {
+    /// The individuals; draws are from all.
+    pub select: Select,
+    /// Their preferred direction in radians, counter-clockwise from +x.
+    #[schemars(range(min = -1e6, max = 1e6))]
+    pub direction: f64,
+    /// How much it counts beside attraction, `pi2` if left out: above 0.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("exclusiveMinimum" = 0), range(max = 1e6))]
+    pub weight: Option<f64>,
+    /// After this many time units they are uninformed again; for good if left out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("exclusiveMinimum" = 0), range(max = 1e9))]
+    pub for_time: Option<f64>,
+}
+
+/// Takes individuals' direction away.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct UninformArgs {
+    /// The individuals; draws are from the informed.
+    pub select: Select,
+}
+
+/// Adds individuals, informed or not, where they overlap no other one. One of `count` and `at`.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct InjectArgs {
+    /// How many, at the border of the group, or in `within`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 1))]
+    pub count: Option<u64>,
+    /// Exactly there.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(length(min = 1))]
+    pub at: Option<Vec<Pose>>,
+    /// With `count`: the disc they are drawn in.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub within: Option<Region>,
+    /// Informs them: their preferred direction in radians.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = -1e6, max = 1e6))]
+    pub direction: Option<f64>,
+    /// With `direction`: how much it counts beside attraction, `pi2` if left out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("exclusiveMinimum" = 0), range(max = 1e6))]
+    pub weight: Option<f64>,
+}
+
+/// Where a body is, in absolute positions.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Pose {
+    /// Its centre, body sizes.
+    pub x: f64,
+    /// Its centre, body sizes.
+    pub y: f64,
+    /// Its heading in radians, counter-clockwise from +x.
+    #[schemars(range(min = -1e6, max = 1e6))]
+    pub alpha: f64,
+}
+
+/// Takes individuals out of the group. The last one cannot be removed.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RemoveArgs {
+    /// The individuals; draws are from all.
+    pub select: Select,
+}
+
+/// Applies all of several changes at one step, or none.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct BatchArgs {
+    /// 1 to 256 of them, applied in this order as if each had been sent alone.
+    #[serde(deserialize_with = "no_more_changes")]
+    #[schemars(length(min = 1, max = MAX_CHANGES))]
+    pub commands: Vec<Change>,
+}
+
+/// Maximum number of changes in one `batch`.
+pub const MAX_CHANGES: usize = 256;
+
+/// A verb that changes parameters or the group, with its arguments.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(
+    tag = "verb",
+    content = "args",
+    rename_all = "snake_case",
+    deny_unknown_fields
+)]
+pub enum Change {
+    /// Changes parameters.
+    Set(SetArgs),
+    /// Gives individuals a direction of their own.
+    Inform(InformArgs),
+    /// Takes individuals' direction away.
+    Uninform(UninformArgs),
+    /// Adds individuals.
+    Inject(InjectArgs),
+    /// Takes individuals out of the group.
+    Remove(RemoveArgs),
+}
+
+/// The results of the changes in a `batch`, in their order.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct BatchResult {
+    /// One for each.
+    pub results: Vec<Changed>,
+}
+
+/// The result of a change.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(tag = "verb", content = "result", rename_all = "snake_case")]
+pub enum Changed {
+    /// The parameters before and now.
+    Set(SetResult),
+    /// Who was informed.
+    Inform(IdsResult),
+    /// Who was uninformed.
+    Uninform(IdsResult),
+    /// Who joined.
+    Inject(IdsResult),
+    /// Who left.
+    Remove(IdsResult),
+}
+
+/// The individuals that a command changed.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct IdsResult {
+    /// Their ids, ascending.
+    pub ids: Vec<u32>,
+    /// The size of the group now.
+    pub n: u64,
+}
+
+/// Deserializes at most [`MAX_CHANGES`] changes, however long the list is.
+fn no_more_changes<'de, D>(deserializer: D) -> Result<Vec<Change>, D::Error>
+where
+    D: serde::Deserializer<'de>,
+{
+    struct Changes;
+    impl<'de> Visitor<'de> for Changes {
+        type Value = Vec<Change>;
+
+        fn expecting(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+            write!(formatter, "a list of 1 to {MAX_CHANGES} commands")
+        }
+
+        fn visit_seq<A: SeqAccess<'de>>(self, mut given: A) -> Result<Vec<Change>, A::Error> {
+            let mut changes = Vec::new();
+            while changes.len() < MAX_CHANGES
+                && let Some(change) = given.next_element()?
+            {
+                changes.push(change);
+            }
+            if changes.len() == MAX_CHANGES && given.next_element::<IgnoredAny>()?.is_some() {
+                return Err(A::Error::invalid_length(MAX_CHANGES + 1, &self));
+            }
+            Ok(changes)
+        }
+    }
+    deserializer.deserialize_seq(Changes)
+}
+
+#[cfg(test)]
+mod tests {
+    #![expect(clippy::unwrap_used, reason = "tests")]
+
+    use super::*;
+
+    #[test]
+    fn a_batch_has_at_most_256_commands() {
+        let of = |count: usize| {
+            let changes = vec![serde_json::json!({"verb": "set", "args": {"pi3": 2.0}}); count];
+            serde_json::from_value::<BatchArgs>(serde_json::json!({ "commands": changes }))
+        };
+        for count in [1, 255, 256] {
+            assert_eq!(of(count).unwrap().commands.len(), count);
+        }
+        let error = of(257).unwrap_err().to_string();
+        assert!(error.contains("a list of 1 to 256 commands"), "{error}");
+    }
+}
