@@ -38,13 +38,13 @@ def longest_query(count: int) -> float:
             key = "$*" * (k >> 10 & 1) + key
             leaving.declare_subscriber(key, lambda _: None)
         publisher.put("1")
-        with open_session("client", "connect", endpoint) as asking:
-            list(asking.get("demo/a/get"))
+        with open_session("client", "connect", endpoint) as client:
+            list(client.get("demo/a/get"))
             threading.Thread(target=leaving.close).start()
             longest = 0.0
             for _ in range(100):
                 start = time.monotonic()
-                list(asking.get("demo/a/get", timeout=120))
+                list(client.get("demo/a/get", timeout=120))
                 longest = max(longest, time.monotonic() - start)
                 time.sleep(0.01)
     return longest
