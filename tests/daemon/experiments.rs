@@ -425,6 +425,7 @@ async fn runs_yield_to_live_swarms() {
             live.push(nice);
         }
     }
-    assert!(!runs.is_empty() && live.len() == 1, "{runs:?} {live:?}");
-    assert!(runs.iter().all(|&nice| nice > live[0]), "{runs:?} {live:?}");
+    // A thread that the swarm's thread starts has its name and niceness until it sets its own.
+    let (lowest, highest) = (runs.iter().min(), live.iter().max());
+    assert!(highest.is_some() && lowest > highest, "{runs:?} {live:?}");
 }

@@ -193,9 +193,19 @@ async fn a_signal_at_any_early_moment_ends_a_recording() {
     assert!(handled > TIMES / 2, "only {handled} clients got so far");
 }
 
+/// When the request at which a signal is sent reaches the daemon.
+#[derive(Clone, Copy, PartialEq)]
+enum Forward {
+    /// Right after the signal is sent: the client may receive the reply before it handles the signal.
+    AtOnce,
+    /// After the client has ended, or after [`TIMEOUT`].
+    AfterTheEnd,
+}
+
 /// Sends a signal when the client sends a request that contains `moment`, before the daemon gets it.
 fn signal_at(
     moment: &'static str,
+    forward: Forward,
     options: &str,
     signal: &'static str,
     daemon: &Daemon,
@@ -206,7 +216,13 @@ fn signal_at(
         while to.load(Ordering::SeqCst) == 0 {
             thread::sleep(Duration::from_millis(1));
         }
-        send(signal, to.load(Ordering::SeqCst));
+        let pid = to.load(Ordering::SeqCst);
+        send(signal, pid);
+        let deadline = Instant::now() + TIMEOUT;
+        let has_ended = || !Path::new(&format!("/proc/{pid}")).exists();
+        while forward == Forward::AfterTheEnd && !has_ended() && Instant::now() < deadline {
+            thread::sleep(Duration::from_millis(1));
+        }
     });
     let running = begin(&link.endpoint, options);
     pid.store(running.0.id(), Ordering::SeqCst);
@@ -222,7 +238,7 @@ async fn a_signal_while_the_daemon_begins_a_recording_ends_it_there_too() {
     for (signal, _) in SIGNALS {
         for moment in ["cmd/record", "get/recordings"] {
             let context = format!("{signal} at {moment}");
-            let outcome = signal_at(moment, "", signal, &daemon);
+            let outcome = signal_at(moment, Forward::AtOnce, "", signal, &daemon);
             outcome.assert_recorded(&context);
             assert_none_left(&daemon, &context).await;
         }
@@ -234,13 +250,14 @@ async fn a_signal_while_the_daemon_begins_a_recording_ends_it_there_too() {
 async fn a_signal_before_the_first_published_state_leaves_no_file() {
     let daemon = daemon().await;
     for (signal, number) in SIGNALS {
-        for moment in ["demo/state", "demo/get/status"] {
-            let outcome = signal_at(moment, "--published", signal, &daemon);
-            outcome.assert_interrupted(&format!("{signal} at {moment}"));
+        for moment in ["demo/state", "demo/get/status", "demo/get/spec"] {
+            let context = format!("{signal} at {moment}");
+            let held = signal_at(moment, Forward::AfterTheEnd, "--published", signal, &daemon);
+            held.assert_interrupted(&context);
+            // The file may be begun before the client handles the signal.
+            let raced = signal_at(moment, Forward::AtOnce, "--published", signal, &daemon);
+            raced.assert_one_of_all(number, &context);
         }
-        // The last request: the file may be begun before the signal is handled.
-        let outcome = signal_at("demo/get/spec", "--published", signal, &daemon);
-        outcome.assert_one_of_all(number, &format!("{signal} at demo/get/spec"));
     }
     daemon.stop().await;
 }
