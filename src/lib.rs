@@ -1,6 +1,6 @@
 //! The daemon of jostle: hosts swarms of bodies that only push each other.
 //!
-//! Each layer may name those before it; `tests/daemon/architecture.rs` checks that:
+//! Each layer may name those before it; `tests/architecture/layers.rs` checks that:
 //!
 //! 1. [`metrics`]
 //! 2. [`swarm`], [`store`], [`auth`]

@@ -1,1 +1,1 @@
-//! This package contains only benches: `step`, `large` and `instructions`.
+//! This package contains only benches: `step` and `large`.

@@ -2,8 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
+use crate::support::programs::ROOT;
+
 fn fuzz() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz")
+    Path::new(ROOT).join("fuzz")
 }
 
 /// Runs a target with every file of its corpus.

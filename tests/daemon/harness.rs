@@ -61,7 +61,7 @@ fn a_test_that_lacks_something_fails_unless_it_may_be_skipped_which_is_recorded(
 /// Runs a shell script with a time limit, as `./check` runs its stages.
 fn run_with_time_limit(secs: &str, script: &str) -> (Output, Duration) {
     let began = Instant::now();
-    let within = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/within");
+    let within = concat!(env!("CARGO_MANIFEST_DIR"), "/within");
     let output = Command::new(within)
         .args([secs, "bash", "-c", script])
         .output()
@@ -86,7 +86,7 @@ fn a_command_that_ends_in_time_keeps_its_output_and_its_exit_code() {
 
 #[test]
 fn a_command_does_not_inherit_ignored_signals() {
-    let within = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/within");
+    let within = concat!(env!("CARGO_MANIFEST_DIR"), "/within");
     for signal in ["INT", "TERM", "HUP"] {
         // As under nohup, and in the background of a script.
         let script = format!("trap '' {signal}; {within} 60 sh -c 'kill -{signal} $$; echo on'");
@@ -136,7 +136,7 @@ fn a_command_that_takes_too_long_is_killed_with_its_processes_and_the_running_te
 fn a_limit_that_is_interrupted_kills_its_command() {
     let folder = tempfile::tempdir().unwrap();
     let begun = folder.path().join("begun");
-    let within = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/within");
+    let within = concat!(env!("CARGO_MANIFEST_DIR"), "/within");
     let script = format!(
         "echo $$ >{}.part; mv {0}.part {0}; sleep 600",
         begun.display()

@@ -4,10 +4,8 @@
 
 mod abuse;
 mod annotate;
-mod architecture;
 mod backup;
 mod changes;
-mod circles;
 mod claim;
 mod codes;
 mod commands;
@@ -46,5 +44,4 @@ mod supervisor;
 mod support;
 mod targets;
 mod verify;
-mod version;
 mod wall_clock;

@@ -5,14 +5,17 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// The suites that a test is of which a page names without a command.
+use crate::support::programs::ROOT;
+
+/// The suites whose tests a page names without a command.
+const WITHOUT_COMMAND: [&str; 3] = [DAEMON, "--test measured", "--test architecture"];
 const DAEMON: &str = "--test daemon";
-const MEASURED: &str = "--test measured";
 
 /// Where the tests of each suite are, by the arguments of `cargo test` that select it.
-const SUITES: [(&str, &str); 9] = [
+const SUITES: [(&str, &str); 10] = [
     (DAEMON, "tests/daemon"),
-    (MEASURED, "tests/measured"),
+    ("--test measured", "tests/measured"),
+    ("--test architecture", "tests/architecture"),
     ("--test physics", "crates/physics/tests/physics"),
     ("--test cli", "clients/cli/tests/cli"),
     ("--lib", "src"),
@@ -32,7 +35,7 @@ const TABLES: [&str; 2] = [
 ];
 
 fn root() -> &'static Path {
-    Path::new(env!("CARGO_MANIFEST_DIR"))
+    Path::new(ROOT)
 }
 
 /// The files below a folder whose names end so, by their paths from the root of the repository.
@@ -214,9 +217,9 @@ fn is_file(text: &str) -> bool {
 fn missing(page: &Path, proof: &Proof, suites: &BTreeMap<&str, Vec<String>>) -> Option<String> {
     match proof {
         Proof::Test(name) => {
-            let mut tests = suites[DAEMON].iter().chain(&suites[MEASURED]);
+            let mut tests = WITHOUT_COMMAND.iter().flat_map(|it| &suites[it]);
             let is_there = tests.any(|it| it.starts_with(name));
-            (!is_there).then(|| format!("no test of {DAEMON} or {MEASURED} begins with {name}"))
+            (!is_there).then(|| format!("no test of {WITHOUT_COMMAND:?} begins with {name}"))
         }
         Proof::Selection(suite, word) => {
             let is_there = suites[suite.as_str()].iter().any(|it| it.contains(word));

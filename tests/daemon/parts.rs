@@ -11,6 +11,7 @@ use std::time::Duration;
 
 use crate::experiment::until;
 use crate::support::process::{Process, jostled};
+use crate::support::programs::program;
 
 /// 24 runs of very different length, some seconds of one core in all.
 const EXPERIMENT: &str = r#"
@@ -68,7 +69,7 @@ impl Fixture {
     }
 
     fn jostle(&self, arguments: &[&str]) -> Output {
-        let program = Path::new(env!("CARGO_BIN_EXE_jostled")).with_file_name("jostle");
+        let program = program("jostle");
         let mut command = Command::new(program);
         command.current_dir(self.0.path()).args(arguments);
         command.output().unwrap()

@@ -16,6 +16,7 @@ use tokio::sync::Semaphore;
 use tokio::task::JoinSet;
 
 use crate::support::process::Process;
+use crate::support::programs::program;
 
 /// Two values of a setting, and what [`effects::observe`] observes of a daemon with each. `{folder}`
 /// is the daemon's own folder.
@@ -197,7 +198,7 @@ fn variable(name: &str) -> String {
 
 /// A daemon without the settings in this process's environment.
 fn jostled() -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_jostled"));
+    let mut command = Command::new(program("jostled"));
     for (name, _) in std::env::vars_os() {
         if name.to_string_lossy().starts_with("JOSTLED_") {
             command.env_remove(name);

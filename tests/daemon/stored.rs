@@ -14,11 +14,12 @@ use tempfile::TempDir;
 use crate::support::daemon_process::{DaemonProcess, daemon};
 use crate::support::playback::upload_and_open;
 use crate::support::process::jostled;
+use crate::support::programs::ROOT;
 use crate::support::{Client, NODE, PREFIX, TIMEOUT};
 
 /// The fixtures, one folder for each build.
 fn builds() -> Vec<PathBuf> {
-    let stored = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/stored");
+    let stored = Path::new(ROOT).join("tests/stored");
     let entries = fs::read_dir(stored).unwrap();
     let folders = entries.map(|entry| entry.unwrap().path());
     let builds: Vec<PathBuf> = folders

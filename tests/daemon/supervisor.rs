@@ -7,6 +7,7 @@ use std::time::Duration;
 use serde_json::json;
 
 use crate::support::Client;
+use crate::support::programs::ROOT;
 use crate::support::supervisor::Supervisor;
 
 #[tokio::test(flavor = "multi_thread")]
@@ -40,7 +41,7 @@ async fn without_a_watchdog_only_ready_status_and_stopping_are_sent() {
 /// The unit starts a daemon again until a port that another process uses for a minute is free.
 #[test]
 fn the_unit_retries_for_longer_than_a_minute_and_waits_for_the_network() {
-    let unit = Path::new(env!("CARGO_MANIFEST_DIR")).join("packaging/jostled.service");
+    let unit = Path::new(ROOT).join("packaging/jostled.service");
     let unit = fs::read_to_string(unit).unwrap();
     let value = |name: &str| {
         let mut lines = unit.lines().filter_map(|line| line.split_once('='));

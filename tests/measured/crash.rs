@@ -20,6 +20,7 @@ use tempfile::TempDir;
 use crate::crash::clients::{Role, Sender, Traffic};
 use crate::crash::rng::Rng;
 use crate::support::daemon_process::{self, DaemonProcess, StoreCopy};
+use crate::support::programs::ROOT;
 use crate::support::reference_model::ReferenceModel;
 use crate::support::{Client, PREFIX, TIMEOUT};
 
@@ -172,10 +173,7 @@ fn every_point_of_the_code_is_armed() {
         }
     }
     let mut points = BTreeSet::new();
-    read(
-        &Path::new(env!("CARGO_MANIFEST_DIR")).join("src"),
-        &mut points,
-    );
+    read(&Path::new(ROOT).join("src"), &mut points);
     let armed: BTreeSet<_> = POINTS.map(|point| point.name.to_owned()).into();
     assert_eq!(points, armed);
 }

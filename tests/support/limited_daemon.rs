@@ -2,7 +2,6 @@
 
 use std::io::{BufRead, BufReader, ErrorKind};
 use std::net::SocketAddr;
-use std::path::Path;
 use std::process::{Command, Output, Stdio};
 
 use jostle_proto::Role;
@@ -16,6 +15,7 @@ use tokio::time::timeout;
 use super::process::Process;
 use super::tls::connect_tls;
 use super::{NODE, TIMEOUT};
+use crate::support::programs::program;
 
 /// The descriptor limit of the daemon: it keeps a quarter of them as HTTP connections.
 pub const DESCRIPTORS: usize = 512;
@@ -52,7 +52,7 @@ impl LimitedDaemon {
                 "-c",
                 &format!("ulimit -n {DESCRIPTORS} && exec \"$0\" \"$@\""),
             ])
-            .arg(env!("CARGO_BIN_EXE_jostled"))
+            .arg(program("jostled"))
             .args(["--listen", &format!("{protocol}/127.0.0.1:0")])
             .args(["--node", NODE, "--data-dir"])
             .arg(data.path())
@@ -96,7 +96,7 @@ impl LimitedDaemon {
 
     /// Runs the command line.
     pub fn jostle(&self, arguments: &[&str]) -> Output {
-        let jostle = Path::new(env!("CARGO_BIN_EXE_jostled")).with_file_name("jostle");
+        let jostle = program("jostle");
         assert!(
             jostle.exists(),
             "missing: cargo build --release --workspace"

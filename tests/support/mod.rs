@@ -10,6 +10,7 @@ pub mod limited_daemon;
 pub mod needs;
 pub mod playback;
 pub mod process;
+pub mod programs;
 pub mod recording;
 pub mod reference_model;
 pub mod small_disk;

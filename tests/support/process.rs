@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 use tempfile::TempDir;
 
 use crate::support::TIMEOUT;
+use crate::support::programs::program;
 
 /// A process that ends when the test does, and its data with it.
 pub struct Process(
@@ -25,7 +26,7 @@ impl Drop for Process {
 /// `JOSTLED` names, such as that of a wheel, or else the one that Cargo built with this test.
 pub fn jostled(arguments: &[&str]) -> Command {
     let named = std::env::var_os("JOSTLED");
-    let mut command = Command::new(named.unwrap_or_else(|| env!("CARGO_BIN_EXE_jostled").into()));
+    let mut command = Command::new(named.unwrap_or_else(|| program("jostled").into()));
     command
         .env_remove("JOSTLED")
         .args(arguments)

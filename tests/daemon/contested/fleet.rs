@@ -4,7 +4,6 @@ use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{BufRead, BufReader};
 use std::net::{Shutdown, SocketAddr, TcpListener, TcpStream};
-use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::{Arc, Mutex};
 use std::thread;
@@ -17,6 +16,7 @@ use super::create;
 use crate::support::Client;
 use crate::support::daemon_process::{DaemonProcess, StoreCopy};
 use crate::support::process::{Process, jostled};
+use crate::support::programs::program;
 
 /// The environment variable with the endpoints that the router connects to.
 pub const ROUTER: &str = "JOSTLE_TEST_ROUTER_CONNECTS_TO";
@@ -125,8 +125,7 @@ impl RestartableDaemon {
 
 /// The command line, beside the daemon; built by the same build.
 pub fn jostle(endpoint: &str, arguments: &[&str]) -> (Option<i32>, String) {
-    let binary: PathBuf = Path::new(env!("CARGO_BIN_EXE_jostled")).with_file_name("jostle");
-    let mut command = Command::new(binary);
+    let mut command = Command::new(program("jostle"));
     let output = command
         .args(["-e", endpoint])
         .args(arguments)

@@ -8,6 +8,7 @@ use std::process::{Command, Stdio};
 use super::{EXPERIMENT, Fixture, TABLES};
 use crate::experiment::until;
 use crate::support::process::Process;
+use crate::support::programs::program;
 use crate::support::small_disk::SmallDisk;
 
 #[test]
@@ -51,7 +52,7 @@ fn a_killed_merge_leaves_no_folder_of_results() {
         fixture.run(name, &["--part", part, "--threads", "2"]);
     }
     let parts = ["one", "two"];
-    let program = Path::new(env!("CARGO_BIN_EXE_jostled")).with_file_name("jostle");
+    let program = program("jostle");
     let mut killed = 0;
     let temporary = fixture.path(".jostle-killed.merge");
     for _ in 0..8 {
@@ -180,7 +181,7 @@ fn a_part_that_cannot_be_read_is_named() {
     let two = fixture.path("parts/two");
     let set_mode = |mode| fs::set_permissions(&two, fs::Permissions::from_mode(mode)).unwrap();
     set_mode(0o000);
-    let program = Path::new(env!("CARGO_BIN_EXE_jostled")).with_file_name("jostle");
+    let program = program("jostle");
     let merge = ["results", "merge", "parts", "-o", "merged"];
     let plan = ["experiment", "plan", "parts.toml", "--missing", "parts"];
     for arguments in [&merge[..], &plan] {

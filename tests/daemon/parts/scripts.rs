@@ -2,10 +2,10 @@
 //! `docs/cluster.md`.
 
 use std::fs;
-use std::path::Path;
 use std::process::Command;
 
 use super::Fixture;
+use crate::support::programs::program;
 
 #[test]
 fn names_in_a_script_are_neither_options_nor_commands() {
@@ -63,7 +63,8 @@ fn the_commands_of_the_page_about_clusters_write_one_table() {
         fs::write(folder.path().join("order.toml"), toml).unwrap();
         let blocks = blocks(section, "sh");
         assert_eq!(blocks.len(), count, "{section}");
-        let programs = Path::new(env!("CARGO_BIN_EXE_jostled")).parent().unwrap();
+        let jostle = program("jostle");
+        let programs = jostle.parent().unwrap();
         let path = std::env::var("PATH").unwrap();
         let output = Command::new("bash")
             .args(["-euc", &format!("{sbatch}{}", blocks.concat())])

@@ -95,7 +95,7 @@ pub fn least(cells: [&str; 3]) -> &'static str {
 
 /// The table that `docs/security.md` shows.
 fn documented_table() -> Vec<(String, Vec<String>)> {
-    let page = concat!(env!("CARGO_MANIFEST_DIR"), "/docs/security.md");
+    let page = concat!(env!("CARGO_MANIFEST_DIR"), "/../docs/security.md");
     let page = fs::read_to_string(page).unwrap();
     let mut lines = page.lines();
     let header = "| request | viewer | controller | operator |";

@@ -17,6 +17,7 @@ use std::time::Instant;
 use serde_json::Value;
 
 use crate::support::process::jostled;
+use crate::support::programs::ROOT;
 use crate::support::{Client, NODE, TIMEOUT};
 
 /// The observations of one thing at one time, by the names of the table's rows.
@@ -45,7 +46,7 @@ pub struct Table {
 
 /// The text of a file of this repository, kept for the whole test.
 fn text_of(path: &str) -> &'static str {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(path);
+    let path = Path::new(ROOT).join(path);
     fs::read_to_string(path).unwrap().leak()
 }
 

@@ -19,6 +19,7 @@ TIMEOUT_SECS = 600.0
 _FOLDER = ROOT / "target" / "mutants"
 _PACKAGES = {
     "proto": "jostle-proto",
+    "tests": "jostled-tests",
     "clients/cli": "jostle-cli",
     "clients/rust": "jostle-client",
     "crates/atomic-file": "jostle-atomic-file",

@@ -167,7 +167,7 @@ _ALL = [
         ("tests/daemon",),
         _DAEMON,
         True,
-        targets="-p jostled --test daemon",
+        targets="-p jostled -p jostled-tests --test architecture --test daemon",
         opt_levels=("jostled=0",),
     ),
     Cargo(
@@ -175,7 +175,7 @@ _ALL = [
         ("tests/measured",),
         _DAEMON,
         True,
-        targets="-p jostled --test measured",
+        targets="-p jostled -p jostled-tests --test architecture --test measured",
         opt_levels=("jostled=0",),
     ),
     Cargo(

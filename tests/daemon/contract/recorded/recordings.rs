@@ -10,6 +10,7 @@ use serde_json::{Value, json};
 
 use super::documents::Recorded;
 use super::recording_client::{FIXTURE_NODE, RecordingClient, args};
+use crate::support::programs::ROOT;
 use crate::support::{Client, PREFIX, until};
 
 pub async fn record_fixtures(recorded: &Recorded) {
@@ -19,7 +20,7 @@ pub async fn record_fixtures(recorded: &Recorded) {
     first.stop();
     first.end();
     // A recording in Parquet by version 1a581a9.
-    let stored = Path::new("tests/stored/1a581a9/data/recordings/table/recording.json");
+    let stored = Path::new(ROOT).join("tests/stored/1a581a9/data/recordings/table/recording.json");
     let folder = data.path().join("recordings/table");
     fs::create_dir_all(&folder).unwrap();
     fs::copy(stored, folder.join("recording.json")).unwrap();

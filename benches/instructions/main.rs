@@ -1,7 +1,7 @@
 //! Counts the instructions of a step. Unlike times, counts are reproducible, so that small
 //! slowdowns are detected.
 //!
-//! `cargo bench -p jostle-physics-benches --bench instructions` runs one step of each of five
+//! `cargo bench --bench instructions` runs one step of each of five
 //! groups under callgrind. It fails if a count differs by more than 3 % from `counts.txt`, in
 //! either direction; `-- --write` updates the file, after a speed-up too. Only the step is counted,
 //! after steps that warm up the stepper. `-- --states` generates the states of the five groups
@@ -10,7 +10,7 @@
 //! Counts depend on the compiler. They do not depend on the machine if it has AVX2: valgrind hides
 //! later instruction sets.
 
-#[path = "../step/settled.rs"]
+#[path = "../physics/step/settled.rs"]
 mod settled;
 
 use std::fmt::Write;
@@ -72,7 +72,7 @@ fn rounded(mut state: State) -> State {
         &mut configuration.y,
         &mut configuration.alpha,
     ] {
-        let round = |value: &mut f64| *value = libm::round(*value * 1e9) / 1e9;
+        let round = |value: &mut f64| *value = (*value * 1e9).round() / 1e9;
         column.iter_mut().for_each(round);
     }
     state
@@ -144,7 +144,7 @@ fn counted_step(stepper: &mut Stepper, state: &mut State) -> StepReport {
 /// Returns the path of a file in the folder of this bench.
 fn data_file(name: &str) -> PathBuf {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    root.join("instructions").join(name)
+    root.join("benches/instructions").join(name)
 }
 
 fn write(path: &Path, text: &str) {

@@ -1,0 +1,9 @@
+//! Tests that only read the sources: layers, import cycles, versions. They are the integration tests
+//! of the package `jostled` itself, so that `cargo test` compiles the program, which
+//! `tests/daemon` and `tests/measured` start.
+
+#![expect(clippy::unwrap_used, reason = "tests")]
+
+mod circles;
+mod layers;
+mod version;
