@@ -224,7 +224,9 @@ async fn one_of_two_concurrent_backups_into_a_folder_is_rejected_and_the_other_i
     create_swarms(&client).await;
     let folder = base.path().join("backup");
     let first = take_pausing(&data, &folder, "backup-manifest", 1000);
-    until("the first has begun", async || folder.exists()).await;
+    // Before that, the second could claim the folder, and the first would be rejected.
+    let copy = folder.join("jostle.sqlite");
+    until("the first has begun", async || copy.exists()).await;
     let error = take(&data, &folder).unwrap_err();
     assert!(error.contains("name a new folder"), "{error}");
     outcome(&first.wait_with_output().unwrap()).unwrap();

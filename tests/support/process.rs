@@ -66,14 +66,7 @@ impl Process {
     }
 
     pub fn signal(&self, signal: &str) {
-        let id = self.0.id().to_string();
-        assert!(
-            Command::new("kill")
-                .args([signal, &id])
-                .status()
-                .unwrap()
-                .success()
-        );
+        send_signal(self.0.id(), signal);
     }
 
     /// Waits until it ends. Returns the exit code and how long that took.
@@ -98,3 +91,28 @@ impl Process {
 }
 
 const SERVE: [&str; 5] = ["serve", "--listen", "tcp/127.0.0.1:0", "--node", "test"];
+
+/// Sends a signal to a process. After `-STOP` it waits until all threads of the process have stopped:
+/// the kernel stops them after the signal is sent.
+pub fn send_signal(id: u32, signal: &str) {
+    let id = id.to_string();
+    let sent = Command::new("kill").args([signal, &id]).status().unwrap();
+    assert!(sent.success());
+    if signal != "-STOP" {
+        return;
+    }
+    let threads = std::path::Path::new("/proc").join(&id).join("task");
+    let is_stopped = |thread: std::io::Result<std::fs::DirEntry>| {
+        // The state follows the name, which is in parentheses.
+        let stat = std::fs::read_to_string(thread.unwrap().path().join("stat"));
+        stat.is_ok_and(|stat| stat.rsplit(')').next().unwrap().starts_with(" T"))
+    };
+    let began = Instant::now();
+    while !std::fs::read_dir(&threads).unwrap().all(is_stopped) {
+        assert!(
+            began.elapsed() < Duration::from_secs(30),
+            "it runs after SIGSTOP"
+        );
+        std::thread::sleep(Duration::from_millis(1));
+    }
+}

@@ -7,7 +7,7 @@ mod daemon;
 use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use jostle_client::{Client, ConnectOptions, Error, EventsFrom, Follow, FollowOptions, Update};
 use jostle_proto::verbs::{AnnotateArgs, CreateArgs, DeleteArgs, RunArgs};
@@ -39,11 +39,22 @@ impl Process {
         (Process(child), endpoint)
     }
 
-    /// Suspends it; an end works as before.
+    /// Suspends it, and waits until all of its threads have stopped; an end works as before.
     fn suspend(&self) {
         let id = self.0.id().to_string();
         let status = Command::new("kill").args(["-STOP", &id]).status().unwrap();
         assert!(status.success());
+        let threads = Path::new("/proc").join(&id).join("task");
+        let is_stopped = |thread: std::io::Result<std::fs::DirEntry>| {
+            // The state follows the name, which is in parentheses.
+            let stat = std::fs::read_to_string(thread.unwrap().path().join("stat"));
+            stat.is_ok_and(|stat| stat.rsplit(')').next().unwrap().starts_with(" T"))
+        };
+        let began = Instant::now();
+        while !std::fs::read_dir(&threads).unwrap().all(is_stopped) {
+            assert!(began.elapsed() < TIMEOUT, "it runs after SIGSTOP");
+            std::thread::sleep(Duration::from_millis(1));
+        }
     }
 
     fn kill(mut self) {

@@ -15,7 +15,7 @@ use zenoh::Session;
 use super::create;
 use crate::support::Client;
 use crate::support::daemon_process::{DaemonProcess, StoreCopy};
-use crate::support::process::{Process, jostled};
+use crate::support::process::{Process, jostled, send_signal};
 use crate::support::programs::program;
 
 /// The environment variable with the endpoints that the router connects to.
@@ -136,9 +136,7 @@ pub fn jostle(endpoint: &str, arguments: &[&str]) -> (Option<i32>, String) {
 }
 
 pub fn signal(process: &DaemonProcess, signal: &str) {
-    let id = process.child.id().to_string();
-    let sent = Command::new("kill").args([signal, &id]).status().unwrap();
-    assert!(sent.success());
+    send_signal(process.child.id(), signal);
 }
 
 /// Forwards connections to a daemon until it is cut.
