@@ -55,3 +55,28 @@ macro_rules! column {
 
 column!(u32_column, u32, TAG_U32);
 column!(f64_column, f64, TAG_F64);
+
+/// A column of numbers in which NaN stands for an undefined value, which is `null` in JSON.
+pub(crate) mod nan_column {
+    use super::*;
+
+    pub(crate) fn serialize<S: Serializer>(
+        column: &[f64],
+        serializer: S,
+    ) -> Result<S::Ok, S::Error> {
+        match serializer.is_human_readable() {
+            true => serializer.collect_seq(column.iter().map(|it| (!it.is_nan()).then_some(it))),
+            false => f64_column::serialize(column, serializer),
+        }
+    }
+
+    pub(crate) fn deserialize<'de, D: Deserializer<'de>>(
+        deserializer: D,
+    ) -> Result<Vec<f64>, D::Error> {
+        if !deserializer.is_human_readable() {
+            return f64_column::deserialize(deserializer);
+        }
+        let column = Vec::<Option<f64>>::deserialize(deserializer)?.into_iter();
+        Ok(column.map(|number| number.unwrap_or(f64::NAN)).collect())
+    }
+}

@@ -161,10 +161,10 @@ pub struct OrderPage {
     #[serde(with = "column::f64_column")]
     #[schemars(with = "Vec<f64>")]
     pub order: Vec<f64>,
-    /// The drift along the informed individuals' direction at each; empty if no individual is
-    /// informed.
-    #[serde(with = "column::f64_column")]
-    #[schemars(with = "Vec<f64>")]
+    /// The drift along the informed individuals' direction at each, `null` (in CBOR NaN) where it is
+    /// undefined; empty if it is undefined everywhere.
+    #[serde(with = "column::nan_column")]
+    #[schemars(with = "Vec<Option<f64>>")]
     pub drift: Vec<f64>,
     /// Where to ask on, as `after`; `null` if there is no more.
     pub next: Option<u64>,

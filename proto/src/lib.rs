@@ -51,7 +51,7 @@ pub use recording::{
     RecordingName, RecordingPhase, RecordingPiece, Recordings,
 };
 pub use replay::{OpenArgs, Replay, ReplayArgs, ReplayResult, SeekArgs, UploadArgs};
-pub use result_row::{COLUMNS, Column, Measure, ResultRow};
+pub use result_row::{COLUMNS, Column, ExtraValue, Measure, ResultRow};
 pub use role::{Credentials, Role, WhoAmI};
 pub use snapshot::Snapshot;
 pub use spec::{Attraction, ContactRule, Spec, Start, Stepping};

@@ -9,7 +9,7 @@ use std::fmt;
 
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::de::{Deserialize, Deserializer, Error, IgnoredAny, MapAccess, Visitor};
-use serde::ser::{Serialize, Serializer};
+use serde::ser::{Serialize, SerializeMap as _, Serializer};
 use serde_json::{Map, Value};
 
 use crate::cell::{Cell, CellKind};
@@ -54,6 +54,19 @@ impl Measure {
     }
 }
 
+/// The member of a row in JSON and CBOR that contains its [`ExtraValue`]s, if it has any.
+const EXTRA: &str = "extra";
+
+/// The value of a column that only some experiments have, in one row: a variable of the grid,
+/// `stopped_at`, or the mean of a chosen measure.
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize, JsonSchema)]
+pub struct ExtraValue {
+    /// The name of the column.
+    pub name: String,
+    /// The value; `null` if it is undefined.
+    pub value: Option<f64>,
+}
+
 /// Defines [`ResultRow`], [`Measure`]'s constants and [`COLUMNS`] from one list of columns, in the
 /// order of the table: fixed ones, measures, fixed ones.
 macro_rules! result_row {
@@ -71,6 +84,9 @@ macro_rules! result_row {
             /// The measures with their values.
             pub measures: Vec<(Measure, Cell)>,
             $($(#[doc = $after_doc])+ pub $after: $after_type,)*
+            /// Columns that only some experiments have: variables of the grid, `stopped_at`, and
+            /// chosen measures.
+            pub extra: Vec<ExtraValue>,
         }
 
         impl Measure {
@@ -122,6 +138,7 @@ macro_rules! result_row {
                     $($before,)*
                     measures,
                     $($after,)*
+                    extra: Vec::new(),
                 })
             }
         }
@@ -203,6 +220,14 @@ impl ResultRow {
             .map_or(Cell::Absent, |(_, value)| value.clone())
     }
 
+    /// Returns the value of a column that only some experiments have; `None` if it is undefined or the
+    /// row lacks the column.
+    #[must_use]
+    pub fn extra(&self, name: &str) -> Option<f64> {
+        let mut values = self.extra.iter();
+        values.find(|it| it.name == name).and_then(|it| it.value)
+    }
+
     /// Returns the value of `measure` as a number; `None` if it is absent.
     #[must_use]
     pub fn optional_number(&self, measure: Measure) -> Option<f64> {
@@ -247,8 +272,15 @@ impl Field for f64 {
 
 impl Serialize for ResultRow {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let names = COLUMNS.iter().map(|column| column.name);
-        serializer.collect_map(names.zip(self.cells()))
+        let is_extra = usize::from(!self.extra.is_empty());
+        let mut map = serializer.serialize_map(Some(COLUMNS.len() + is_extra))?;
+        for (column, cell) in COLUMNS.iter().zip(self.cells()) {
+            map.serialize_entry(column.name, &cell)?;
+        }
+        if !self.extra.is_empty() {
+            map.serialize_entry(EXTRA, &self.extra)?;
+        }
+        map.end()
     }
 }
 
@@ -269,12 +301,17 @@ impl<'de> Visitor<'de> for RowVisitor {
 
     fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<ResultRow, A::Error> {
         let mut cells = vec![None; COLUMNS.len()];
+        let mut extra: Option<Vec<ExtraValue>> = None;
         while let Some(name) = map.next_key::<String>()? {
             match COLUMNS.iter().position(|column| column.name == name) {
                 Some(at) if cells[at].is_some() => {
                     return Err(Error::duplicate_field(COLUMNS[at].name));
                 }
                 Some(at) => cells[at] = Some(map.next_value_seed(COLUMNS[at].kind)?),
+                None if name == EXTRA && extra.is_some() => {
+                    return Err(Error::duplicate_field(EXTRA));
+                }
+                None if name == EXTRA => extra = Some(map.next_value()?),
                 None => {
                     map.next_value::<IgnoredAny>()?;
                 }
@@ -288,8 +325,10 @@ impl<'de> Visitor<'de> for RowVisitor {
                 *cell = Some(Cell::Absent);
             }
         }
-        ResultRow::from_cells(cells.into_iter().flatten())
-            .ok_or_else(|| Error::custom("a value is not of its column's kind"))
+        let row = ResultRow::from_cells(cells.into_iter().flatten())
+            .ok_or_else(|| Error::custom("a value is not of its column's kind"))?;
+        let extra = extra.unwrap_or_default();
+        Ok(ResultRow { extra, ..row })
     }
 }
 
@@ -298,8 +337,8 @@ impl JsonSchema for ResultRow {
         "ResultRow".into()
     }
 
-    fn json_schema(_: &mut SchemaGenerator) -> Schema {
-        let properties: Map<String, Value> = COLUMNS
+    fn json_schema(generator: &mut SchemaGenerator) -> Schema {
+        let mut properties: Map<String, Value> = COLUMNS
             .iter()
             .map(|column| {
                 let mut schema = column.kind.schema();
@@ -307,6 +346,11 @@ impl JsonSchema for ResultRow {
                 (column.name.to_owned(), schema.into())
             })
             .collect();
+        let mut extra = generator.subschema_for::<Vec<ExtraValue>>();
+        let description = "Columns that only some experiments have, in their order: variables of the \
+                           grid, `stopped_at`, and means of chosen measures.";
+        extra.insert("description".to_owned(), description.into());
+        properties.insert(EXTRA.to_owned(), extra.into());
         let required: Vec<&str> = COLUMNS.iter().map(|column| column.name).collect();
         json_schema!({
             "description": "The result of one run of an experiment: a row of `results.csv`, one \
@@ -376,6 +420,42 @@ mod tests {
             .collect();
         let read: ResultRow = serde_json::from_str(&format!("{{{}}}", text.join(","))).unwrap();
         assert_eq!(read, rows()[1]);
+    }
+
+    #[test]
+    fn extra_values_are_numbers_or_null_and_keep_their_order() {
+        let [_, mut row] = rows();
+        let value = |name: &str, value: Option<f64>| ExtraValue {
+            name: name.to_owned(),
+            value,
+        };
+        row.extra = vec![
+            value("share", Some(0.1)),
+            value("stopped_at", None),
+            value("clusters.largest", Some(3.0)),
+        ];
+        let text = serde_json::to_string(&row).unwrap();
+        let end = r#","extra":[{"name":"share","value":0.1},{"name":"stopped_at","value":null},{"name":"clusters.largest","value":3.0}]}"#;
+        assert!(text.ends_with(end), "{text}");
+        assert_eq!(serde_json::from_str::<ResultRow>(&text).unwrap(), row);
+        let mut cbor = Vec::new();
+        ciborium::into_writer(&row, &mut cbor).unwrap();
+        assert_eq!(cbor[..2], [0xb8, 25]);
+        assert_eq!(ciborium::from_reader::<ResultRow, _>(&*cbor).unwrap(), row);
+        let whole = text.replace("3.0}", "3}");
+        assert_eq!(serde_json::from_str::<ResultRow>(&whole).unwrap(), row);
+        assert_eq!(
+            (row.extra("share"), row.extra("stopped_at")),
+            (Some(0.1), None)
+        );
+        assert_eq!(row.extra("n"), None);
+        let twice = text.replace("\"extra\":[", "\"extra\":[],\"extra\":[");
+        for wrong in [text.replace("0.1", "\"x\""), twice] {
+            assert!(
+                serde_json::from_str::<ResultRow>(&wrong).is_err(),
+                "{wrong}"
+            );
+        }
     }
 
     #[test]

@@ -37,6 +37,7 @@ pub fn results_page(
     let fitting = rows.iter().take(limit).take_while(|(_, run)| {
         // Each number takes 25 characters at most, and its name as many.
         bytes += 24 * 50 + run.run.len() + run.state_hash.len();
+        bytes += run.extra.iter().map(|it| it.name.len() + 50).sum::<usize>();
         bytes <= max_bytes
     });
     let count = fitting.count().max(1).min(rows.len());

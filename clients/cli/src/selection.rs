@@ -13,7 +13,7 @@ use crate::values::{self, MAX_INDIVIDUALS};
 #[command(
     next_help_heading = "Which individuals",
     group = ArgGroup::new("selection")
-        .args(["ids", "count", "fraction", "within", "foremost"])
+        .args(["ids", "count", "fraction", "within", "informed", "uninformed", "foremost"])
         .required(true)
 )]
 pub struct SelectionArguments {
@@ -29,6 +29,12 @@ pub struct SelectionArguments {
     /// All whose centre is in a disc
     #[arg(long, value_name = "X,Y,RADIUS", value_parser = values::region, allow_hyphen_values = true)]
     within: Option<Region>,
+    /// All that have a direction of their own
+    #[arg(long)]
+    informed: bool,
+    /// All that have no direction of their own
+    #[arg(long)]
+    uninformed: bool,
     /// The COUNT furthest in the direction of --along
     #[arg(
         long,
@@ -57,6 +63,9 @@ impl SelectionArguments {
         }
         if let (Some(count), Some(along)) = (self.foremost, self.along) {
             return Select::Foremost(Foremost { count, along });
+        }
+        if self.informed || self.uninformed {
+            return Select::Informed(self.informed);
         }
         let count = self.count.map(Select::Count);
         let fraction = self.fraction.map(Select::Fraction);
@@ -107,6 +116,8 @@ mod tests {
             json("--within -1,2,0.5"),
             r#"{"within":{"x":-1.0,"y":2.0,"radius":0.5}}"#
         );
+        assert_eq!(json("--informed"), r#"{"informed":true}"#);
+        assert_eq!(json("--uninformed"), r#"{"informed":false}"#);
         assert_eq!(
             json("--foremost 3 --along -1.57"),
             r#"{"foremost":{"count":3,"along":-1.57}}"#
@@ -118,6 +129,8 @@ mod tests {
         for line in [
             "--count 3 --ids 1",
             "--foremost 3",
+            "--informed --uninformed",
+            "--informed --count 3",
             "--along 1",
             "--foremost 3 --along 1 --count 2",
             "--count -3",

@@ -25,18 +25,28 @@ pub fn table<const COLUMNS: usize>(
     header: [&str; COLUMNS],
     rows: Vec<[String; COLUMNS]>,
 ) -> String {
+    let mut columns = header.map(|name| (name, Vec::with_capacity(rows.len())));
+    for row in rows {
+        for ((_, cells), cell) in columns.iter_mut().zip(row) {
+            cells.push(cell);
+        }
+    }
+    self::columns(&columns)
+}
+
+/// A table of columns of one length, each with its name.
+pub fn columns(columns: &[(&str, Vec<String>)]) -> String {
     let mut table = Table::new();
-    table.load_style(NOTHING).set_header(header.to_vec());
+    let header = columns.iter().map(|(name, _)| *name);
+    table.load_style(NOTHING).set_header(header);
+    let rows = columns.first().map_or(0, |(_, cells)| cells.len());
+    table.add_rows((0..rows).map(|row| columns.iter().map(move |(_, cells)| &cells[row])));
     // Numbers are aligned to the right.
     let is_number =
         |text: &String| text == format::NONE || text == "max" || text.parse::<f64>().is_ok();
-    let numeric: Vec<bool> = (0..COLUMNS)
-        .map(|column| rows.iter().all(|row| is_number(&row[column])))
-        .collect();
-    table.add_rows(rows.into_iter().map(|row| row.to_vec()));
-    for (index, column) in table.column_iter_mut().enumerate() {
+    for (column, (_, cells)) in table.column_iter_mut().zip(columns) {
         column.set_padding((0, 2));
-        if numeric[index] {
+        if cells.iter().all(is_number) {
             column.set_cell_alignment(CellAlignment::Right);
         }
     }

@@ -66,6 +66,8 @@ VALUES: list[tuple[str, Arguments, Any]] = [
     ("count", call(np.int64(2)), {"count": 2}),
     ("fraction", call(0.25), {"fraction": 0.25}),
     ("within", call(1.5, y=-2.0, radius=3.0), {"within": {"x": 1.5, "y": -2.0, "radius": 3.0}}),
+    ("informed", call(), {"informed": True}),
+    ("informed", call(False), {"informed": False}),
     ("foremost", call(2, along=0.75), {"foremost": {"count": 2, "along": 0.75}}),
     ("disc", call(), {"kind": "disc"}),
     ("disc", call(9.5), {"kind": "disc", "radius": 9.5}),

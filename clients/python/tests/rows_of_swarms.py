@@ -20,6 +20,7 @@ SELECTS: list[tuple[Any, dict[str, Any]]] = [
     (jostle.count(np.int64(2)), {"count": 2}),
     (jostle.fraction(0.25), {"fraction": 0.25}),
     (jostle.within(1.5, -2.0, 3.0), {"within": {"x": 1.5, "y": -2.0, "radius": 3.0}}),
+    (jostle.informed(), {"informed": True}),
     (jostle.foremost(2, 0.75), {"foremost": {"count": 2, "along": 0.75}}),
 ]
 ATTRACTIONS: list[dict[str, Any]] = [

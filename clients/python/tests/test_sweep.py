@@ -190,8 +190,8 @@ def test_a_result_without_a_file_is_an_error(tmp_path: Path) -> None:
 def test_invalid_arguments_and_folders_change_nothing(tmp_path: Path) -> None:
     folder = tmp_path / "results"
     for source, arguments, message in (
-        ("name = 3\n", {}, "^the experiment: line 1: "),
-        ({"name": 3}, {}, "^the experiment: line 1: "),
+        ("name = 3\n", {}, "^the experiment: line 1, column 8: "),
+        ({"name": 3}, {}, "^the experiment: line 1, column 8: "),
         (SMALL, {"executor": "spark:here"}, "invalid executor 'spark:here'"),
         (SMALL, {"executor": 3}, "invalid executor 3: it has no method `submit`"),
         (SMALL, {"executor": ThreadPoolExecutor}, "it is a class; use an instance"),
@@ -204,7 +204,9 @@ def test_invalid_arguments_and_folders_change_nothing(tmp_path: Path) -> None:
         assert not list(tmp_path.iterdir())
     file = tmp_path / "wrong.toml"
     file.write_text("name = 3\n", encoding="utf-8")
-    with pytest.raises(jostle.InvalidArgument, match=f"^{re.escape(str(file))}: line 1: "):
+    with pytest.raises(
+        jostle.InvalidArgument, match=f"^{re.escape(str(file))}: line 1, column 8: "
+    ):
         jostle.sweep(file, folder=folder)
     (folder / "experiment.toml").parent.mkdir()
     (folder / "experiment.toml").write_text("name = 'another'", encoding="utf-8")

@@ -103,7 +103,7 @@ impl Client {
     }
 
     /// The daemons in the keys of liveliness tokens, ordered.
-    async fn tokens(&self, key: &str) -> Result<Vec<String>, Error> {
+    pub(crate) async fn tokens(&self, key: &str) -> Result<Vec<String>, Error> {
         let keys = self.keys_of_tokens(key).await?;
         let mut nodes: Vec<String> = keys
             .iter()

@@ -163,6 +163,10 @@ impl Client {
             .poll
             .set_missed_tick_behavior(MissedTickBehavior::Delay);
         follower.poll.tick().await;
+        // The subscribers have received the tokens that exist once this query has its replies. The end
+        // of a token that was not received would not be reported.
+        let tokens = self.tokens(&keys::alive(prefix, swarm, "*")).await;
+        tolerate(tokens.map(drop))?;
         follower.refresh().await?;
         let updates = unfold(follower, |mut follower| async move {
             let update = follower.next().await.transpose()?;

@@ -185,6 +185,7 @@ pub fn selection(select: Select) -> Result<Selection, WireError> {
             }
             Selection::Within { x, y, radius }
         }
+        Select::Informed(is_informed) => Selection::Informed(is_informed),
         Select::Foremost(foremost) => Selection::Foremost {
             count: value::count(foremost.count),
             along: foremost.along,

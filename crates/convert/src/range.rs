@@ -38,7 +38,7 @@ const DESCRIPTIONS: &[(&str, &str)] = &[
     (
         "select",
         "one of {\"ids\": […]}, {\"count\": 5}, {\"fraction\": 0.1}, \
-         {\"within\": {\"x\", \"y\", \"radius\"}}, {\"foremost\": {\"count\", \"along\"}}",
+         {\"within\": {\"x\", \"y\", \"radius\"}}, {\"informed\": true}, {\"foremost\": {\"count\", \"along\"}}",
     ),
     ("ids", "a list of ids of individuals in the swarm"),
     ("count", "a whole number of individuals"),

@@ -193,6 +193,7 @@ fn every_change_is_read() {
                 radius: 3.0,
             },
         ),
+        (json!({"informed": true}), Selection::Informed(true)),
         (
             json!({"foremost": {"count": 2, "along": 0.5}}),
             Selection::Foremost {

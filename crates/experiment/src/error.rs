@@ -9,10 +9,12 @@ use jostle_physics::simulation::ChangeError;
 #[derive(Debug, Error)]
 pub enum PlanError {
     /// A field is unknown, of a wrong kind, or outside its range.
-    #[error("line {line}: {reason}")]
+    #[error("line {line}, column {column}: {reason}")]
     Field {
         /// The line, from 1.
         line: usize,
+        /// The column in characters, from 1.
+        column: usize,
         /// What is wrong, and the remedy.
         reason: String,
     },

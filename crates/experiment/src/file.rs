@@ -24,6 +24,9 @@ pub struct File {
     /// Runs at each point.
     #[serde(default)]
     pub replicates: Option<Spanned<u64>>,
+    /// The seeds of the runs at each point, instead of `replicates`.
+    #[serde(default)]
+    pub seeds: Option<Vec<Spanned<u64>>>,
     /// The duration of a run, in time units.
     pub duration: Spanned<f64>,
     /// The spec that all runs share.
@@ -32,6 +35,12 @@ pub struct File {
     /// The grids of values that vary.
     #[serde(default)]
     pub grid: Vec<Table>,
+    /// The blocks of the protocol.
+    #[serde(default)]
+    pub at: Vec<Table>,
+    /// What ends a run before its duration.
+    #[serde(default)]
+    pub stop: Table,
     /// Measurements in addition to the table of results.
     #[serde(default)]
     pub measure: Measure,
@@ -41,6 +50,15 @@ pub struct File {
 #[derive(Default, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Measure {
+    /// Measures whose means are columns of the table of results.
+    #[serde(default)]
+    pub columns: Vec<Spanned<String>>,
+    /// The time from which these are measured, in time units.
+    #[serde(default)]
+    pub from: Option<Spanned<f64>>,
+    /// Steps between two measurements of these.
+    #[serde(default)]
+    pub every: Option<Spanned<u64>>,
     /// Steps between two entries of the order's time series.
     #[serde(default)]
     pub order_every: Option<Spanned<u64>>,
@@ -73,9 +91,16 @@ impl Source<'_> {
     pub fn read(self) -> Result<File, PlanError> {
         toml::from_str(self.0).map_err(|error| {
             let span = error.span().unwrap_or_default();
-            // No other field is a list of tables.
+            // Only `grid` and `at` are lists of tables.
             let reason = match error.message().contains("map, expected a sequence") {
-                true => "[grid] is one of several tables: write [[grid]]".to_owned(),
+                true => {
+                    let is_block = self
+                        .0
+                        .get(span.clone())
+                        .is_some_and(|it| it.contains("[at]"));
+                    let key = if is_block { "at" } else { "grid" };
+                    format!("[{key}] is one of several tables: write [[{key}]]")
+                }
                 false => in_words(error.message()),
             };
             self.reject(&span, reason)
@@ -85,8 +110,28 @@ impl Source<'_> {
     /// Returns the error for the value at `span`. Line breaks in `reason` become spaces.
     pub fn reject(self, span: &Range<usize>, reason: impl Into<String>) -> PlanError {
         let reason = reason.into().trim_end().replace('\n', " ");
-        let line = self.line(span);
-        PlanError::Field { line, reason }
+        let (line, column) = self.place(span);
+        PlanError::Field {
+            line,
+            column,
+            reason,
+        }
+    }
+
+    /// Returns the span of `text` within `span`, or `span` itself if it does not contain that text.
+    pub fn find(self, span: &Range<usize>, text: &str) -> Range<usize> {
+        let within = self.0.get(span.clone()).unwrap_or_default();
+        match within.find(text) {
+            Some(at) => span.start + at..span.start + at + text.len(),
+            None => span.clone(),
+        }
+    }
+
+    /// Returns the line and the column at which `span` starts, in characters, from 1.
+    pub fn place(self, span: &Range<usize>) -> (usize, usize) {
+        let before = self.0.get(..span.start).unwrap_or(self.0);
+        let line = before.rfind('\n').map_or(0, |newline| newline + 1);
+        (self.line(span), before[line..].chars().count() + 1)
     }
 
     /// Returns the line at which `span` starts, from 1.

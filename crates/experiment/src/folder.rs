@@ -185,10 +185,7 @@ impl Folder {
                 row: finished.row,
                 touch: finished.touch,
             };
-            let order = finished.series.map(|series| Series {
-                order: series.orders,
-                drift: series.drifts,
-            });
+            let order = finished.series.map(Series::from);
             let start = self.length + lines.len() as u64;
             lines.extend(to_line(&Line {
                 record: &record,

@@ -1,13 +1,17 @@
 //! Grids of varied values: axes with their values, and the choices of one value from each axis.
 
+use std::collections::BTreeSet;
 use std::ops::Range;
 
+use jostle_measures::definitions;
 use jostle_physics::model::selection::share;
 use jostle_proto::Spec;
+use jostle_results::COLUMNS;
 use toml::{Spanned, Value};
 
 use crate::error::PlanError;
 use crate::file::{Source, Table, in_words};
+use crate::protocol::{STOPPED_AT, Variables};
 
 /// The axes that a `[[grid]]` may vary, in the order in which the names of runs contain them.
 pub const AXES: [&str; 13] = [
@@ -28,8 +32,8 @@ pub const AXES: [&str; 13] = [
 
 /// One `[[grid]]`.
 pub struct Grid {
-    /// Its axes, in the order of [`AXES`], each with its values.
-    pub axes: Vec<(&'static str, Vec<Spanned<Value>>)>,
+    /// Its axes, in the order of [`AXES`] and then its variables by name, each with its values.
+    pub axes: Vec<(String, Vec<Spanned<Value>>)>,
     /// Runs at each of its points.
     pub replicates: u64,
     /// The span of its first key in the file.
@@ -42,7 +46,9 @@ pub struct Choice {
     pub spec: Spec,
     /// How many individuals are informed.
     pub informed: usize,
-    values: Vec<(&'static str, Value)>,
+    /// The values of the variables.
+    pub variables: Variables,
+    values: Vec<(String, Value)>,
 }
 
 /// Checks `[spec]` and returns its entries. It may contain the fields of `create` except `seed`.
@@ -64,8 +70,8 @@ pub fn common(source: Source<'_>, spec: &Table) -> Result<toml::Table, PlanError
         .collect())
 }
 
-/// Reads every `[[grid]]`. A file without a grid has one grid with a single point. `max_replicates`
-/// limits the replicates of a grid.
+/// Reads every `[[grid]]`. A file without a grid has one grid with a single point. `used` are the
+/// variables that the protocol uses, and `max_replicates` limits the replicates of a grid.
 ///
 /// # Errors
 ///
@@ -73,6 +79,7 @@ pub fn common(source: Source<'_>, spec: &Table) -> Result<toml::Table, PlanError
 pub fn grids(
     source: Source<'_>,
     tables: &[Table],
+    used: &BTreeSet<String>,
     replicates: u64,
     max_replicates: u64,
 ) -> Result<Vec<Grid>, PlanError> {
@@ -83,13 +90,14 @@ pub fn grids(
             span: 0..0,
         }]);
     }
-    let read = |table| read_grid(source, table, replicates, max_replicates);
+    let read = |table| read_grid(source, table, used, replicates, max_replicates);
     tables.iter().map(read).collect()
 }
 
 fn read_grid(
     source: Source<'_>,
     table: &Table,
+    used: &BTreeSet<String>,
     replicates: u64,
     max_replicates: u64,
 ) -> Result<Grid, PlanError> {
@@ -109,11 +117,27 @@ fn read_grid(
             grid.replicates = source.whole(key, Some(&number), 0, [1, max_replicates])?;
             continue;
         }
-        let Some(axis) = AXES.into_iter().find(|axis| *axis == key) else {
-            let axes = AXES.join(", ");
-            let reason = format!("unknown axis {key:?}: use one of {axes}, or replicates");
+        let is_variable = !AXES.contains(&key);
+        let is_of_name = |it: char| it.is_ascii_alphanumeric() || it == '_';
+        if is_variable && !(key.starts_with(char::is_alphabetic) && key.chars().all(is_of_name)) {
+            let reason = format!("invalid name {key:?} of a variable: use letters, digits and '_'");
             return Err(source.reject(&key_span, reason));
-        };
+        }
+        if is_variable && !used.contains(key) {
+            let axes = AXES.join(", ");
+            let reason = format!(
+                "unknown axis {key:?}: use one of {axes}, replicates, or a variable that an [[at]] \
+                 or [stop] uses as \"${key}\""
+            );
+            return Err(source.reject(&key_span, reason));
+        }
+        if is_variable && is_taken(key) {
+            let reason = format!(
+                "{key:?} is a column of the results, a measure or a field of [spec]: rename the \
+                 variable"
+            );
+            return Err(source.reject(&key_span, reason));
+        }
         let values = match value.get_ref() {
             Value::Array(values) if values.is_empty() => {
                 return Err(source.reject(&value.span(), format!("{key} has no value")));
@@ -125,12 +149,17 @@ fn read_grid(
             _ => vec![value.clone()],
         };
         for value in &values {
-            check(source, axis, value)?;
+            match is_variable {
+                true => check_variable(source, key, value)?,
+                false => check(source, key, value)?,
+            }
         }
-        grid.axes.push((axis, values));
+        grid.axes.push((key.to_owned(), values));
     }
-    grid.axes
-        .sort_by_key(|(axis, _)| AXES.iter().position(|it| it == axis));
+    grid.axes.sort_by_key(|(axis, _)| {
+        let place = AXES.iter().position(|it| it == axis);
+        (place.unwrap_or(AXES.len()), axis.clone())
+    });
     let both = ["informed", "informed_fraction"].map(|axis| grid.has(axis));
     if both == [true, true] {
         let reason = "informed and informed_fraction exclude each other: leave out one of them";
@@ -159,6 +188,23 @@ fn check(source: Source<'_>, key: &str, value: &Spanned<Value>) -> Result<(), Pl
     match table.try_into::<Spec>() {
         Ok(_) => Ok(()),
         Err(error) => reject(format!("{key}: {}", in_words(error.message()))),
+    }
+}
+
+/// Returns whether a variable must not have this name.
+fn is_taken(name: &str) -> bool {
+    let fields = toml::Table::try_from(Spec::new(1)).unwrap_or_default();
+    fields.contains_key(name)
+        || ["rate", "start", STOPPED_AT].contains(&name)
+        || COLUMNS.iter().any(|column| column.name == name)
+        || definitions().iter().any(|measure| measure.name == name)
+}
+
+/// Checks the value of a variable: a finite number.
+fn check_variable(source: Source<'_>, key: &str, value: &Spanned<Value>) -> Result<(), PlanError> {
+    match number(value.get_ref()) {
+        Some(number) if number.is_finite() => Ok(()),
+        _ => Err(source.reject(&value.span(), format!("{key}: a variable is a number"))),
     }
 }
 
@@ -195,16 +241,19 @@ impl Grid {
     ) -> Result<Choice, PlanError> {
         let mut values = Vec::with_capacity(self.axes.len());
         for (axis, listed) in self.axes.iter().rev() {
-            values.push((*axis, listed[index % listed.len()].clone()));
+            values.push((axis.clone(), listed[index % listed.len()].clone()));
             index /= listed.len();
         }
         values.reverse();
         let (mut table, mut given) = (common.clone(), None);
+        let mut variables = Variables::default();
         for (axis, value) in &values {
-            if axis.starts_with("informed") {
-                given = Some((*axis, value));
+            if !AXES.contains(&axis.as_str()) {
+                variables.0.push((axis.clone(), value.get_ref().clone()));
+            } else if axis.starts_with("informed") {
+                given = Some((axis.as_str(), value));
             } else {
-                table.insert((*axis).to_owned(), value.get_ref().clone());
+                table.insert(axis.clone(), value.get_ref().clone());
             }
         }
         if !table.contains_key("n") {
@@ -223,6 +272,7 @@ impl Grid {
         Ok(Choice {
             spec,
             informed,
+            variables,
             values: values
                 .map(|(axis, value)| (axis, value.into_inner()))
                 .collect(),
@@ -261,14 +311,18 @@ fn count_informed(spec: &Spec, axis: &str, value: &Value) -> Result<usize, Strin
 impl Choice {
     /// Returns its name, which lists the values of the axes in `varied`: `pi1=4 n=50`. The name
     /// does not depend on the notation of a number, such as 4 or 4.0.
-    pub fn name(&self, varied: &[&'static str]) -> String {
+    pub fn name(&self, varied: &[&str]) -> String {
         let spec = toml::Table::try_from(&self.spec).unwrap_or_default();
-        let own = |axis| self.values.iter().find(|(it, _)| *it == axis);
-        let entry = |axis: &&'static str| {
+        let own = |axis: &str| self.values.iter().find(|(it, _)| it == axis);
+        let entry = |axis: &&str| {
             let value = match *axis {
                 // A choice can lack one of the two, or both.
-                "informed" | "informed_fraction" => &own(*axis)?.1,
-                _ => spec.get(*axis)?,
+                "informed" | "informed_fraction" => &own(axis)?.1,
+                _ => match spec.get(*axis) {
+                    Some(value) => value,
+                    // A variable, which a grid can lack.
+                    None => &own(axis)?.1,
+                },
             };
             Some(format!("{axis}={}", show(value)))
         };

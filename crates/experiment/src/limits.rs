@@ -12,3 +12,12 @@ pub const MAX_STEPS: u64 = 1_000_000_000;
 
 /// Maximum number of entries of all time series of an experiment: 8 GB.
 pub const MAX_ENTRIES: u64 = 1_000_000_000;
+
+/// Maximum number of blocks of a protocol. Every point of the grid has its own.
+pub const MAX_BLOCKS: usize = 1000;
+
+/// Maximum number of blocks of all points of the grid.
+pub const MAX_BLOCKS_OF_PLAN: usize = 1_000_000;
+
+/// Maximum number of measures that are columns of the results.
+pub const MAX_COLUMNS: usize = 100;

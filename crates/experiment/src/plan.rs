@@ -1,14 +1,20 @@
 //! The plan of an experiment: all its runs, checked before the first one starts.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
+use jostle_measures::{Measure, MeasureError, check_past};
 use jostle_physics::simulation::{Spec, Start, begin, steps_in};
 use jostle_proto::{LARGEST_WHOLE, keys};
+use toml::Spanned;
 
 use crate::error::PlanError;
-use crate::file::Source;
+use crate::file::{File, Measure as MeasureTable, Source};
 use crate::grid::{self, AXES, Choice, Grid};
-use crate::limits::{MAX_ENTRIES, MAX_INDIVIDUALS, MAX_RUNS, MAX_STEPS};
+use crate::limits::{
+    MAX_BLOCKS, MAX_BLOCKS_OF_PLAN, MAX_COLUMNS, MAX_ENTRIES, MAX_INDIVIDUALS, MAX_RUNS, MAX_STEPS,
+};
+use crate::protocol::{Protocol, Setting, Variables, used};
 use jostle_convert::spec;
 use jostle_convert::value::count;
 
@@ -25,12 +31,25 @@ pub struct Plan {
     pub order_every: Option<u64>,
     /// Whether contacts and their effect on bodies are measured.
     pub touch: bool,
+    /// The measures whose means are columns of the table of results.
+    pub columns: Columns,
     /// The text of the experiment's file, unchanged.
     pub text: String,
     points: Vec<Point>,
     runs: Vec<PlannedRun>,
     /// The indices of all runs, sorted by name.
     by_name: Vec<usize>,
+}
+
+/// Measures whose means are columns of the table of results.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Columns {
+    /// The measures.
+    pub measures: Vec<Measure>,
+    /// The time from which they are measured, in time units.
+    pub from: f64,
+    /// Steps between two measurements.
+    pub every: u64,
 }
 
 /// The settings that the replicates of a run share.
@@ -40,8 +59,12 @@ pub struct Point {
     pub spec: Spec,
     /// Number of individuals that are informed from the start.
     pub informed: usize,
-    /// Number of steps of a run.
+    /// Number of steps of a run, at most.
     pub steps: u64,
+    /// The values of the variables.
+    pub variables: Variables,
+    /// The commands of a run, and the condition that ends it.
+    pub protocol: Option<Arc<Protocol>>,
 }
 
 /// One run of an experiment.
@@ -87,11 +110,43 @@ impl Plan {
             let reason = format!("duration = {duration} is not a finite number above 0");
             return Err(source.reject(&file.duration.span(), reason));
         }
+        let seeds = seeds(source, &file)?;
+        let replicates = seeds
+            .as_ref()
+            .map_or(replicates, |seeds| seeds.len() as u64);
+        let columns = columns(source, &file.measure, duration)?;
+        if file.measure.touch
+            && let Some(first) = file
+                .at
+                .iter()
+                .flat_map(|table| table.keys())
+                .map(Spanned::span)
+                .min_by_key(|span| span.start)
+        {
+            let reason = "[[at]] and touch exclude each other: leave out one of them";
+            return Err(source.reject(&first, reason));
+        }
+        check_sizes(source, &file)?;
         let common = grid::common(source, &file.spec)?;
-        let grids = grid::grids(source, &file.grid, replicates, MAX_RUNS)?;
+        let used = used(file.at.iter().chain([&file.stop]));
+        let grids = grid::grids(source, &file.grid, &used, replicates, MAX_RUNS)?;
         let runs = count_runs(&grids);
         if runs > MAX_RUNS {
             return Err(PlanError::TooManyRuns { runs });
+        }
+        let points = runs / replicates.max(1);
+        if points.saturating_mul(file.at.len() as u64) > MAX_BLOCKS_OF_PLAN as u64 {
+            let first = file
+                .at
+                .iter()
+                .flat_map(|table| table.keys())
+                .map(Spanned::span);
+            let span = first.min_by_key(|span| span.start).unwrap_or(0..0);
+            let reason = format!(
+                "{} blocks at {points} points of the grid: the limit is {MAX_BLOCKS_OF_PLAN} in all",
+                file.at.len()
+            );
+            return Err(source.reject(&span, reason));
         }
         let mut plan = Self {
             name: name.clone(),
@@ -99,18 +154,27 @@ impl Plan {
             duration,
             order_every: (every > 0).then_some(every),
             touch: file.measure.touch,
+            columns,
             text: text.to_owned(),
             points: Vec::new(),
             runs: Vec::new(),
             by_name: Vec::new(),
         };
         let is_varied = |axis: &&str| grids.iter().any(|grid| grid.has(axis));
-        let varied: Vec<&str> = AXES.into_iter().filter(is_varied).collect();
+        let axes = AXES.into_iter().chain(used.iter().map(String::as_str));
+        let varied: Vec<&str> = axes.filter(is_varied).collect();
         let mut names = BTreeMap::new();
         for grid in &grids {
             for index in 0..count(grid.size().unwrap_or(0)) {
                 let choice = grid.choice(source, &common, index)?;
-                plan.add_point(source, grid, &choice, &choice.name(&varied))?;
+                let name = choice.name(&varied);
+                plan.add_point((source, &file), grid, &choice, &name)?;
+                if let Some(seeds) = &seeds {
+                    let first = plan.runs.len() - seeds.len();
+                    for (run, &seed) in plan.runs[first..].iter_mut().zip(seeds) {
+                        run.seed = seed;
+                    }
+                }
                 let new = plan.runs.iter().enumerate().rev();
                 for (index, run) in new.take(count(grid.replicates)) {
                     if names.insert(run.name.clone(), index).is_some() {
@@ -166,7 +230,7 @@ impl Plan {
     /// Checks a choice and adds all its replicates.
     fn add_point(
         &mut self,
-        source: Source<'_>,
+        (source, file): (Source<'_>, &File),
         grid: &Grid,
         choice: &Choice,
         name: &str,
@@ -196,6 +260,19 @@ impl Plan {
             let reason = format!("a run has {steps} steps, the limit is {MAX_STEPS}");
             return Err(reject(reason));
         }
+        let setting = Setting {
+            spec: &start,
+            informed: *informed,
+            duration: self.duration,
+            variables: &choice.variables,
+        };
+        let protocol = Protocol::resolve(source, &file.at, &file.stop, setting)?;
+        let lags = self.columns.measures.iter().map(|it| it.lag(parameters.dt));
+        let lag = lags.max().unwrap_or(0);
+        check_past(lag, start.n).map_err(|error| {
+            let span = file.measure.columns.first().map_or(0..0, Spanned::span);
+            source.reject(&span, error.to_string())
+        })?;
         for replicate in 0..grid.replicates {
             let name = numbered(name, replicate);
             self.runs.push(PlannedRun {
@@ -208,9 +285,80 @@ impl Plan {
             spec: start,
             informed: *informed,
             steps,
+            variables: choice.variables.clone(),
+            protocol,
         });
         Ok(())
     }
+}
+
+/// Checks the number of blocks and of columns.
+fn check_sizes(source: Source<'_>, file: &File) -> Result<(), PlanError> {
+    if let Some(first) = file.at.get(MAX_BLOCKS) {
+        let span = first.keys().next().map_or(0..0, Spanned::span);
+        return Err(source.reject(&span, format!("a file has at most {MAX_BLOCKS} [[at]]")));
+    }
+    if let Some(first) = file.measure.columns.get(MAX_COLUMNS) {
+        let reason = format!("[measure] has at most {MAX_COLUMNS} columns");
+        return Err(source.reject(&first.span(), reason));
+    }
+    Ok(())
+}
+
+/// Reads the seeds of the runs; none if they are derived.
+fn seeds(source: Source<'_>, file: &File) -> Result<Option<Vec<u64>>, PlanError> {
+    let Some(seeds) = &file.seeds else {
+        return Ok(None);
+    };
+    let first = seeds.first().map_or(0..0, Spanned::span);
+    let grids = file.grid.iter().flat_map(|table| table.keys());
+    let mut of_grids = grids.filter(|key| key.get_ref() == "replicates");
+    let reason = if file.replicates.is_some() || of_grids.next().is_some() {
+        "seeds and replicates exclude each other: leave out replicates"
+    } else if seeds.is_empty() || seeds.len() as u64 > MAX_RUNS {
+        "seeds: give at least one"
+    } else if is_repeated(seeds) {
+        "seeds: a seed is given twice: its runs would be the same"
+    } else {
+        let whole = |seed| source.whole("seeds", Some(seed), 0, [0, LARGEST_WHOLE]);
+        return seeds.iter().map(whole).collect::<Result<_, _>>().map(Some);
+    };
+    Err(source.reject(&first, reason))
+}
+
+fn is_repeated(seeds: &[Spanned<u64>]) -> bool {
+    let mut sorted: Vec<u64> = seeds.iter().map(|seed| *seed.get_ref()).collect();
+    sorted.sort_unstable();
+    sorted.windows(2).any(|pair| pair[0] == pair[1])
+}
+
+/// Reads the chosen columns of `[measure]`.
+fn columns(source: Source<'_>, file: &MeasureTable, duration: f64) -> Result<Columns, PlanError> {
+    let every = source.whole("every", file.every.as_ref(), 1, [1, MAX_STEPS])?;
+    let from = file.from.as_ref().map_or(0.0, |from| *from.get_ref());
+    if let Some(given) = &file.from
+        && !(from >= 0.0 && from < duration)
+    {
+        let reason = format!("from = {from} is outside [0, {duration}), the time of a run");
+        return Err(source.reject(&given.span(), reason));
+    }
+    let mut measures: Vec<Measure> = Vec::new();
+    for name in &file.columns {
+        let reject = |reason: String| source.reject(&name.span(), reason);
+        let measure: Measure = name
+            .get_ref()
+            .parse()
+            .map_err(|error: MeasureError| reject(error.to_string()))?;
+        if measures.contains(&measure) {
+            return Err(reject(format!("{measure} is given twice")));
+        }
+        measures.push(measure);
+    }
+    Ok(Columns {
+        measures,
+        from,
+        every,
+    })
 }
 
 /// Returns the number of runs of all grids; saturates at `u64::MAX`.
@@ -258,7 +406,7 @@ mod tests {
     /// Returns the line and the reason of a [`PlanError::Field`].
     fn field_error(rest: &str) -> (usize, String) {
         match error(rest) {
-            PlanError::Field { line, reason } => (line, reason),
+            PlanError::Field { line, reason, .. } => (line, reason),
             other => panic!("{other}"),
         }
     }
@@ -385,6 +533,7 @@ mod tests {
             ("replicates = 1.5\n", 3, "1.5`: give a whole number"),
             ("[spec]\nn = 3\npi1 = \"4\"\n", 5, "\"4\": give a number"),
             ("[grid]\nn = [3]\n", 3, "write [[grid]]"),
+            ("[at]\ntime = 3\n", 3, "write [[at]]"),
             ("[[grid]]\npi1 = 3\n", 4, "n is given neither"),
             ("[[grid]]\nn = 3\ninformed = 4\n", 5, "more than n = 3"),
             ("[[grid]]\nn = 3\ninformed = -1\n", 5, "informed"),

@@ -1,18 +1,23 @@
 //! One run, from its start to its row in the table of results.
 
 use jostle_convert::snapshot;
+use jostle_measures::{Past, View, check_past};
 use jostle_physics::model::State;
 use jostle_physics::model::selection::{Candidates, Selection, select};
-use jostle_physics::simulation::{self, ChangeError, Checkpoint, Exactness};
-use jostle_physics::stepper::Stepper;
+use jostle_physics::simulation::{
+    self, ChangeError, Checkpoint, Exactness, Reservation, ReserveError, ReserveMemory, Simulation,
+};
 use jostle_proto::snapshot::SnapshotPhase;
 use jostle_results::ResultRow;
 use jostle_results::contact_statistics::ContactStatistics;
 use jostle_results::table::OrderSeries;
 
 use crate::contact_events::ContactMeter;
+use crate::limits::MAX_INDIVIDUALS;
 use crate::plan::{Plan, PlannedRun};
+use crate::protocol::{Boundary, ProtocolRun};
 
+use self::checkpoint::PastFrame;
 pub use self::checkpoint::RunCheckpoint;
 use self::measures::Measures;
 
@@ -44,10 +49,12 @@ pub struct FinishedRun {
 pub struct CurrentRun<'a> {
     plan: &'a Plan,
     run: &'a PlannedRun,
-    state: State,
-    stepper: Stepper,
+    simulation: Simulation,
     measures: Measures,
     meter: Option<ContactMeter>,
+    /// The states of earlier steps, as far as measures need them.
+    past: Past,
+    protocol: Option<ProtocolRun>,
 }
 
 /// Executes one run. The result depends only on the plan and the run.
@@ -85,97 +92,144 @@ pub fn execute_run_from(
         }
     };
     let steps = plan.point(run).steps;
-    let mut fault = None;
-    while current.steps() < steps {
-        if let Err(reason) = current.step() {
-            fault = Some(reason);
-            break;
+    loop {
+        let is_last = current.steps() >= steps;
+        match current.boundary(is_last) {
+            Ok(Boundary::Continue) if !is_last => {}
+            Ok(boundary) => return Some(current.finish(boundary, None)),
+            Err(fault) => return Some(current.finish(Boundary::Continue, Some(fault))),
+        }
+        if let Err(fault) = current.step() {
+            return Some(current.finish(Boundary::Continue, Some(fault)));
         }
         if !on_step(&current) {
             return None;
         }
     }
-    Some(current.finish(fault))
 }
 
 impl<'a> CurrentRun<'a> {
     fn start(plan: &'a Plan, run: &'a PlannedRun) -> Result<Self, ChangeError> {
-        let state = start(plan, run)?;
+        let mut simulation = Simulation::with_reserve(plan.spec(run), reserve())?;
+        let informed = inform(plan, run, &mut simulation.state)?;
+        let protocol = plan.point(run).protocol.clone();
+        let next_draw = INFORMED_BY + u64::from(informed > 0);
         Ok(Self {
             plan,
             run,
-            measures: Measures::new(plan, &state),
-            meter: plan.touch.then(|| ContactMeter::new(&state)),
-            state,
-            stepper: Stepper::new(),
+            measures: Measures::new(plan),
+            meter: plan.touch.then(|| ContactMeter::new(&simulation.state)),
+            past: Past::new(lag(plan, run)),
+            protocol: protocol.map(|protocol| ProtocolRun::new(protocol, next_draw)),
+            simulation,
         })
     }
 
     /// Returns the checkpoint of the run at this step.
     #[must_use]
     pub fn checkpoint(&self) -> RunCheckpoint {
-        let checkpoint = Checkpoint {
-            spec: self.plan.spec(self.run),
-            state: self.state.clone(),
-            publish_every: 1,
-            epoch: 1,
-            seq: 0,
-            means: self.measures.means,
-            exactness: Exactness::default(),
-        };
         let doing = SnapshotPhase::Paused {
             reason: String::new(),
+        };
+        let checkpoint = Checkpoint {
+            seq: 0,
+            exactness: Exactness::default(),
+            ..self.simulation.checkpoint()
         };
         RunCheckpoint {
             run: self.run.name.clone(),
             snapshot: snapshot::to_proto("run", &checkpoint, doing),
             measures: self.measures.clone(),
             meter: self.meter.clone(),
+            past: PastFrame::of(&self.past),
+            protocol: self.protocol.as_ref().map(|it| it.progress.clone()),
         }
     }
 
     /// Continues a run from a checkpoint; none if it is of another run or of another version.
     fn resume(plan: &'a Plan, run: &'a PlannedRun, checkpoint: RunCheckpoint) -> Option<Self> {
         let restored = snapshot::from_proto(&checkpoint.snapshot).ok()?;
-        let state = restored.state;
+        let point = plan.point(run);
         let is_of_run = checkpoint.run == run.name
             && restored.spec == plan.spec(run)
             && checkpoint.meter.is_some() == plan.touch
-            && state.step <= plan.point(run).steps;
+            && checkpoint.protocol.is_some() == point.protocol.is_some()
+            && checkpoint.measures.is_of(plan)
+            && restored.state.step <= point.steps;
+        let protocol = match point.protocol.clone().zip(checkpoint.protocol) {
+            Some((protocol, progress)) => Some(ProtocolRun::resume(protocol, progress)?),
+            None => None,
+        };
+        let past = PastFrame::restored(lag(plan, run), checkpoint.past)?;
         is_of_run.then(|| Self {
             plan,
             run,
-            measures: checkpoint.measures.restored(&state, restored.means),
+            measures: checkpoint.measures,
             meter: checkpoint.meter,
-            state,
-            stepper: Stepper::new(),
+            past,
+            protocol,
+            simulation: Simulation::from_checkpoint(&restored, reserve()),
         })
     }
 
     /// Returns the number of steps taken.
     #[must_use]
     pub fn steps(&self) -> u64 {
-        self.state.step
+        self.simulation.state.step
+    }
+
+    /// Executes what the protocol has before the next step, and measures the state. The error is the
+    /// reason of a fault.
+    fn boundary(&mut self, is_last: bool) -> Result<Boundary, String> {
+        self.past.observe(&self.simulation.state);
+        if let Some(protocol) = &mut self.protocol {
+            let boundary = protocol.boundary(&mut self.simulation, &self.past, is_last)?;
+            if boundary == Boundary::Stop {
+                return Ok(boundary);
+            }
+            // A command may have changed the state, or the size of the group.
+            let n = self.simulation.state.configuration.n();
+            let checked = check_past(self.past.lag_steps(), n);
+            checked.map_err(|error| format!("step {}: {error}", self.steps()))?;
+            self.past.observe(&self.simulation.state);
+        }
+        if !is_last {
+            let view = View::new(&self.simulation.state, &self.past);
+            self.measures
+                .observe(self.plan, &view, &self.simulation.state);
+        }
+        Ok(Boundary::Continue)
     }
 
     /// Takes a step. The error is the reason of a fault.
     fn step(&mut self) -> Result<(), String> {
-        let report = match self.stepper.step(&mut self.state) {
+        let report = match self.simulation.step() {
             Ok(report) => report,
-            Err(error) => return Err(format!("step {}: {error}", self.state.step)),
+            Err(error) => return Err(format!("step {}: {error}", self.simulation.state.step)),
         };
-        self.measures.add(self.stepper.headings(), &report);
+        let count = self.simulation.means.count;
+        self.measures
+            .add(count, &self.simulation.order_before, &report);
         if let Some(meter) = &mut self.meter {
-            meter.add(&self.stepper, &report, &self.state);
+            meter.add(self.simulation.stepper(), &report, &self.simulation.state);
         }
         Ok(())
     }
 
-    fn finish(self, fault: Option<String>) -> FinishedRun {
-        let (row, series) = self.measures.finish(self.plan, self.run, &self.state);
+    fn finish(self, boundary: Boundary, fault: Option<String>) -> FinishedRun {
+        let is_stopped = boundary == Boundary::Stop;
+        let fault = match self.steps() {
+            0 if is_stopped => Some("step 0: the condition of [stop] holds: give from".to_owned()),
+            _ => fault,
+        };
+        let finished = self
+            .measures
+            .finish(self.plan, self.run, &self.simulation, is_stopped);
+        let (row, series) = finished;
         let touch = row.as_ref().zip(self.meter);
-        let touch =
-            touch.and_then(|(row, meter)| meter.finish(&self.run.name, &row.contacts, &self.state));
+        let touch = touch.and_then(|(row, meter)| {
+            meter.finish(&self.run.name, &row.contacts, &self.simulation.state)
+        });
         FinishedRun {
             row,
             fault,
@@ -185,29 +239,55 @@ impl<'a> CurrentRun<'a> {
     }
 }
 
+/// Returns the callback that limits the size of the group, as the plan limits it at the start.
+fn reserve() -> ReserveMemory {
+    Box::new(|reservation| match reservation {
+        Reservation::Grow(n) if n as u64 > MAX_INDIVIDUALS => Err(ReserveError::TooMany {
+            n,
+            limit: usize::try_from(MAX_INDIVIDUALS).unwrap_or(usize::MAX),
+        }),
+        Reservation::Grow(_) | Reservation::Return(_) => Ok(()),
+    })
+}
+
+/// Returns the number of earlier steps whose states the measures of a run need.
+fn lag(plan: &Plan, run: &PlannedRun) -> u64 {
+    let point = plan.point(run);
+    let dt = point.spec.parameters.dt;
+    let columns = plan.columns.measures.iter().map(|measure| measure.lag(dt));
+    let protocol = point.protocol.iter().map(|protocol| protocol.lag);
+    columns.chain(protocol).max().unwrap_or(0)
+}
+
 /// Returns the initial state of a run, with its informed individuals.
-///
-/// These are drawn with the run's seed and not chosen by id: individuals that are placed first have
-/// more room around them.
 ///
 /// # Errors
 ///
 /// [`ChangeError::Start`] if the individuals do not fit in the disc.
 pub fn start(plan: &Plan, run: &PlannedRun) -> Result<State, ChangeError> {
     let mut state = simulation::begin(&plan.spec(run))?;
-    let informed = Selection::Count(plan.point(run).informed);
+    inform(plan, run, &mut state)?;
+    Ok(state)
+}
+
+/// Informs the individuals of a run that are informed from its start; returns their number.
+///
+/// These are drawn with the run's seed and not chosen by id: individuals that are placed first have
+/// more room around them.
+fn inform(plan: &Plan, run: &PlannedRun, state: &mut State) -> Result<usize, ChangeError> {
+    let informed = plan.point(run).informed;
     let (configuration, weight) = (&mut state.configuration, state.parameters.pi2);
     let chosen = select(
         configuration,
         Candidates::All,
-        &informed,
+        &Selection::Count(informed),
         run.seed,
         INFORMED_BY,
     )?;
     for individual in chosen {
         configuration.inform(individual, weight, DIRECTION, None);
     }
-    Ok(state)
+    Ok(informed)
 }
 
 #[cfg(test)]
@@ -217,7 +297,6 @@ mod tests {
     use jostle_convert::hexadecimal;
     use jostle_physics::model::body;
     use jostle_physics::simulation::Change;
-    use jostle_physics::simulation::Simulation;
     use jostle_results::{Cell, Measure};
 
     fn plan(rest: &str) -> Plan {

@@ -12,4 +12,4 @@ mod samples;
 pub mod statistics;
 pub mod table;
 
-pub use jostle_proto::{COLUMNS, Cell, CellKind, Column, Measure, ResultRow};
+pub use jostle_proto::{COLUMNS, Cell, CellKind, Column, ExtraValue, Measure, ResultRow};

@@ -1,6 +1,6 @@
 //! Rows for tests.
 
-use jostle_proto::{Cell, Measure, ResultRow};
+use jostle_proto::{Cell, ExtraValue, Measure, ResultRow};
 
 /// A row as an experiment could produce it.
 pub(crate) fn sample() -> ResultRow {
@@ -31,6 +31,7 @@ pub(crate) fn sample() -> ResultRow {
         ],
         steps: 50_000,
         state_hash: "00ff".to_owned(),
+        extra: Vec::new(),
     }
 }
 
@@ -45,11 +46,22 @@ pub(crate) fn samples() -> Vec<ResultRow> {
         -0.0,
         f64::INFINITY,
     ];
-    let mut runs = vec![sample()];
+    let extra = |share: f64, stopped_at: Option<f64>| {
+        let value = |name: &str, value| ExtraValue {
+            name: name.to_owned(),
+            value,
+        };
+        vec![value("share", Some(share)), value("stopped_at", stopped_at)]
+    };
+    let mut runs = vec![ResultRow {
+        extra: extra(0.5, None),
+        ..sample()
+    }];
     for (index, value) in awkward.into_iter().enumerate() {
         let v_pd = (index % 2 == 0).then_some(-value);
         let row = ResultRow {
             run: format!("quoted \", {index}\nµ"),
+            extra: extra(value, v_pd),
             ..sample()
         };
         runs.push(with(with(row, Measure::V, value), Measure::V_PD, v_pd));

@@ -3,7 +3,7 @@
 use std::cmp::Ordering;
 
 use crate::disorder::n_eff;
-use crate::{Measure, ResultRow};
+use crate::{ExtraValue, Measure, ResultRow};
 
 /// The parameters that the replicates of a run share; replicates differ only in their seed.
 #[derive(Clone, Debug, PartialEq)]
@@ -24,6 +24,8 @@ pub struct Condition {
     pub informed: u64,
     /// The weight of the informed individuals' preference; 0 without informed individuals.
     pub pi2: f64,
+    /// The other varied values, as in the names of the runs: `noise=0.1 share=0.05`.
+    pub others: String,
 }
 
 /// A mean over runs.
@@ -67,6 +69,19 @@ pub struct Summary {
     pub ordered_share: f64,
     /// The mean share of time in which any two axes crossed.
     pub crossed_share: f64,
+    /// The measures that only some experiments have, and `stopped_at`.
+    pub extra: Vec<ExtraSummary>,
+}
+
+/// A measure that only some experiments have.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ExtraSummary {
+    /// Its name.
+    pub name: String,
+    /// Number of runs in which it is defined.
+    pub runs: usize,
+    /// The mean over these; none without such a run.
+    pub spread: Option<Spread>,
 }
 
 impl Condition {
@@ -80,7 +95,12 @@ impl Condition {
             pi1: run.pi1,
             n: run.n,
             informed: run.informed,
-            pi2: if run.informed == 0 { 0.0 } else { run.pi2 },
+            // A protocol may inform individuals later: the run then has a drift.
+            pi2: match run.informed == 0 && run.optional_number(Measure::V_PD).is_none() {
+                true => 0.0,
+                false => run.pi2,
+            },
+            others: others(&run.run),
         }
     }
 
@@ -104,7 +124,53 @@ impl Condition {
             .then(by_number)
             .then(self.n.cmp(&other.n))
             .then(self.informed.cmp(&other.informed))
+            .then_with(|| compare_others(&self.others, &other.others))
     }
+}
+
+/// The varied values that are fields of a [`Condition`], and the share that `informed` was computed
+/// from.
+const FIELDS: [&str; 9] = [
+    "contacts",
+    "dt",
+    "pi1",
+    "pi2",
+    "pi3",
+    "pi4",
+    "n",
+    "informed",
+    "informed_fraction",
+];
+
+/// Returns the varied values in the name of a run that are no fields of a [`Condition`].
+fn others(run: &str) -> String {
+    let is_other = |pair: &&str| {
+        let name = pair.split_once('=').map(|(name, _)| name);
+        name.is_some_and(|name| !FIELDS.contains(&name))
+    };
+    let others: Vec<&str> = run.split(' ').filter(is_other).collect();
+    others.join(" ")
+}
+
+/// Compares varied values, numbers by size.
+fn compare_others(one: &str, two: &str) -> Ordering {
+    let split = |text: &str| -> Vec<(String, String)> {
+        let pairs = text.split(' ').filter_map(|pair| pair.split_once('='));
+        pairs
+            .map(|(name, value)| (name.to_owned(), value.to_owned()))
+            .collect()
+    };
+    let (one, two) = (split(one), split(two));
+    let pairs = one.iter().zip(&two);
+    let mut orders = pairs.map(|((name, value), (of, other))| {
+        let by_value = match (value.parse::<f64>(), other.parse::<f64>()) {
+            (Ok(value), Ok(other)) => value.total_cmp(&other),
+            _ => value.cmp(other),
+        };
+        name.cmp(of).then(by_value)
+    });
+    let first = orders.find(|order| order.is_ne());
+    first.unwrap_or_else(|| one.len().cmp(&two.len()))
 }
 
 /// Summarises each condition of `runs`, ordered by rule, `dt`, `pi3`, `pi4`, `pi2`, `pi1`,
@@ -155,9 +221,33 @@ fn summarise_condition(condition: Condition, runs: &[&ResultRow]) -> Summary {
         n_eff: n_eff(condition.n, v.mean),
         ordered_share: ordered_time / (ordered_time + unordered_time),
         crossed_share: spread(&numbers(Measure::CROSSED_SHARE)).mean,
+        extra: extra(&condition, runs),
         condition,
         v,
     }
+}
+
+/// Summarises the columns that only some experiments have, except for variables.
+fn extra(condition: &Condition, runs: &[&ResultRow]) -> Vec<ExtraSummary> {
+    let mut names: Vec<&str> = Vec::new();
+    for ExtraValue { name, .. } in runs.iter().flat_map(|run| &run.extra) {
+        let is_variable = condition
+            .others
+            .split(' ')
+            .any(|pair| pair.split_once('=').is_some_and(|(it, _)| it == name));
+        if !is_variable && !names.contains(&name.as_str()) {
+            names.push(name);
+        }
+    }
+    let summary = |name: &str| {
+        let values: Vec<f64> = runs.iter().filter_map(|run| run.extra(name)).collect();
+        ExtraSummary {
+            name: name.to_owned(),
+            runs: values.len(),
+            spread: (!values.is_empty()).then(|| spread(&values)),
+        }
+    };
+    names.into_iter().map(summary).collect()
 }
 
 /// Averages `values`, at least one.
@@ -270,6 +360,46 @@ mod tests {
             ]
         );
         assert!(summarise(&[]).is_empty());
+    }
+
+    #[test]
+    fn variables_and_other_axes_make_conditions_and_measures_are_averaged() {
+        let run = |name: &str, share: f64, stopped_at: Option<f64>, milling: f64| ResultRow {
+            run: name.to_owned(),
+            extra: [
+                ("share", Some(share)),
+                ("stopped_at", stopped_at),
+                ("milling", Some(milling)),
+            ]
+            .map(|(name, value)| ExtraValue {
+                name: name.to_owned(),
+                value,
+            })
+            .into(),
+            ..sample()
+        };
+        let summaries = summarise(&[
+            run("pi1=4 noise=0.1 share=0.2 #0", 0.2, Some(3.0), 0.5),
+            run("pi1=4 noise=0.1 share=0.05 #0", 0.05, None, 0.0),
+            run("pi1=4 noise=0.1 share=0.2 #1", 0.2, None, 0.25),
+        ]);
+        let names: Vec<&str> = summaries.iter().map(|it| &*it.condition.others).collect();
+        assert_eq!(names, ["noise=0.1 share=0.05", "noise=0.1 share=0.2"]);
+        let found = |index: usize| -> Vec<(&str, usize, Option<f64>)> {
+            let extra = summaries[index].extra.iter();
+            extra
+                .map(|it| (&*it.name, it.runs, it.spread.map(|it| it.mean)))
+                .collect()
+        };
+        assert_eq!(
+            found(0),
+            [("stopped_at", 0, None), ("milling", 1, Some(0.0))]
+        );
+        assert_eq!(
+            found(1),
+            [("stopped_at", 1, Some(3.0)), ("milling", 2, Some(0.375))]
+        );
+        assert_eq!(others("#0"), "");
     }
 
     #[test]

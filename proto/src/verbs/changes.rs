@@ -78,6 +78,8 @@ pub enum Select {
     Fraction(#[schemars(range(min = 0.0, max = 1.0))] f64),
     /// All whose centre is in a disc.
     Within(Region),
+    /// All with a direction of their own, or with `false` all without one.
+    Informed(bool),
     /// The ones furthest along a direction.
     Foremost(Foremost),
 }

@@ -21,7 +21,7 @@ pub fn check(data: &[u8]) {
                 assert_eq!(plan.spec(run).seed, run.seed);
             }
         }
-        Err(PlanError::Field { line, reason }) => {
+        Err(PlanError::Field { line, reason, .. }) => {
             assert!((1..=text.lines().count().max(1)).contains(&line), "{line}");
             assert!(!reason.is_empty());
         }

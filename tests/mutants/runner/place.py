@@ -23,8 +23,10 @@ _PACKAGES = {
     "clients/cli": "jostle-cli",
     "clients/rust": "jostle-client",
     "crates/atomic-file": "jostle-atomic-file",
+    "crates/conditions": "jostle-conditions",
     "crates/convert": "jostle-convert",
     "crates/experiment": "jostle-experiment",
+    "crates/measures": "jostle-measures",
     "crates/physics": "jostle-physics",
     "crates/results": "jostle-results",
 }

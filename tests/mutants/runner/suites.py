@@ -180,16 +180,21 @@ _ALL = [
     ),
     Cargo(
         "physics",
-        ("crates/physics/",),
-        ("crates/physics/src/",),
-        targets="-p jostle-physics --lib --test physics",
+        ("crates/physics/", "crates/measures/src/"),
+        ("crates/physics/src/", "crates/measures/src/"),
+        targets="-p jostle-physics -p jostle-measures --lib --test physics",
         opt_levels=("jostle-physics=1",),
     ),
     Cargo(
         "experiment",
-        ("crates/convert/src/", "crates/experiment/src/"),
-        ("crates/convert/src/", "crates/experiment/src/", "crates/physics/src/"),
-        targets="-p jostle-convert -p jostle-experiment --lib",
+        ("crates/conditions/src/", "crates/convert/src/", "crates/experiment/src/"),
+        (
+            "crates/conditions/src/",
+            "crates/convert/src/",
+            "crates/experiment/src/",
+            "crates/physics/src/",
+        ),
+        targets="-p jostle-conditions -p jostle-convert -p jostle-experiment --lib",
         opt_levels=("jostle-physics=1",),
     ),
     # Without the daemon, which depends on them. The command line is named so that cargo selects the

@@ -27,6 +27,7 @@ pub const TOPICS: [Topic; 4] = [
   --count 5                    5 individuals, drawn at random
   --fraction 10%               a share of all, drawn at random; also 0.1
   --within X,Y,RADIUS          all whose centre is in a disc
+  --informed, --uninformed     all that have a direction of their own, all that have none
   --foremost 3 --along 1.57    the 3 furthest in a direction, in radians from +x
 
 Draws depend on the seed and the seq of the command: a replay draws the same individuals.

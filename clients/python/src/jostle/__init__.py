@@ -25,6 +25,7 @@ from ._arguments import (
     fraction,
     given,
     ids,
+    informed,
     poses,
     within,
 )
@@ -95,7 +96,7 @@ from ._objective import Objective
 from ._recording import RecordedFrame, Recording, read_recording
 from ._recordings import RecordingFormat, RecordingPhase, RecordingStatus
 from ._repr import HtmlList
-from ._results import ExperimentPhase, OrderSeries, Progress, ResultRow, RunUnderWay
+from ._results import ExperimentPhase, ExtraValue, OrderSeries, Progress, ResultRow, RunUnderWay
 from ._snapshot import Snapshot
 from ._spec import Disc, Given, Spec
 from ._state import State
@@ -127,6 +128,7 @@ __all__ = [
     "Event",
     "Experiment",
     "ExperimentPhase",
+    "ExtraValue",
     "Faulted",
     "Given",
     "Hello",
@@ -208,6 +210,7 @@ __all__ = [
     "frame",
     "given",
     "ids",
+    "informed",
     "local",
     "poses",
     "read_recording",

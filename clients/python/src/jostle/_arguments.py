@@ -65,6 +65,12 @@ class Within(TypedDict):
     within: Region
 
 
+class Informed(TypedDict):
+    """All individuals with a direction of their own, or all without one."""
+
+    informed: bool
+
+
 class AlongCount(TypedDict):
     """A number of individuals, and a direction in radians, counter-clockwise from +x."""
 
@@ -78,7 +84,7 @@ class Foremost(TypedDict):
     foremost: AlongCount
 
 
-Select = Ids | Count | Fraction | Within | Foremost
+Select = Ids | Count | Fraction | Within | Informed | Foremost
 """Selects individuals: a dictionary of one of these shapes. `ids`, `count`, … make them."""
 
 
@@ -131,6 +137,14 @@ def within(x: float, y: float, radius: float) -> Within:
         radius: Radius, body sizes.
     """
     return {"within": {"x": x, "y": y, "radius": radius}}
+
+
+def informed(is_informed: bool = True) -> Informed:
+    """Selects all individuals with a direction of their own, or with `False` all without one.
+
+    swarm.inform(jostle.informed(), direction=math.pi / 2)
+    """
+    return {"informed": is_informed}
 
 
 def foremost(count: SupportsIndex, along: float) -> Foremost:

@@ -126,7 +126,9 @@ class Objective:
             given = ", ".join(f"{field}={value!r}" for field, value in values.items())
             named = f"{self._name} with {given}" if given else self._name
             # The caller did not write the lines of the mapping's text.
-            message = re.sub(rf"^{UNNAMED}(: line \d+)?", lambda _: named, error.message)
+            message = re.sub(
+                rf"^{UNNAMED}(: line \d+, column \d+)?", lambda _: named, error.message
+            )
             raise InvalidArgument(message, details=error.details) from None
         with task:
             task.wait(show=False)

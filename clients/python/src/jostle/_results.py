@@ -96,6 +96,18 @@ class Experiments(msgspec.Struct, frozen=True, kw_only=True):
     experiments: list[Progress]
 
 
+class ExtraValue(msgspec.Struct, frozen=True, kw_only=True):
+    """The value of a column that only some experiments have.
+
+    Attributes:
+        name: The column: a variable of the grid, `stopped_at`, or a measure such as `msd(5)`.
+        value: `stopped_at` in time units, a measure in its unit; None if it is undefined.
+    """
+
+    name: str
+    value: float | None = None
+
+
 class ResultRow(HtmlStruct, frozen=True, kw_only=True):
     """The result of one run of an experiment: a row of the table of results.
 
@@ -129,6 +141,8 @@ class ResultRow(HtmlStruct, frozen=True, kw_only=True):
             target.
         steps: Number of steps.
         state_hash: The hash of the last state, BLAKE3 in hexadecimal.
+        extra: The columns that only some experiments have: variables of the grid, `stopped_at`, and
+            the means of chosen measures; None without such a column.
     """
 
     run: str
@@ -155,6 +169,7 @@ class ResultRow(HtmlStruct, frozen=True, kw_only=True):
     fallbacks: int
     steps: int
     state_hash: str
+    extra: list[ExtraValue] | None = None
 
 
 def of_rows(rows: Sequence[ResultRow]) -> pandas.DataFrame:
@@ -164,11 +179,16 @@ def of_rows(rows: Sequence[ResultRow]) -> pandas.DataFrame:
         ImportError: pandas is missing; `pip install jostle[pandas]` installs it.
     """
     pd = import_extra("pandas", "pandas")
+    *fixed, _ = ResultRow.__struct_fields__
     table: pandas.DataFrame = pd.DataFrame(
-        [msgspec.structs.astuple(row) for row in rows], columns=ResultRow.__struct_fields__
+        [msgspec.structs.astuple(row)[:-1] for row in rows], columns=fixed
     )
+    values = [{it.name: it.value for it in row.extra or []} for row in rows]
+    extra = list(dict.fromkeys(name for named in values for name in named))
+    for name in extra:
+        table[name] = [named.get(name) for named in values]
     # If every value is None, pandas would make a column of objects.
-    return table.astype({"v_pd": "float64"})
+    return table.astype(dict.fromkeys(["v_pd", *extra], "float64"))
 
 
 class ResultsPage(msgspec.Struct, frozen=True, kw_only=True):
@@ -189,7 +209,7 @@ class OrderSeries:
         time: The times, shape (m,), body sizes over free speed.
         order: The order at each time, shape (m,), 0 to 1.
         drift: The drift along the informed individuals' direction at each time, shape (m,), free
-            speeds; shape (0,) without informed individuals.
+            speeds, NaN where it is undefined; shape (0,) if it is undefined everywhere.
     """
 
     run: str

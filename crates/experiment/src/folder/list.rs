@@ -60,7 +60,20 @@ pub struct OrderOfLine {
 pub struct Series {
     pub order: Vec<f64>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub drift: Vec<f64>,
+    pub drift: Vec<Option<f64>>,
+}
+
+impl From<OrderSeries> for Series {
+    fn from(series: OrderSeries) -> Self {
+        let drifts = series.drifts.into_iter();
+        Self {
+            order: series.orders,
+            // JSON has no NaN.
+            drift: drifts
+                .map(|drift| (!drift.is_nan()).then_some(drift))
+                .collect(),
+        }
+    }
 }
 
 /// A finished run and the byte range of its line in the list.
@@ -92,7 +105,8 @@ pub fn read_series(
         Some(series) => series,
         None => read_series_file(folder, index, point.informed > 0)?,
     };
-    let (orders, drifts) = (series.order, series.drift);
+    let orders = series.order;
+    let drifts = series.drift.into_iter();
     let steps: Vec<u64> = (0..orders.len() as u64)
         .map(|entry| entry * every)
         .collect();
@@ -102,7 +116,7 @@ pub fn read_series(
         times: steps.iter().map(|&step| step as f64 * dt).collect(),
         steps,
         orders,
-        drifts,
+        drifts: drifts.map(|drift| drift.unwrap_or(f64::NAN)).collect(),
     })
 }
 
@@ -121,6 +135,7 @@ pub fn read_series_file(
         true => order.split_off(order.len() / 2),
         false => Vec::new(),
     };
+    let drift = drift.into_iter().map(Some).collect();
     Ok(Series { order, drift })
 }
 

@@ -9,9 +9,7 @@ use rustix::fs::{FlockOperation, flock};
 use rustix::io::Errno;
 
 use super::error::{FolderError, io_error};
-use super::list::{
-    Entry, Line, RUNS, Series, parse_runs, read_or_empty, read_series, to_line, to_range,
-};
+use super::list::{Entry, Line, RUNS, parse_runs, read_or_empty, read_series, to_line, to_range};
 use super::{EXPERIMENT, LOCK};
 use crate::plan::Plan;
 use crate::run::FinishedRun;
@@ -112,10 +110,7 @@ impl Part {
         let series = read_series(&self.path, plan, index, &line)?;
         Ok(to_line(&Line {
             record: &entry.record,
-            order: Some(Series {
-                order: series.orders,
-                drift: series.drifts,
-            }),
+            order: Some(series.into()),
         }))
     }
 }

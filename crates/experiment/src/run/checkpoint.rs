@@ -1,10 +1,12 @@
 //! Checkpoints of a run: files from which another process resumes it.
 
+use jostle_measures::{Frame, Past};
 use jostle_proto::Snapshot;
 use serde::{Deserialize, Serialize};
 
 use super::measures::Measures;
 use crate::contact_events::ContactMeter;
+use crate::protocol::ProtocolProgress;
 
 /// The snapshot of a run at one of its steps, and its measurements so far.
 #[derive(Deserialize, Serialize)]
@@ -13,6 +15,51 @@ pub struct RunCheckpoint {
     pub(super) snapshot: Snapshot,
     pub(super) measures: Measures,
     pub(super) meter: Option<ContactMeter>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub(super) past: Vec<PastFrame>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) protocol: Option<ProtocolProgress>,
+}
+
+/// The positions and headings of one earlier step, which measures with a lag need.
+#[derive(Clone, Deserialize, Serialize)]
+pub(super) struct PastFrame {
+    step: u64,
+    origin: [i64; 2],
+    id: Vec<u32>,
+    x: Vec<f64>,
+    y: Vec<f64>,
+    alpha: Vec<f64>,
+}
+
+impl PastFrame {
+    pub(super) fn of(past: &Past) -> Vec<Self> {
+        let frames = past.frames();
+        frames
+            .map(|frame| Self {
+                step: frame.step,
+                origin: frame.origin,
+                id: frame.id.clone(),
+                x: frame.x.clone(),
+                y: frame.y.clone(),
+                alpha: frame.alpha.clone(),
+            })
+            .collect()
+    }
+
+    /// Returns the past with these frames; none if one is invalid.
+    pub(super) fn restored(lag: u64, frames: Vec<Self>) -> Option<Past> {
+        let frames = frames.into_iter();
+        let frames = frames.map(|frame| Frame {
+            step: frame.step,
+            origin: frame.origin,
+            id: frame.id,
+            x: frame.x,
+            y: frame.y,
+            alpha: frame.alpha,
+        });
+        Past::from_frames(lag, frames).ok()
+    }
 }
 
 impl RunCheckpoint {

@@ -1,25 +1,23 @@
 //! Measurements of a run, and its row in the table of results.
 
 use jostle_convert::hexadecimal;
+use jostle_measures::View;
 use jostle_physics::model::{ContactRule, State, body};
 use jostle_physics::observables::intervals::Intervals;
-use jostle_physics::observables::{self, CommonDirection, Order, RunningMeans};
+use jostle_physics::observables::{self, Order};
+use jostle_physics::simulation::{Simulation, steps_in};
 use jostle_physics::stepper::StepReport;
 use jostle_results::table::OrderSeries;
-use jostle_results::{Measure, ResultRow};
+use jostle_results::{ExtraValue, Measure, ResultRow};
 use serde::{Deserialize, Serialize};
 
-use crate::plan::{Plan, PlannedRun};
+use crate::plan::{Columns, Plan, PlannedRun, Point};
+use crate::protocol::STOPPED_AT;
 
-/// Measurements of a run, of the state before each step. A checkpoint contains them, except for the
-/// means, which are those of its snapshot.
+/// Measurements of a run, of the state before each step. A checkpoint contains them; the means are
+/// those of its simulation.
 #[derive(Clone, Default, Deserialize, Serialize)]
 pub struct Measures {
-    /// The common direction of the informed individuals.
-    #[serde(skip)]
-    common_direction: Option<CommonDirection>,
-    #[serde(skip)]
-    pub means: RunningMeans,
     #[serde(with = "IntervalsForm")]
     intervals: Intervals,
     /// The most negative gap of two bodies so far, the largest overlap; 0 if there was none.
@@ -32,6 +30,9 @@ pub struct Measures {
     order_every: Option<u64>,
     orders: Vec<f64>,
     drifts: Vec<f64>,
+    /// The sum and the number of values of each chosen measure.
+    #[serde(default)]
+    columns: Vec<(f64, u64)>,
 }
 
 /// The form of [`Intervals`] in a checkpoint.
@@ -46,36 +47,49 @@ struct IntervalsForm {
 }
 
 impl Measures {
-    pub fn new(plan: &Plan, state: &State) -> Self {
+    pub fn new(plan: &Plan) -> Self {
         Self {
             order_every: plan.order_every,
-            ..Self::default().of(state)
+            columns: vec![(0.0, 0); plan.columns.measures.len()],
+            ..Self::default()
         }
     }
 
-    /// Sets `common_direction`, which checkpoints omit: the set of informed individuals does not
-    /// change during a run.
-    fn of(mut self, state: &State) -> Self {
-        self.common_direction = observables::common_direction(&state.configuration);
-        self
+    /// Returns whether a checkpoint's measures are those of a plan.
+    pub fn is_of(&self, plan: &Plan) -> bool {
+        self.columns.len() == plan.columns.measures.len()
     }
 
-    /// Returns the measures of a checkpoint, whose snapshot has this state and these means.
-    pub fn restored(mut self, state: &State, means: RunningMeans) -> Self {
-        self.means = means;
-        self.of(state)
+    /// Measures the chosen columns of the state before a step.
+    pub fn observe(&mut self, plan: &Plan, view: &View<'_>, state: &State) {
+        let Columns {
+            measures,
+            from,
+            every,
+        } = &plan.columns;
+        if measures.is_empty() {
+            return;
+        }
+        let first = steps_in(*from, state.parameters.dt);
+        if state.step < first || !(state.step - first).is_multiple_of(*every) {
+            return;
+        }
+        for (measure, (sum, count)) in measures.iter().zip(&mut self.columns) {
+            if let Some(value) = measure.evaluate(view) {
+                *sum += value;
+                *count += 1;
+            }
+        }
     }
 
-    /// Adds a step; `headings` are the n unit vectors before it.
-    pub fn add(&mut self, headings: &[[f64; 2]], report: &StepReport) {
-        let order = observables::order_of(headings.iter().copied(), self.common_direction);
+    /// Adds step number `count`; `order` is that of the state before it.
+    pub fn add(&mut self, count: u64, order: &Order, report: &StepReport) {
         if self
             .order_every
-            .is_some_and(|every| self.means.count.is_multiple_of(every))
+            .is_some_and(|every| (count - 1).is_multiple_of(every))
         {
-            self.record(&order);
+            self.record(order);
         }
-        self.means.add(&order);
         self.intervals.add(order.order);
         if let Some(gap) = report.worst_gap {
             self.worst_gap = self.worst_gap.min(gap);
@@ -86,25 +100,28 @@ impl Measures {
         self.fallbacks += u64::from(report.fallback > 0);
     }
 
-    /// Adds an entry to the time series.
+    /// Adds an entry to the time series. A drift that is undefined is NaN.
     fn record(&mut self, order: &Order) {
         self.orders.push(order.order);
-        self.drifts.extend(order.drift);
+        self.drifts.push(order.drift.unwrap_or(f64::NAN));
     }
 
-    /// Returns the row and the time series; `state` is the last state.
+    /// Returns the row and the time series; the simulation has the last state.
     pub fn finish(
         mut self,
         plan: &Plan,
         run: &PlannedRun,
-        state: &State,
+        simulation: &Simulation,
+        is_stopped: bool,
     ) -> (Option<ResultRow>, Option<OrderSeries>) {
+        let (state, means) = (&simulation.state, &simulation.means);
         let State {
             parameters,
             configuration,
             step,
             ..
         } = state;
+        let extra = self.extra(plan, run, is_stopped.then(|| state.time()));
         let series = self.order_every.map(|every| {
             if step.is_multiple_of(every) {
                 self.record(&observables::order(configuration));
@@ -120,7 +137,10 @@ impl Measures {
                     .collect(),
                 steps,
                 orders: std::mem::take(&mut self.orders),
-                drifts: std::mem::take(&mut self.drifts),
+                drifts: match self.drifts.iter().all(|drift| drift.is_nan()) {
+                    true => Vec::new(),
+                    false => std::mem::take(&mut self.drifts),
+                },
             }
         });
         let last = body::gaps(parameters, configuration);
@@ -131,15 +151,18 @@ impl Measures {
         }
         let taken = *step as f64;
         let time_of = |steps: u64| (steps as f64 * parameters.dt).into();
-        let row = self.means.mean_order().map(|v| ResultRow {
+        let point = plan.point(run);
+        // The row has the parameters at the start: commands may have changed them.
+        let parameters = &point.spec.parameters;
+        let row = means.mean_order().map(|v| ResultRow {
             run: run.name.clone(),
             seed: run.seed,
-            n: configuration.n() as u64,
+            n: point.spec.n as u64,
             pi1: parameters.pi1,
             pi2: parameters.pi2,
             pi3: parameters.pi3,
             pi4: parameters.pi4,
-            informed: plan.point(run).informed as u64,
+            informed: point.informed as u64,
             contacts: match parameters.contacts {
                 ContactRule::Endpoints => "endpoints",
                 ContactRule::Closest => "closest",
@@ -150,7 +173,7 @@ impl Measures {
             time: state.time(),
             measures: vec![
                 (Measure::V, v.into()),
-                (Measure::V_PD, self.means.mean_drift().into()),
+                (Measure::V_PD, means.mean_drift().into()),
                 (Measure::ORDERED_INTERVALS, self.intervals.ordered.into()),
                 (Measure::ORDERED_TIME, time_of(self.intervals.ordered_steps)),
                 (
@@ -169,7 +192,33 @@ impl Measures {
             ],
             steps: *step,
             state_hash: hexadecimal(&state.hash()),
+            extra,
         });
         (row, series)
+    }
+
+    /// Returns the columns that only some experiments have: variables, the time at which `[stop]`
+    /// ended the run, and the means of chosen measures.
+    fn extra(&self, plan: &Plan, run: &PlannedRun, stopped_at: Option<f64>) -> Vec<ExtraValue> {
+        let Point {
+            variables,
+            protocol,
+            ..
+        } = plan.point(run);
+        let names = variables.0.iter().map(|(name, _)| name);
+        let mut values: Vec<(String, Option<f64>)> = names
+            .map(|name| (name.clone(), variables.number(name)))
+            .collect();
+        if protocol.as_ref().is_some_and(|it| it.stop.is_some()) {
+            values.push((STOPPED_AT.to_owned(), stopped_at));
+        }
+        for (measure, &(sum, count)) in plan.columns.measures.iter().zip(&self.columns) {
+            let mean = (count > 0).then(|| sum / count as f64);
+            values.push((measure.to_string(), mean));
+        }
+        let values = values.into_iter();
+        values
+            .map(|(name, value)| ExtraValue { name, value })
+            .collect()
     }
 }

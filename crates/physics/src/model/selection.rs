@@ -26,6 +26,8 @@ pub enum Selection {
         /// Radius.
         radius: f64,
     },
+    /// All individuals with a preferred direction, or all without one.
+    Informed(bool),
     /// The individuals that are furthest in a direction; ties go to the lower ids.
     Foremost {
         /// Number of individuals.
@@ -158,6 +160,9 @@ pub fn select(
                 );
                 dx * dx + dy * dy <= radius * radius
             });
+        }
+        Selection::Informed(is_informed) => {
+            pool.retain(|&k| (configuration.weight[k] > 0.0) == is_informed);
         }
         Selection::Foremost { count, along } => {
             check_coordinate("select.foremost.along", along)?;

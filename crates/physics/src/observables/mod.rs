@@ -1,9 +1,7 @@
-//! Observables of configurations: order and drift of one configuration and as running means,
-//! nematic order, clusters, intervals of order.
+//! Observables of configurations: order and drift of one configuration and as running means, and
+//! intervals of order. The crate `jostle-measures` has many more, for one state at a time.
 
-pub mod clusters;
 pub mod intervals;
-pub mod nematic;
 
 use crate::model::heading::unit_vectors;
 use crate::model::{Configuration, simd};

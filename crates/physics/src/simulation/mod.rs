@@ -69,6 +69,8 @@ pub struct Simulation {
     pub means: RunningMeans,
     /// Accuracy and work of the last step.
     pub exactness: Exactness,
+    /// Order and drift of the state before the last step.
+    pub order_before: Order,
     reserve: ReserveMemory,
     stepper: Stepper,
 }
@@ -111,6 +113,7 @@ impl Simulation {
             seq: 0,
             means: RunningMeans::default(),
             exactness: Exactness::default(),
+            order_before: Order::default(),
             reserve,
             stepper: Stepper::new(),
         })
@@ -127,6 +130,7 @@ impl Simulation {
             seq: checkpoint.seq,
             means: checkpoint.means,
             exactness: checkpoint.exactness,
+            order_before: Order::default(),
             reserve,
             stepper: Stepper::new(),
         }
@@ -157,15 +161,22 @@ impl Simulation {
         self.reserve = reserve;
     }
 
+    /// Returns the stepper, with the work of the last step.
+    pub fn stepper(&self) -> &Stepper {
+        &self.stepper
+    }
+
     /// Takes one step.
     ///
     /// # Errors
     ///
     /// [`StepError`]; the state is then unchanged.
     pub fn step(&mut self) -> Result<StepReport, StepError> {
-        let order = observables::order(&self.state.configuration);
+        let common = observables::common_direction(&self.state.configuration);
         let report = self.stepper.step(&mut self.state)?;
-        self.means.add(&order);
+        let headings = self.stepper.headings().iter().copied();
+        self.order_before = observables::order_of(headings, common);
+        self.means.add(&self.order_before);
         self.exactness = Exactness {
             residual: report.residual,
             degraded: self.exactness.degraded + u64::from(report.degraded),

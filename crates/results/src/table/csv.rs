@@ -5,8 +5,8 @@ use std::path::Path;
 
 use csv::ErrorKind;
 
-use super::{TableError, io_error};
-use crate::{COLUMNS, Cell, CellKind, ResultRow};
+use super::{TableError, extra_names, io_error};
+use crate::{COLUMNS, Cell, CellKind, ExtraValue, ResultRow};
 
 pub fn write(path: &Path, runs: &[ResultRow]) -> Result<(), TableError> {
     let io = |source| io_error(path, source);
@@ -20,9 +20,12 @@ pub fn write_to(to: impl Write, runs: &[ResultRow]) -> Result<(), csv::Error> {
         // The header is written below, so that a table without rows has one too.
         .has_headers(false)
         .from_writer(to);
-    writer.write_record(COLUMNS.iter().map(|column| column.name))?;
+    let extra = extra_names(runs);
+    let names = COLUMNS.iter().map(|column| column.name);
+    writer.write_record(names.chain(extra.iter().copied()))?;
     for run in runs {
-        writer.serialize(run.cells().collect::<Vec<_>>())?;
+        let extra = extra.iter().map(|name| run.extra(name).into());
+        writer.serialize(run.cells().chain(extra).collect::<Vec<_>>())?;
     }
     Ok(writer.flush()?)
 }
@@ -36,9 +39,15 @@ pub fn read(path: &Path) -> Result<Vec<ResultRow>, TableError> {
         let place = header.iter().position(|name| name == column.name);
         places.push(place.ok_or_else(|| TableError::MissingColumn {
             path: path.to_owned(),
-            column: column.name,
+            column: column.name.to_owned(),
         })?);
     }
+    let is_extra = |name: &&str| COLUMNS.iter().all(|column| column.name != *name);
+    let extra: Vec<(usize, String)> = (0..)
+        .zip(header.iter())
+        .filter(|(_, name)| is_extra(name))
+        .map(|(place, name)| (place, name.to_owned()))
+        .collect();
     let mut runs = Vec::new();
     for record in reader.records() {
         let record = record.map_err(explain)?;
@@ -53,7 +62,19 @@ pub fn read(path: &Path) -> Result<Vec<ResultRow>, TableError> {
                 reason,
             })?);
         }
-        runs.push(ResultRow::from_cells(cells).expect("`parse` returns a value of its kind"));
+        let mut run = ResultRow::from_cells(cells).expect("`parse` returns a value of its kind");
+        // A field that is no number is not of this program, and is left out.
+        let extra = extra.iter().filter_map(|(place, name)| {
+            let field = record.get(*place)?;
+            let value = match field.is_empty() {
+                true => None,
+                false => Some(field.parse().ok()?),
+            };
+            let name = name.clone();
+            Some(ExtraValue { name, value })
+        });
+        run.extra = extra.collect();
+        runs.push(run);
     }
     Ok(runs)
 }

@@ -59,7 +59,7 @@ pub enum TableError {
         /// The file.
         path: PathBuf,
         /// The column.
-        column: &'static str,
+        column: String,
     },
     /// A value does not fit its column.
     #[error("use {}: {place} {row}, column `{column}`: {reason}", path.display())]
@@ -136,6 +136,17 @@ pub fn read(path: &Path) -> Result<Vec<ResultRow>, TableError> {
             path: path.to_owned(),
         }),
     }
+}
+
+/// Returns the names of the columns that only some experiments have, in the order of the rows.
+fn extra_names(runs: &[ResultRow]) -> Vec<&str> {
+    let mut names: Vec<&str> = Vec::new();
+    for extra in runs.iter().flat_map(|run| &run.extra) {
+        if !names.contains(&extra.name.as_str()) {
+            names.push(&extra.name);
+        }
+    }
+    names
 }
 
 fn io_error(path: &Path, source: io::Error) -> TableError {

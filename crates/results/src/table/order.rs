@@ -15,7 +15,7 @@ use super::parquet::{begin, finish, for_each_group, group, read_column, write_co
 pub const ORDER_NAME: &str = "order.parquet";
 
 /// The order of one run over time, in columns of one length.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default)]
 pub struct OrderSeries {
     /// The run's name, as in the table of runs.
     pub run: String,
@@ -25,8 +25,21 @@ pub struct OrderSeries {
     pub times: Vec<f64>,
     /// The order at each step.
     pub orders: Vec<f64>,
-    /// The drift along the informed individuals' direction at each step; empty without one.
+    /// The drift along the informed individuals' direction at each step, NaN where it is undefined;
+    /// empty if it is undefined everywhere.
     pub drifts: Vec<f64>,
+}
+
+/// An undefined drift, NaN, equals itself.
+impl PartialEq for OrderSeries {
+    fn eq(&self, other: &Self) -> bool {
+        let bits = |column: &[f64]| column.iter().map(|it| it.to_bits()).collect::<Vec<_>>();
+        self.run == other.run
+            && self.steps == other.steps
+            && self.times == other.times
+            && self.orders == other.orders
+            && bits(&self.drifts) == bits(&other.drifts)
+    }
 }
 
 /// Number of rows after which a row group is written. The metadata of a row group takes 540 bytes: with
@@ -87,7 +100,12 @@ impl OrderWriter {
         group.orders.extend(&series.orders);
         match series.drifts.len() {
             0 => group.drifts.extend(vec![None; rows]),
-            _ => group.drifts.extend(series.drifts.iter().copied().map(Some)),
+            _ => {
+                let drifts = series.drifts.iter().copied();
+                group
+                    .drifts
+                    .extend(drifts.map(|it| (!it.is_nan()).then_some(it)));
+            }
         }
         match group.runs.len() {
             ROWS_OF_GROUP.. => self.write_group(),
@@ -154,11 +172,16 @@ pub fn read(path: &Path) -> Result<Vec<OrderSeries>, TableError> {
                 series.steps.push(steps[row]);
                 series.times.push(times[row]);
                 series.orders.push(orders[row]);
-                series.drifts.extend(drifts[row]);
+                series.drifts.push(drifts[row].unwrap_or(f64::NAN));
             }
         }
         Ok(())
     })?;
+    for series in &mut all {
+        if series.drifts.iter().all(|drift| drift.is_nan()) {
+            series.drifts.clear();
+        }
+    }
     Ok(all)
 }
 

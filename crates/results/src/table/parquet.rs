@@ -5,7 +5,7 @@ use std::io::Write;
 use std::path::Path;
 use std::sync::Arc;
 
-use parquet::basic::Compression;
+use parquet::basic::{Compression, Type as Physical};
 use parquet::errors::ParquetError;
 use parquet::file::properties::WriterProperties;
 use parquet::file::reader::{FileReader, RowGroupReader, SerializedFileReader};
@@ -14,27 +14,33 @@ use parquet::schema::types::Type;
 use tempfile::NamedTempFile;
 
 use super::column::{CellError, ParquetValue, failed};
-use super::{TableError, io_error};
-use crate::{COLUMNS, Cell, CellKind, Column, ResultRow};
+use super::{TableError, extra_names, io_error};
+use crate::{COLUMNS, Cell, CellKind, Column, ExtraValue, ResultRow};
 
-fn schema() -> Result<Type, ParquetError> {
+fn schema(extra: &[&str]) -> Result<Type, ParquetError> {
     let columns = COLUMNS.iter().map(|column| match column.kind {
         CellKind::Text => String::schema(column.name),
         CellKind::Count => u64::schema(column.name),
         CellKind::Number => f64::schema(column.name),
         CellKind::OptionalNumber => Option::<f64>::schema(column.name),
     });
-    group("run", columns.collect())
+    let extra = extra.iter().map(|name| Option::<f64>::schema(name));
+    group("run", columns.chain(extra).collect())
 }
 
 pub fn write(path: &Path, runs: &[ResultRow]) -> Result<(), TableError> {
-    let mut writer = begin(path, schema())?;
+    let extra = extra_names(runs);
+    let mut writer = begin(path, schema(&extra))?;
     let malformed = |error| malformed(path, &error);
     // An empty row group is valid, but some readers fail on it.
     if !runs.is_empty() {
         let mut group = writer.next_row_group().map_err(malformed)?;
         for column in COLUMNS {
             write_cells(path, &mut group, column, runs)?;
+        }
+        for name in extra {
+            let values: Vec<Option<f64>> = runs.iter().map(|run| run.extra(name)).collect();
+            write_column(path, &mut group, name, &values)?;
         }
         group.close().map_err(malformed)?;
     }
@@ -54,9 +60,25 @@ pub fn read(path: &Path) -> Result<Vec<ResultRow>, TableError> {
             let row = ResultRow::from_cells(cells);
             runs.push(row.expect("`read_cells` returns a value of its kind for each row"));
         }
+        for name in extra_numbers(group) {
+            let values: Vec<Option<f64>> = read_column(path, group, &name, first)?;
+            for (run, value) in runs[first..].iter_mut().zip(values) {
+                let name = name.clone();
+                run.extra.push(ExtraValue { name, value });
+            }
+        }
         Ok(())
     })?;
     Ok(runs)
+}
+
+/// Returns the names of the columns of numbers that only some experiments have.
+fn extra_numbers(group: &dyn RowGroupReader) -> Vec<String> {
+    let columns = group.metadata().columns().iter();
+    let numbers = columns.filter(|chunk| chunk.column_type() == Physical::DOUBLE);
+    let names = numbers.map(|chunk| chunk.column_path().parts().join("."));
+    let is_extra = |name: &String| COLUMNS.iter().all(|column| column.name != *name);
+    names.filter(is_extra).collect()
 }
 
 /// Writes `column` of `runs` as the next column of a row group.
@@ -178,7 +200,7 @@ pub fn write_column<C: ParquetValue, W: Write + Send>(
 pub fn read_column<C: ParquetValue>(
     path: &Path,
     group: &dyn RowGroupReader,
-    column: &'static str,
+    column: &str,
     first: usize,
 ) -> Result<Vec<C>, TableError> {
     let columns = group.metadata().columns();
@@ -187,7 +209,7 @@ pub fn read_column<C: ParquetValue>(
         .position(|chunk| chunk.column_path().parts() == [column])
         .ok_or_else(|| TableError::MissingColumn {
             path: path.to_owned(),
-            column,
+            column: column.to_owned(),
         })?;
     group
         .get_column_reader(index)
@@ -257,8 +279,8 @@ mod tests {
             rows.close().unwrap();
             finish(&path, writer).unwrap();
             match (column, read(&path).unwrap_err()) {
-                ("elsewhere", TableError::MissingColumn { column: "run", .. }) => {}
-                ("run", TableError::MissingColumn { column: "seed", .. }) => {}
+                ("elsewhere", TableError::MissingColumn { column, .. }) if column == "run" => {}
+                ("run", TableError::MissingColumn { column, .. }) if column == "seed" => {}
                 (_, other) => panic!("{other}"),
             }
         }

@@ -103,6 +103,15 @@ impl Known {
         self.held_until = now + SETTLING;
     }
 
+    /// Removes a router whose connection was closed.
+    ///
+    /// After a suspension its lease has expired, so it may be removed before a command that arrived
+    /// from it meanwhile is handled. Without a router that command would be executed.
+    pub(super) fn remove_router(&mut self, router: &str, now: Instant) {
+        self.detect_suspension(now);
+        self.routers.remove(router);
+    }
+
     /// Detects that the daemon was suspended for so long that others may serve its names.
     pub(super) fn detect_suspension(&mut self, now: Instant) {
         let paused = now.saturating_duration_since(self.heartbeat);
@@ -181,5 +190,26 @@ impl Own {
     /// Whether the name must be judged again at `serve_after`.
     pub(super) fn must_judge_again(&self) -> bool {
         !self.is_contested && (!self.is_open || self.is_rejecting)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_suspension_is_detected_when_the_router_is_removed_first() {
+        let began = Instant::now();
+        for (paused, is_stale) in [(MAX_PAUSE * 2, true), (MAX_PAUSE / 2, false)] {
+            let mut known = Known::new(began);
+            known.routers.insert("router".to_owned());
+            let now = began + paused;
+            known.remove_router("router", now);
+            assert!(known.routers.is_empty());
+            assert_eq!(now < known.stale_until, is_stale, "{paused:?}");
+            // The command that arrived meanwhile is handled afterwards.
+            known.detect_suspension(now);
+            assert_eq!(now < known.stale_until, is_stale, "{paused:?}");
+        }
     }
 }

@@ -352,8 +352,7 @@ impl Claims {
         let mut known = self.known.lock();
         known.changed.insert(Name::Node);
         if !is_connected {
-            known.routers.remove(&router);
-            return;
+            return known.remove_router(&router, now);
         }
         let is_first = known.routers.is_empty();
         known.routers.insert(router);

@@ -26,6 +26,7 @@ informed = [1]
 
 [measure]
 order_every = 10
+columns = ["order", "drift"]
 "#;
 
 /// An experiment of one run that takes longer than the test.

@@ -137,7 +137,7 @@ async fn change(recorder: &RecordingClient<'_>) {
         .query("state", &format!("{state}?format=json"), None)
         .await;
     school("inform.reply", "inform", "inform.args").await;
-    for select in ["fraction", "within", "foremost"] {
+    for select in ["fraction", "within", "informed", "foremost"] {
         let reply = format!("inform.reply.{select}");
         school(&reply, "inform", &format!("inform.args.{select}")).await;
     }

@@ -118,7 +118,8 @@ async fn print_order(context: &Context, name: &str, run: &str) -> Result<(), Fai
     }
     let mut text = String::from("time,order,drift\n");
     for (index, (time, order)) in series.time.iter().zip(&series.order).enumerate() {
-        let drift = series.drift.get(index).map(f64::to_string);
+        let drift = series.drift.get(index).filter(|drift| !drift.is_nan());
+        let drift = drift.map(f64::to_string);
         text.push_str(&format!("{time},{order},{}\n", drift.unwrap_or_default()));
     }
     output::write(&text)
@@ -177,18 +178,62 @@ fn summary(summaries: &[Summary]) -> String {
             None => format!("{:.4}", spread.mean),
         }
     }
-    table::of(
-        summaries,
-        [
-            ("contacts", |it| it.condition.contacts.clone()),
-            ("pi1", |it| format::number(it.condition.pi1)),
-            ("n", |it| it.condition.n.to_string()),
-            ("informed", |it| it.condition.informed.to_string()),
-            ("pi2", |it| format::number(it.condition.pi2)),
-            ("runs", |it| it.runs.to_string()),
-            ("v", |it| spread(&it.v)),
-            ("v_pd", |it| format::or_none(it.v_pd.as_ref().map(spread))),
-            ("crossed", |it| format!("{:.4}", it.crossed_share)),
-        ],
-    )
+    let mut columns: Vec<(&str, Vec<String>)> = vec![
+        (
+            "contacts",
+            texts(summaries, |it| it.condition.contacts.clone()),
+        ),
+        (
+            "pi1",
+            texts(summaries, |it| format::number(it.condition.pi1)),
+        ),
+        ("n", texts(summaries, |it| it.condition.n.to_string())),
+        (
+            "informed",
+            texts(summaries, |it| it.condition.informed.to_string()),
+        ),
+        (
+            "pi2",
+            texts(summaries, |it| format::number(it.condition.pi2)),
+        ),
+    ];
+    if summaries.iter().any(|it| !it.condition.others.is_empty()) {
+        columns.push(("others", texts(summaries, |it| it.condition.others.clone())));
+    }
+    columns.extend([
+        ("runs", texts(summaries, |it| it.runs.to_string())),
+        ("v", texts(summaries, |it| spread(&it.v))),
+        (
+            "v_pd",
+            texts(summaries, |it| {
+                format::or_none(it.v_pd.as_ref().map(spread))
+            }),
+        ),
+        (
+            "crossed",
+            texts(summaries, |it| format!("{:.4}", it.crossed_share)),
+        ),
+    ]);
+    let first = summaries.first().map(|it| &it.extra);
+    for name in first.into_iter().flatten().map(|it| it.name.as_str()) {
+        // A measure can be undefined in some runs.
+        let cells = texts(summaries, |it| {
+            let found = it.extra.iter().find(|extra| extra.name == name);
+            let text = found.and_then(|extra| {
+                let text = spread(extra.spread.as_ref()?);
+                Some(match extra.runs == it.runs {
+                    true => text,
+                    false => format!("{text} ({} of {})", extra.runs, it.runs),
+                })
+            });
+            format::or_none(text)
+        });
+        columns.push((name, cells));
+    }
+    table::columns(&columns)
+}
+
+/// The cells of a column.
+fn texts(summaries: &[Summary], cell: impl Fn(&Summary) -> String) -> Vec<String> {
+    summaries.iter().map(cell).collect()
 }

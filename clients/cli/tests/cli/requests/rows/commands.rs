@@ -167,6 +167,14 @@ pub fn individuals() -> Vec<Row> {
             ],
         ),
         row(
+            "inform <name>demo --informed --direction 2.5",
+            &[r#"demo/cmd/inform {"select": {"informed": true}, "direction": 2.5}"#],
+        ),
+        row(
+            "inform <name>demo --uninformed --direction 2.5",
+            &[r#"demo/cmd/inform {"select": {"informed": false}, "direction": 2.5}"#],
+        ),
+        row(
             "inform <name>demo --foremost 4 --along 1.25 --direction 0.5",
             &[
                 r#"demo/cmd/inform {"select": {"foremost": {"count": 4, "along": 1.25}},
@@ -191,6 +199,14 @@ pub fn individuals() -> Vec<Row> {
             &[r#"demo/cmd/uninform {"select": {"within": {"x": -1.5, "y": 2.5, "radius": 4.5}}}"#],
         ),
         row(
+            "uninform <name>demo --informed",
+            &[r#"demo/cmd/uninform {"select": {"informed": true}}"#],
+        ),
+        row(
+            "uninform <name>demo --uninformed",
+            &[r#"demo/cmd/uninform {"select": {"informed": false}}"#],
+        ),
+        row(
             "uninform <name>demo --foremost 2 --along -0.25",
             &[r#"demo/cmd/uninform {"select": {"foremost": {"count": 2, "along": -0.25}}}"#],
         ),
@@ -210,6 +226,14 @@ pub fn individuals() -> Vec<Row> {
         row(
             "remove <name>demo --within 0.5,1.5,2.5",
             &[r#"demo/cmd/remove {"select": {"within": {"x": 0.5, "y": 1.5, "radius": 2.5}}}"#],
+        ),
+        row(
+            "remove <name>demo --informed",
+            &[r#"demo/cmd/remove {"select": {"informed": true}}"#],
+        ),
+        row(
+            "remove <name>demo --uninformed",
+            &[r#"demo/cmd/remove {"select": {"informed": false}}"#],
         ),
         row(
             "remove <name>demo --foremost 6 --along 2.25",

@@ -1,0 +1,96 @@
+//! The protocol of a run: the commands that a file schedules, at steps and under conditions, and the
+//! condition that ends the run.
+//!
+//! `[[at]]` blocks are checked for each condition of the plan ([`Protocol::resolve`]), with the
+//! values of its variables, and executed between steps ([`ProtocolRun`]).
+
+mod block;
+mod execute;
+mod setting;
+mod variables;
+
+use std::sync::Arc;
+
+use jostle_measures::check_past;
+use jostle_physics::simulation::{Simulation, Spec, Start};
+use toml::Spanned;
+
+use self::block::Resolver;
+pub use self::block::{Block, Trigger};
+pub use self::execute::{Boundary, ProtocolProgress, ProtocolRun};
+pub use self::setting::Setting;
+pub use self::variables::{Variables, used};
+use crate::error::PlanError;
+use crate::file::{Source, Table};
+
+/// The column of the time at which `[stop]` ended a run.
+pub const STOPPED_AT: &str = "stopped_at";
+
+/// The protocol of one condition of a plan.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Protocol {
+    /// In the order of the file.
+    pub blocks: Vec<Block>,
+    /// Ends the run when it holds.
+    pub stop: Option<Trigger>,
+    /// The number of earlier steps whose states the conditions need.
+    pub lag: u64,
+}
+
+impl Protocol {
+    /// Reads and checks the blocks and the `[stop]` of a file; none if it has neither.
+    ///
+    /// # Errors
+    ///
+    /// [`PlanError::Field`] with the place of the first error: an unknown key or variable, a command
+    /// that no swarm of the spec accepts, or a time after the end.
+    pub fn resolve(
+        source: Source<'_>,
+        blocks: &[Table],
+        stop: &Table,
+        setting: Setting<'_>,
+    ) -> Result<Option<Arc<Self>>, PlanError> {
+        if blocks.is_empty() && stop.is_empty() {
+            return Ok(None);
+        }
+        let resolver = Resolver { source, setting };
+        let mut protocol = Self::default();
+        for table in blocks {
+            protocol.blocks.push(resolver.block(table)?);
+        }
+        protocol.stop = resolver.stop(stop)?;
+        resolver.check(&protocol.blocks, blocks, &checker(setting))?;
+        let dt = setting.spec.parameters.dt;
+        let triggers = protocol.blocks.iter().filter_map(Block::trigger);
+        let lags = triggers
+            .chain(&protocol.stop)
+            .map(|it| it.condition.lag(dt));
+        protocol.lag = lags.max().unwrap_or(0);
+        check_past(protocol.lag, setting.spec.n).map_err(|error| {
+            let mut keys = blocks.iter().chain([stop]).flat_map(|table| table.keys());
+            let when = keys.find(|key| key.get_ref() == "when");
+            let span = when.map_or(0..0, Spanned::span);
+            source.reject(&span, error.to_string())
+        })?;
+        Ok(Some(Arc::new(protocol)))
+    }
+}
+
+/// Returns a swarm of one individual that checks the numbers of changes.
+fn checker(setting: Setting<'_>) -> Option<Simulation> {
+    let spec = Spec {
+        n: 1,
+        start: Start::Disc(None),
+        ..setting.spec.clone()
+    };
+    let mut simulation = Simulation::new(&spec).ok()?;
+    if setting.informed > 0 {
+        let weight = simulation.state.parameters.pi2;
+        simulation.state.configuration.inform(0, weight, 0.0, None);
+    }
+    Some(simulation)
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests;
