@@ -162,6 +162,7 @@ fn zenoh(channel: &Channel) -> Value {
         ChannelKind::Get(
             "snapshot.reply"
             | "verify.reply"
+            | "experiment.file.reply"
             | "node.recording.reply"
             | "experiment.results"
             | "experiment.order",

@@ -19,11 +19,11 @@ use crate::verbs::{
     UninformArgs,
 };
 use crate::{
-    ControllerList, Error, Event, Events, ExperimentArgs, ExperimentResult, Experiments, Hello,
-    Journal, Metrics, NodeReply, NodeStatus, OrderPage, OrderSample, Parameter, ParameterKind,
-    Parameters, Progress, RecordArgs, Recording, RecordingPiece, Recordings, ReplayArgs,
-    ReplayResult, Reply, Request, ResultsPage, Schemas, SeekArgs, Snapshot, Spec, State, Status,
-    Swarms, Verified, WhoAmI,
+    ControllerList, Error, Event, Events, ExperimentArgs, ExperimentFile, ExperimentResult,
+    Experiments, Hello, Journal, Metrics, NodeReply, NodeStatus, OrderPage, OrderSample, Parameter,
+    ParameterKind, Parameters, Progress, RecordArgs, Recording, RecordingPiece, Recordings,
+    ReplayArgs, ReplayResult, Reply, Request, ResultsPage, Schemas, SeekArgs, Snapshot, Spec,
+    State, Status, Swarms, Verified, WhoAmI,
 };
 
 pub use channels::{CHANNELS, Channel, ChannelKind};
@@ -44,6 +44,7 @@ pub fn schemas() -> BTreeMap<&'static str, Schema> {
         ("journal.reply", sent::<Reply<Journal>>()),
         ("snapshot.reply", sent::<Reply<Snapshot>>()),
         ("verify.reply", sent::<Reply<Verified>>()),
+        ("experiment.file.reply", sent::<Reply<ExperimentFile>>()),
         ("create.args", received::<CreateArgs>()),
         ("create.reply", sent::<Reply<CreateResult>>()),
         ("delete.args", received::<DeleteArgs>()),

@@ -6,7 +6,7 @@
 pub const DEFAULT_PREFIX: &str = "jostle";
 
 /// The nouns that `{prefix}/{swarm}/get/` answers.
-pub const SWARM_GETS: [&str; 9] = [
+pub const SWARM_GETS: [&str; 10] = [
     "status",
     "controllers",
     "spec",
@@ -15,6 +15,7 @@ pub const SWARM_GETS: [&str; 9] = [
     "journal",
     "snapshot",
     "verify",
+    "experiment",
     "wait",
 ];
 

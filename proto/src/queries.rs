@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use serde_json::Value;
 
 use crate::verbs::{Mode, OnTimeout};
-use crate::{Certificate, Event, Order, ParameterValues, Phase, Replay};
+use crate::{Certificate, Event, LARGEST_WHOLE, Order, ParameterValues, Phase, Replay};
 
 /// A swarm's reply to `get/status`; phase, step and time are in the envelope.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -135,6 +135,19 @@ pub struct Verified {
     pub differs_at: Option<u64>,
     /// The epoch of that step: a reset restarts the count of steps.
     pub differs_in_epoch: Option<u64>,
+}
+
+/// The commands of a swarm since its start, as the file of an experiment with one run.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct ExperimentFile {
+    /// The text of the file, TOML. Its run takes the steps of the swarm.
+    pub file: String,
+    /// The step of the swarm.
+    #[schemars(range(max = LARGEST_WHOLE))]
+    pub steps: u64,
+    /// BLAKE3 of the state at that step, in hexadecimal. The run ends with it, unless commands were
+    /// applied at that step: then the run takes one more step.
+    pub state_hash: String,
 }
 
 /// A swarm's reply to `get/parameters`.

@@ -1,5 +1,7 @@
 //! Reads the journal of a swarm from the store.
 
+use std::collections::BTreeMap;
+use std::sync::Arc;
 use std::vec;
 
 use jostle_proto::Request;
@@ -112,6 +114,56 @@ pub fn read_lines(
         lines.extend(rows.filter_map(|row| parse_line(row).ok()));
     }
     Ok(lines)
+}
+
+/// A command that was applied.
+pub struct AppliedInput {
+    pub epoch: u64,
+    pub step: u64,
+    /// Its number among the applied commands, annotations included.
+    pub seq: u64,
+    pub unix_secs: Option<f64>,
+    pub sender: Arc<Sender>,
+}
+
+/// Finds the commands that were applied in a sequence of lines.
+#[derive(Default)]
+pub struct AppliedInputs {
+    /// Commands whose outcome has not been read, by their lines.
+    waiting: BTreeMap<u64, Arc<Sender>>,
+}
+
+impl AppliedInputs {
+    /// Reads the next line. Returns the command that it says was applied.
+    pub fn read(&mut self, line: Line) -> Option<AppliedInput> {
+        let (seq, sender, unix_secs) = match line.record {
+            Record::Input {
+                sender, seq: None, ..
+            } => {
+                self.waiting.insert(line.number, sender);
+                return None;
+            }
+            Record::Input {
+                sender,
+                seq: Some(seq),
+                unix_secs,
+                ..
+            } => (seq, sender, unix_secs),
+            Record::Outcome {
+                input,
+                seq,
+                unix_secs,
+            } => (seq?, self.waiting.remove(&input)?, unix_secs),
+            Record::Fault(_) | Record::Resumed(_) | Record::Hash(_) => return None,
+        };
+        Some(AppliedInput {
+            epoch: line.epoch,
+            step: line.step,
+            seq,
+            unix_secs,
+            sender,
+        })
+    }
 }
 
 fn parse_line(row: &Row) -> Result<Line, String> {

@@ -1,5 +1,6 @@
 //! Between the swarms and the store: writes journals and checkpoints, and recovers swarms from them.
 
+pub(crate) mod applied;
 pub mod checkpoints;
 pub(crate) mod journal_reader;
 pub(crate) mod recovery;

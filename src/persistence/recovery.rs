@@ -1,6 +1,5 @@
 //! Recovers all stored swarms when the daemon starts.
 
-use std::collections::BTreeMap;
 use std::error::Error;
 use std::sync::Arc;
 use std::sync::mpsc::channel;
@@ -11,7 +10,9 @@ use tracing::{error, info, warn};
 use crate::convert::commands::CommandError;
 use crate::convert::{self, Payload};
 use crate::persistence::checkpoints::read_stored;
-use crate::persistence::journal_reader::{self, JournalReader, LineError, read_lines};
+use crate::persistence::journal_reader::{
+    self, AppliedInputs, JournalReader, LineError, read_lines,
+};
 use crate::persistence::reply_cache::ReplyCache;
 use crate::persistence::writer::{SwarmMetadata, writes};
 use crate::store::{Store, StoreError, Write};
@@ -221,41 +222,21 @@ fn history_before(
 ) -> Result<Vec<history::Entry>, StoreError> {
     let until = checkpoint.lines;
     let dt = checkpoint.simulation.state.parameters.dt;
-    let (mut inputs, mut entries) = (BTreeMap::new(), Vec::new());
-    for line in read_lines(store, swarm, until.saturating_sub(MAX_HISTORY_LINES), until)? {
-        let applied = match line.record {
-            Record::Input {
-                sender,
-                seq,
-                unix_secs,
-                ..
-            } => {
-                inputs.insert(line.number, sender.clone());
-                seq.zip(Some((sender, unix_secs)))
-            }
-            Record::Outcome {
-                input,
-                seq,
-                unix_secs,
-            } => seq.zip(inputs.remove(&input).zip(Some(unix_secs))),
-            _ => None,
-        };
-        if let Some((seq, (sender, unix_secs))) = applied {
-            let (epoch, step) = (line.epoch, line.step);
-            entries.push(history::Entry {
-                stamp: Stamp {
-                    epoch,
-                    step,
-                    time: step as f64 * dt,
-                    phase: Phase::Paused(PauseReason::Requested),
-                    seq,
-                },
-                unix_secs,
-                sender,
-            });
-        }
-    }
-    Ok(entries)
+    let mut applied = AppliedInputs::default();
+    let lines = read_lines(store, swarm, until.saturating_sub(MAX_HISTORY_LINES), until)?;
+    let applied = lines.into_iter().filter_map(|line| applied.read(line));
+    let entries = applied.map(|input| history::Entry {
+        stamp: Stamp {
+            epoch: input.epoch,
+            step: input.step,
+            time: input.step as f64 * dt,
+            phase: Phase::Paused(PauseReason::Requested),
+            seq: input.seq,
+        },
+        unix_secs: input.unix_secs,
+        sender: input.sender,
+    });
+    Ok(entries.collect())
 }
 
 /// Receives the reply to a replayed command and puts it into the cache, for retries of the client.

@@ -83,14 +83,17 @@ pub fn replay_to(store: &Store, swarm: &str, step: u64) -> Result<Checkpoint, Co
 }
 
 /// The stored checkpoints, newest first.
-fn stored_checkpoints(store: &Store, swarm: &str) -> Result<Vec<CheckpointInfo>, CommandError> {
+pub(super) fn stored_checkpoints(
+    store: &Store,
+    swarm: &str,
+) -> Result<Vec<CheckpointInfo>, CommandError> {
     // Waits for the queued writes. If they fail, the replay ends early, which is checked later.
     let _ = store.commit(Vec::new());
     let checkpoints = store.checkpoints(swarm);
     checkpoints.map_err(|it| CommandError::History(it.to_string()))
 }
 
-fn first_readable(
+pub(super) fn first_readable(
     store: &Store,
     swarm: &str,
     checkpoints: Vec<CheckpointInfo>,

@@ -164,7 +164,7 @@ impl McapSource {
         let mut now = before;
         match command {
             Command::Change(Change::Set(settings)) => now = settings.of(before),
-            Command::Batch(changes) => {
+            Command::Batch { changes, .. } => {
                 for change in changes {
                     if let Change::Set(settings) = change {
                         now = settings.of(now);

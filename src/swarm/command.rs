@@ -24,7 +24,13 @@ pub enum Command {
     /// Change parameters or the group.
     Change(Change),
     /// Apply all these changes at one step, or none.
-    Batch(Vec<Change>),
+    Batch {
+        /// The changes, in order.
+        changes: Vec<Change>,
+        /// The key of the random draws of the first change, instead of the command's number; each
+        /// further change adds 1.
+        draw: Option<u64>,
+    },
     /// Add a controller.
     Join(JoinOptions),
     /// Advance a controller in lockstep.

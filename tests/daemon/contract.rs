@@ -157,6 +157,7 @@ async fn every_channel_of_the_document_is_served() {
             let message = match last {
                 "state" => "state".to_owned(),
                 "wait" => "status.reply".to_owned(),
+                "experiment" => "experiment.file.reply".to_owned(),
                 noun if key.contains("/experiment/") => format!("experiment.{noun}"),
                 noun if key.contains("/@node/") => format!("node.{noun}.reply"),
                 noun => format!("{noun}.reply"),

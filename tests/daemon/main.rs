@@ -29,6 +29,7 @@ mod page;
 mod pages;
 mod parts;
 mod process;
+mod protocols;
 mod readers;
 mod recording;
 mod repeat;

@@ -184,7 +184,7 @@ impl ReferenceModel {
         let step = self.step();
         let applied = match (parse_command(sender), at_step) {
             (Command::Change(change), None) => self.apply(&[change]),
-            (Command::Batch(changes), None) => self.apply(&changes),
+            (Command::Batch { changes, .. }, None) => self.apply(&changes),
             (Command::Change(change), Some(at_step)) => {
                 let waiting = self.waiting.entry(at_step).or_default();
                 waiting.push((self.line, vec![change], id.clone()));

@@ -15,7 +15,7 @@ import numpy as np
 import jostle
 from jostle._controller_messages import Controllers, Joined
 from jostle._events import Events, Journal
-from jostle._messages import CreateResult, Parameters, SpecReply
+from jostle._messages import CreateResult, ExperimentFile, Parameters, SpecReply
 from jostle._node import Swarms
 from jostle._recordings import RecordingPiece, RecordingResult, Recordings
 from jostle._replay import ReplayResult
@@ -70,6 +70,7 @@ READ: dict[str, type[Any]] = {
     "step.reply": jostle.StepResult,
     "uninform.reply": jostle.IdsResult,
     "verify.reply": jostle.Verified,
+    "experiment.file.reply": ExperimentFile,
 }
 """What a daemon sends."""
 

@@ -7,8 +7,8 @@ use jostle_physics::simulation::{
     Change, ChangeKind, ChangeOutcome, Placement, SetPoints, Settings,
 };
 use jostle_proto::verbs::{
-    self, Changed, IdsResult, InformArgs, InjectArgs, Pose, Region, RemoveArgs, Select, SetArgs,
-    SetResult, UninformArgs,
+    self, Changed, Foremost, IdsResult, InformArgs, InjectArgs, Pose, Region, RemoveArgs, Select,
+    SetArgs, SetResult, UninformArgs,
 };
 use thiserror::Error;
 
@@ -46,6 +46,87 @@ pub fn change(change: verbs::Change) -> Result<Change, ArgsError> {
         verbs::Change::Uninform(args) => uninform(args),
         verbs::Change::Inject(args) => inject(args),
         verbs::Change::Remove(args) => remove(args),
+    }
+}
+
+/// Returns the message of a change, which [`change`] converts to the same change.
+pub fn to_proto(change: &Change) -> verbs::Change {
+    match change {
+        Change::Set(settings) => verbs::Change::Set(SetArgs {
+            pi1: settings.pi1,
+            pi2: settings.pi2,
+            pi3: settings.pi3,
+            pi4: settings.pi4,
+            contacts: settings.contacts.map(spec::contact_rule_to_proto),
+            stepping: settings.stepping.map(spec::stepping_to_proto),
+            relinearise: settings.relinearise.map(u8::from),
+            attraction: settings.attraction.map(spec::attraction_to_proto),
+            noise: settings.noise,
+            publish_every: settings.publish_every,
+            make_room: settings.make_room,
+        }),
+        Change::Inform {
+            selection,
+            direction,
+            weight,
+            for_time,
+        } => verbs::Change::Inform(InformArgs {
+            select: selection_to_proto(selection),
+            direction: *direction,
+            weight: *weight,
+            for_time: *for_time,
+        }),
+        Change::Uninform(selection) => verbs::Change::Uninform(UninformArgs {
+            select: selection_to_proto(selection),
+        }),
+        Change::Inject { place, informed } => {
+            let mut args = InjectArgs {
+                direction: informed.map(|(direction, _)| direction),
+                weight: informed.and_then(|(_, weight)| weight),
+                ..InjectArgs::default()
+            };
+            match place {
+                Placement::At(poses) => {
+                    let poses = poses.iter();
+                    args.at = Some(
+                        poses
+                            .map(|&body::Pose { x, y, alpha }| Pose { x, y, alpha })
+                            .collect(),
+                    );
+                }
+                Placement::Border(count) => args.count = Some(*count as u64),
+                Placement::Within(count, injection::Region { x, y, radius }) => {
+                    args.count = Some(*count as u64);
+                    args.within = Some(Region {
+                        x: *x,
+                        y: *y,
+                        radius: *radius,
+                    });
+                }
+            }
+            verbs::Change::Inject(args)
+        }
+        Change::Remove(selection) => verbs::Change::Remove(RemoveArgs {
+            select: selection_to_proto(selection),
+        }),
+    }
+}
+
+fn selection_to_proto(selection: &Selection) -> Select {
+    match selection {
+        Selection::Ids(ids) => Select::Ids(ids.clone()),
+        Selection::Count(count) => Select::Count(*count as u64),
+        Selection::Fraction(fraction) => Select::Fraction(*fraction),
+        Selection::Within { x, y, radius } => Select::Within(Region {
+            x: *x,
+            y: *y,
+            radius: *radius,
+        }),
+        Selection::Informed(is_informed) => Select::Informed(*is_informed),
+        Selection::Foremost { count, along } => Select::Foremost(Foremost {
+            count: *count as u64,
+            along: *along,
+        }),
     }
 }
 

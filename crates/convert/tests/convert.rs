@@ -1,7 +1,7 @@
 //! Specs, changes and errors, compared with literals.
 #![expect(clippy::unwrap_used, reason = "tests")]
 
-use jostle_convert::change::{change, set_points};
+use jostle_convert::change::{change, set_points, to_proto};
 use jostle_convert::range::range_of;
 use jostle_convert::value::{count, publish_every, rate, weight, whole};
 use jostle_convert::{ArgsError, WireCode, spec};
@@ -14,8 +14,11 @@ use jostle_proto::ErrorCode;
 use jostle_proto::verbs::SetPoints;
 use serde_json::{Value, json};
 
+/// The change of a message, and that of the message that is made from it.
 fn read(value: Value) -> Change {
-    change(serde_json::from_value(value).unwrap()).unwrap()
+    let read = change(serde_json::from_value(value).unwrap()).unwrap();
+    assert_eq!(change(to_proto(&read)).unwrap(), read);
+    read
 }
 
 fn rejected(value: Value) -> String {

@@ -27,10 +27,10 @@ mod measures;
 /// The number of the first command after `create`, which is part of the key of a selection's draw.
 /// A swarm that is created with the seed of a run and whose first command is `inform` with the same
 /// count therefore has the same future as the run.
-const INFORMED_BY: u64 = 1;
+pub const INFORMED_BY: u64 = 1;
 
 /// The direction of the informed individuals, in radians: +x.
-const DIRECTION: f64 = 0.0;
+pub const DIRECTION: f64 = 0.0;
 
 /// The result of a run.
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -128,6 +128,12 @@ pub const CHANNELS: &[Channel] = &{
             "Whether a replay of the swarm's journal gives the same hashes. The reply takes as \
              long as the replay.",
         ),
+        plain(
+            "{swarm}/get/experiment",
+            Get("experiment.file.reply"),
+            "The commands applied since the swarm's start, as the file of an experiment. Its run \
+             ends with the swarm's hash.",
+        ),
         Channel {
             key: "{swarm}/get/wait",
             kind: Get("status.reply"),

@@ -6,7 +6,7 @@ use schemars::JsonSchema;
 use serde::de::{Error as _, IgnoredAny, SeqAccess, Visitor};
 use serde::{Deserialize, Serialize};
 
-use crate::{Attraction, ContactRule, ParameterValues, Stepping};
+use crate::{Attraction, ContactRule, LARGEST_WHOLE, ParameterValues, Stepping};
 
 /// Changes the given parameters, at least one.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -189,6 +189,11 @@ pub struct BatchArgs {
     #[serde(deserialize_with = "no_more_changes")]
     #[schemars(length(min = 1, max = MAX_CHANGES))]
     pub commands: Vec<Change>,
+    /// Seeds the draws of the first command together with the swarm's seed, instead of its `seq`;
+    /// each further command adds 1.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(range(max = LARGEST_WHOLE))]
+    pub draw: Option<u64>,
 }
 
 /// Maximum number of changes in one `batch`.

@@ -8,11 +8,11 @@ use jostle_proto::verbs::{
     UninformArgs,
 };
 use jostle_proto::{
-    Arguments, ControllerList, Error, Event, Events, ExperimentArgs, ExperimentResult, Experiments,
-    Hello, Journal, Lenient, Metrics, NodeReply, NodeStatus, OrderPage, OrderSample, Parameters,
-    Progress, RecordArgs, Recording, RecordingPiece, Recordings, ReplayArgs, ReplayResult, Reply,
-    Request, ResultsPage, Schemas, SeekArgs, Snapshot, Spec, State, Status, Swarms, Verified,
-    WhoAmI,
+    Arguments, ControllerList, Error, Event, Events, ExperimentArgs, ExperimentFile,
+    ExperimentResult, Experiments, Hello, Journal, Lenient, Metrics, NodeReply, NodeStatus,
+    OrderPage, OrderSample, Parameters, Progress, RecordArgs, Recording, RecordingPiece,
+    Recordings, ReplayArgs, ReplayResult, Reply, Request, ResultsPage, Schemas, SeekArgs, Snapshot,
+    Spec, State, Status, Swarms, Verified, WhoAmI,
 };
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -43,6 +43,7 @@ pub fn written_back_as_text(message: &str, text: &str) -> Result<String, String>
         "journal.reply" => received::<Reply<Journal>>(text),
         "snapshot.reply" => received::<Reply<Snapshot>>(text),
         "verify.reply" => received::<Reply<Verified>>(text),
+        "experiment.file.reply" => received::<Reply<ExperimentFile>>(text),
         "create.args" => arguments::<CreateArgs>(text),
         "fork.args" => arguments::<ForkArgs>(text),
         "restore.args" => arguments::<RestoreArgs>(text),

@@ -1,6 +1,7 @@
 //! Queries: one file for each noun, or for several that are alike.
 
 mod experiment;
+mod export;
 mod node;
 mod recording;
 mod snapshot;

@@ -6,7 +6,7 @@ use jostle_proto::{HistoryFrom, Status, keys};
 
 use crate::api::context::Context;
 use crate::api::incoming::{Incoming, page};
-use crate::api::queries::verify;
+use crate::api::queries::{export, verify};
 use crate::api::responder::Responder;
 use crate::convert::commands::{CommandError, DEFAULT_TIMEOUT};
 use crate::convert::{self, Payload};
@@ -15,7 +15,7 @@ use crate::swarm::frame::{Frame, Stamp};
 use crate::swarm::handle::{Handle, Message, Outcome};
 
 /// Nouns that a wildcard does not match: `wait` blocks, the others are expensive.
-const CONCRETE_ONLY: [&str; 3] = ["wait", "verify", "snapshot"];
+const CONCRETE_ONLY: [&str; 4] = ["wait", "verify", "snapshot", "experiment"];
 
 impl Context {
     /// Replies with the newest state.
@@ -57,9 +57,12 @@ impl Context {
             };
             let done = match noun {
                 "wait" => self.wait(swarm, incoming, &responder),
-                "verify" | "snapshot" => incoming.no_parameters().and_then(|()| {
+                "verify" | "snapshot" | "experiment" => incoming.no_parameters().and_then(|()| {
                     let handle = self.find(swarm)?;
                     match noun {
+                        "experiment" => {
+                            return export::begin(&self.store, swarm, handle, &responder);
+                        }
                         "verify" => {
                             let (all, store) = (&self.verifications, &self.store);
                             verify::begin(all, store, swarm, handle, &responder);
@@ -85,7 +88,8 @@ impl Context {
         if CONCRETE_ONLY.contains(&noun) {
             let error = CommandError::Field {
                 field: "swarm",
-                problem: "is a wildcard: wait, verify and snapshot are of one swarm, by its own key",
+                problem: "is a wildcard: wait, verify, snapshot and experiment are of one swarm, by its own \
+                          key",
             };
             self.reject(incoming, &error);
         }

@@ -83,7 +83,7 @@ impl Verify {
 }
 
 /// The present state of a swarm.
-fn present(handle: &Handle) -> Result<Checkpoint, CommandError> {
+pub(super) fn present(handle: &Handle) -> Result<Checkpoint, CommandError> {
     let (sender, receiver) = sync_channel(1);
     handle.send(Message::TakeCheckpoint(ReplyTo::new(move |answered| {
         // The receiver waits.

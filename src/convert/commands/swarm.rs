@@ -65,7 +65,11 @@ pub fn batch(args: BatchArgs) -> Result<Command, CommandError> {
         let within = |error| CommandError::from(error).within(format!("commands[{index}].args"));
         changes.push(change::change(command).map_err(within)?);
     }
-    Ok(Command::Batch(changes))
+    let draw = args
+        .draw
+        .map(|draw| value::whole("draw", draw))
+        .transpose()?;
+    Ok(Command::Batch { changes, draw })
 }
 
 /// `join`: registers a controller.

@@ -169,12 +169,12 @@ impl Worker {
             Command::Run { until, rate } => self.begin_run(until, rate),
             Command::Pause => self.pause(),
             Command::Reset(seed) => self.reset(seed),
-            Command::Change(change) => match self.change(std::slice::from_ref(&change)) {
+            Command::Change(change) => match self.change(std::slice::from_ref(&change), None) {
                 Ok(mut changed) => Ok(Outcome::Changed(changed.remove(0).1)),
                 Err(SwarmError::InBatch { error, .. }) => Err(*error),
                 Err(error) => Err(error),
             },
-            Command::Batch(changes) => self.change(&changes).map(Outcome::Batch),
+            Command::Batch { changes, draw } => self.change(&changes, draw).map(Outcome::Batch),
             Command::Annotate => Ok(Outcome::Done),
             Command::Join(_)
             | Command::Leave(_)
@@ -218,20 +218,25 @@ impl Worker {
         None
     }
 
-    /// Applies all changes or none; a panic rolls back too.
+    /// Applies all changes or none; a panic rolls back too. `draw` is the key of the random draws of
+    /// the first change, if it is not the number of the command.
     fn change(
         &mut self,
         changes: &[Change],
+        draw: Option<u64>,
     ) -> Result<Vec<(ChangeKind, ChangeOutcome)>, SwarmError> {
         phase::next(&self.phase, PhaseInput::Change)?;
         let before = self.simulation.save();
         let simulation = &mut self.simulation;
+        let seq = simulation.seq;
         let changed = catch_unwind(AssertUnwindSafe(|| {
             fail_point!("command");
+            simulation.seq = draw.unwrap_or(seq);
             simulation.apply_all(changes)
         }));
         let error = match changed {
             Ok(Ok(outcomes)) => {
+                self.simulation.seq = seq + outcomes.len() as u64 - 1;
                 self.notify_controllers(Input::Changed);
                 return Ok(outcomes);
             }

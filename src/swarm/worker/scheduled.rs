@@ -28,7 +28,7 @@ impl Worker {
         }
         match &command {
             Command::Change(change) => self.simulation.check(change)?,
-            Command::Batch(changes) => {
+            Command::Batch { changes, .. } => {
                 for (index, change) in changes.iter().enumerate() {
                     let error = |error: ChangeError| SwarmError::InBatch {
                         index,

@@ -92,13 +92,13 @@ async fn a_wildcard_reads_everything_and_executes_nothing() {
     let statuses = client.query_all("jostle/*/get/status", None).await;
     assert_eq!(statuses.len(), 3);
     assert!(statuses.iter().all(Result::is_ok));
-    let nouns = keys::SWARM_GETS.len() - 3;
+    let nouns = keys::SWARM_GETS.len() - 4;
     assert_eq!(
         client.query_all("jostle/a/get/*", None).await.len(),
         nouns,
-        "all but wait, which needs to know what for, and snapshot and verify, which cost much"
+        "all but wait, which needs a condition, and those that are expensive"
     );
-    for noun in ["wait", "snapshot", "verify"] {
+    for noun in ["wait", "snapshot", "verify", "experiment"] {
         let answers = client
             .query_all(&format!("jostle/*/get/{noun}"), None)
             .await;

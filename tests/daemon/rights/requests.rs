@@ -34,6 +34,8 @@ pub struct Request {
 /// Creates what the queries are about.
 pub async fn prepare(olga: &UserSession) {
     olga.create(SWARM).await;
+    // `get/experiment` needs a step.
+    olga.cmd(SWARM, "step", json!({})).await;
     record(olga, RECORDING).await;
     olga.node_cmd("experiment", json!({"submit": {"toml": TOML}}))
         .await;

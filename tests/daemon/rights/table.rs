@@ -21,7 +21,7 @@ const EVERYBODY: [&str; 3] = ["yes", "yes", "yes"];
 
 /// Every request, and whether a viewer, a controller and an operator may send it; `own`
 /// is for controllers named after the person alone.
-pub const TABLE: [(&str, [&str; 3]); 47] = [
+pub const TABLE: [(&str, [&str; 3]); 48] = [
     ("{swarm}/cmd/delete", NOBODY_BUT_OPERATORS),
     ("{swarm}/cmd/run", NOBODY_BUT_OPERATORS),
     ("{swarm}/cmd/pause", NOBODY_BUT_OPERATORS),
@@ -56,6 +56,7 @@ pub const TABLE: [(&str, [&str; 3]); 47] = [
     ("{swarm}/get/journal", EVERYBODY),
     ("{swarm}/get/snapshot", EVERYBODY),
     ("{swarm}/get/verify", EVERYBODY),
+    ("{swarm}/get/experiment", EVERYBODY),
     ("{swarm}/get/wait", EVERYBODY),
     ("@node/{node}/get/hello", EVERYBODY),
     ("@node/{node}/get/whoami", EVERYBODY),

@@ -106,7 +106,7 @@ fn is_in_range(message: &CommandMessage, timeout: Duration) {
         Command::Step(steps) => assert!((1..=1_000_000_000).contains(steps)),
         Command::Reset(seed) => assert!(seed.is_none_or(|seed| whole.contains(&seed))),
         Command::Change(change) => can_be_tried(change),
-        Command::Batch(changes) => {
+        Command::Batch { changes, .. } => {
             assert!((1..=256).contains(&changes.len()));
             changes.iter().for_each(can_be_tried);
         }

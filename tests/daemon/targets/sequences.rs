@@ -114,7 +114,10 @@ fn order(input: &Input) -> Command {
         Input::Pause => Command::Pause,
         Input::Step(steps) => Command::Step(*steps),
         Input::Change(step) => Command::Change(change(*step)),
-        Input::Batch(steps) => Command::Batch(steps.iter().map(|step| change(*step)).collect()),
+        Input::Batch(steps) => Command::Batch {
+            changes: steps.iter().map(|step| change(*step)).collect(),
+            draw: None,
+        },
         Input::Reset => Command::Reset(None),
         Input::Delete => Command::Delete,
     }

@@ -131,7 +131,8 @@ class Place:
             command,
             cwd=cwd or self.tree,
             env={
-                **os.environ,
+                # The tests would start another daemon than that of the mutant.
+                **{name: value for name, value in os.environ.items() if name != "JOSTLED"},
                 "CARGO_TARGET_DIR": str(self.target),
                 "RUST_BACKTRACE": "0",
                 **(environment or {}),

@@ -20,6 +20,8 @@ pub struct ExperimentArguments {
 pub enum Experiment {
     /// Starts an experiment on the daemon and shows its progress, which Ctrl-C ends
     Run(RunExperimentArguments),
+    /// Creates the swarm of a run, to be watched and steered, with the commands of its protocol
+    Play(PlayArguments),
     /// Splits an experiment into parts that several machines execute, without a daemon
     Plan(PlanArguments),
     /// Lists the experiments with their progress
@@ -44,7 +46,9 @@ impl Experiment {
     /// The name of an experiment that the daemon should have.
     pub fn name(&self) -> Option<&str> {
         match self {
-            Experiment::Run(_) | Experiment::Plan(_) | Experiment::List => None,
+            Experiment::Run(_) | Experiment::Play(_) | Experiment::Plan(_) | Experiment::List => {
+                None
+            }
             Experiment::Status(arguments) | Experiment::Attach(arguments) => Some(&arguments.name),
             Experiment::Pause(arguments)
             | Experiment::Resume(arguments)
@@ -82,6 +86,21 @@ pub struct RunExperimentArguments {
     /// Do not show its progress
     #[arg(long)]
     pub detach: bool,
+    #[command(flatten)]
+    pub sender: SenderArguments,
+}
+
+#[derive(Debug, Args)]
+pub struct PlayArguments {
+    /// The experiment file, TOML; - for stdin
+    #[arg(value_hint = ValueHint::FilePath)]
+    pub file: PathBuf,
+    /// The run, by its number, from 1, or by its name [default: 1]
+    #[arg(long, value_name = "RUN")]
+    pub run: Option<String>,
+    /// The new swarm's name [default: the one in the file]
+    #[arg(long = "as", value_name = "NAME", value_parser = values::name)]
+    pub swarm: Option<String>,
     #[command(flatten)]
     pub sender: SenderArguments,
 }

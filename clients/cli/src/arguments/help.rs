@@ -140,7 +140,7 @@ pub fn topics() -> String {
 }
 
 /// One example of each verb.
-pub const EXAMPLES: [(&str, &str); 53] = [
+pub const EXAMPLES: [(&str, &str); 54] = [
     ("create", "create school --n 50 --seed 1"),
     ("list", "list"),
     ("status", "status school"),
@@ -177,6 +177,10 @@ pub const EXAMPLES: [(&str, &str); 53] = [
     ("auth can", "auth can pause"),
     ("auth link", "auth link --credentials people/vera"),
     ("experiment run", "experiment run order.toml"),
+    (
+        "experiment play",
+        "experiment play order.toml --run 17 --as live",
+    ),
     (
         "experiment plan",
         "experiment plan order.toml --parts 4 --emit slurm",

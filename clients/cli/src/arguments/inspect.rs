@@ -45,6 +45,9 @@ pub struct JournalArguments {
     /// Only the newest ones, up to this many
     #[arg(long, value_name = "COUNT", value_parser = values::count, allow_negative_numbers = true)]
     pub limit: Option<usize>,
+    /// Print the file of an experiment, TOML, whose run repeats the commands since the swarm's start
+    #[arg(long, conflicts_with_all = ["after", "limit"])]
+    pub as_experiment: bool,
 }
 
 #[derive(Debug, Args)]

@@ -9,7 +9,7 @@ from typing import Any, Literal, SupportsIndex, TypedDict, TypeVar, Unpack, over
 
 from numpy.typing import ArrayLike
 
-from ._arguments import Region, Select, check_select, poses, whole
+from ._arguments import Region, Select, check_select, poses, whole, whole_from_0
 from ._changes import Change, Inform, Inject, Remove, Set, Uninform, commands
 from ._decode import read_batch, read_reply, read_scheduled
 from ._errors import DeadlineExceeded, invalid, late
@@ -414,7 +414,11 @@ class Commands(Queries):
         return self._change(Remove(check_select(select)), IdsResult, options)
 
     def batch(
-        self, changes: Iterable[Change | Mapping[str, Any]], **options: Unpack[Options]
+        self,
+        changes: Iterable[Change | Mapping[str, Any]],
+        *,
+        draw: SupportsIndex | None = None,
+        **options: Unpack[Options],
     ) -> BatchResult:
         """Applies several changes at one step, or none of them.
 
@@ -423,6 +427,8 @@ class Commands(Queries):
         Args:
             changes: 1 to 256 of `Set`, `Inform`, `Uninform`, `Inject` and `Remove`, applied in this
                 order; or mappings with `verb` and `args`, as on the wire.
+            draw: With the seed of the swarm, the key of the random draws of the first change; each
+                further change adds 1. None is the `seq` of the change.
             options: See `Options`.
 
         Returns:
@@ -432,7 +438,10 @@ class Commands(Queries):
             JostleError: The error of the first invalid change; `details["field"]` names it, such
                 as `commands[1].args.pi1`. No change was applied.
         """
-        payload = self._request("batch", {"commands": commands(changes)}, options)
+        args: dict[str, Any] = {"commands": commands(changes)}
+        if draw is not None:
+            args["draw"] = whole_from_0("draw", draw)
+        payload = self._request("batch", args, options)
         result = read_batch(payload)
         for changed in result.results:
             if changed.now is not None:

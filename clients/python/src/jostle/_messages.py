@@ -336,6 +336,20 @@ class Verified(Reply, frozen=True, kw_only=True):
     differs_in_epoch: int | None = None
 
 
+class ExperimentFile(Reply, frozen=True, kw_only=True):
+    """The commands of a swarm since its start, as the file of an experiment.
+
+    Attributes:
+        file: The text of the file, TOML.
+        steps: The step of the swarm.
+        state_hash: BLAKE3 of the state at that step, in hexadecimal.
+    """
+
+    file: str
+    steps: int
+    state_hash: str
+
+
 class Parameter(HtmlStruct, frozen=True, kw_only=True):
     """A parameter of a swarm, with the data of a form or a slider.
 

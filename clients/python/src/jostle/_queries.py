@@ -22,7 +22,15 @@ from ._errors import (
 )
 from ._events import Event, Journal, JournalEntry
 from ._history import mark_gaps, pages
-from ._messages import Parameter, Parameters, Phase, SpecReply, Status, Verified
+from ._messages import (
+    ExperimentFile,
+    Parameter,
+    Parameters,
+    Phase,
+    SpecReply,
+    Status,
+    Verified,
+)
 from ._progress import Bar
 from ._repr import HtmlList
 from ._session import Session
@@ -143,6 +151,23 @@ class Queries:
 
         known = whole_from_0("after", after)
         return HtmlList(mark_gaps(pages(request, lambda it: it.seq, known)[0], known))
+
+    def as_experiment(self) -> str:
+        """The commands applied since the swarm's start, as the file of an experiment.
+
+            Path("found.toml").write_text(swarm.as_experiment())
+            frame = jostle.experiment("found.toml").wait().frame()
+
+        The experiment has one run. It ends with the state hash of the swarm, unless commands were
+        applied at the present step: then it takes one step more.
+
+        Raises:
+            Conflict: The swarm has taken no step; it began with the state of another swarm; a
+                controller steered it; or the daemon no longer stores all of its commands, and
+                the message says from which step on it does.
+            NotFound: There is no such swarm.
+        """
+        return read_reply(self._get("get/experiment"), ExperimentFile).file
 
     def controllers(self) -> HtmlList[ControllerSummary]:
         """The controllers that have joined, by name.

@@ -255,6 +255,7 @@ class Swarm(_Context[jostle.Swarm]):
     history = _awaited(jostle.Swarm.history)
     journal = _awaited(jostle.Swarm.journal)
     snapshot = _awaited(jostle.Swarm.snapshot)
+    as_experiment = _awaited(jostle.Swarm.as_experiment)
     verify = _awaited(jostle.Swarm.verify)
     wait = _awaited(jostle.Swarm.wait)
 

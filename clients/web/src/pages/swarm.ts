@@ -1,6 +1,7 @@
 /** The page of one swarm: picture, numbers, charts and all panels. */
 import { Charts } from "../panels/charts.ts";
 import { Controls } from "../panels/controls.ts";
+import { downloadButton } from "../panels/download.ts";
 import { Events } from "../panels/events.ts";
 import { type Moment, momentOfOrder, momentOfState } from "../panels/history.ts";
 import { Numbers } from "../panels/numbers.ts";
@@ -26,6 +27,7 @@ export function swarmPage(name: string, session: Session): Page {
   const parameters = new Parameters(name);
   let events = new Events(name);
   const log = el("div", {}, events.element);
+  const download = downloadButton(name);
   /** The event numbers of another swarm of this name start at 1. */
   const replaceEvents = () => {
     events.end();
@@ -62,6 +64,7 @@ export function swarmPage(name: string, session: Session): Page {
       playback.show(row);
       replay = row?.replay ?? replay;
       informs.hidden = replay;
+      download.hidden = replay;
       if (!row) {
         return;
       }
@@ -106,7 +109,7 @@ export function swarmPage(name: string, session: Session): Page {
         { class: "panel-column" },
         panel("Control", "", true, controls.element),
         informs,
-        panel("Events", "later log", true, log),
+        panel("Events", "later log", true, el("div", {}, download, log)),
       ),
       el(
         "div",

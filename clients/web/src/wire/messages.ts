@@ -106,6 +106,12 @@ export interface EventsResult {
   newest: number;
 }
 
+export interface ExperimentFile {
+  file: string;
+  steps: number;
+  state_hash: string;
+}
+
 export interface Spec {
   n: number;
   pi1?: number;

@@ -1,5 +1,6 @@
 /** The page of a swarm: keys, lasso, parameters and notes. */
 import assert from "node:assert/strict";
+import { readFile } from "node:fs/promises";
 import { test } from "node:test";
 import { until } from "./browser.ts";
 import { drag, Site, step } from "./site.ts";
@@ -117,6 +118,19 @@ test("a lasso informs exactly the individuals that it encloses", async () => {
   await until("no individual is informed", async () =>
     (await site.state("herd")).weight.every((it) => it === 0),
   );
+});
+
+test("the commands of a swarm are downloaded as the file of an experiment", async () => {
+  await site.daemon.command("herd", "step", { steps: 10 });
+  const page = await site.open("/swarm/herd");
+  const download = page.waitForEvent("download");
+  await page.getByRole("button", { name: "Download as experiment" }).click();
+  const file = await download;
+  assert.equal(file.suggestedFilename(), "herd.toml");
+  const text = await readFile(await file.path(), "utf8");
+  assert.match(text, /^name = "herd"$/m);
+  assert.match(text, /^step = 200 .*\n.*\ninform = \{.*weight = 0\.75.*\}$/m);
+  assert.match(text, /^uninform = /m);
 });
 
 test("a parameter is set, and a rejection shows the daemon's message", async () => {

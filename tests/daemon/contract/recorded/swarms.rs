@@ -107,6 +107,9 @@ async fn verifying(recorder: &RecordingClient<'_>) {
         .cmd("", "school", "step", json!({"steps": 1000}))
         .await;
     recorder.get("verify.reply", "school", "verify").await;
+    recorder
+        .get("experiment.file.reply", "school", "experiment")
+        .await;
     recorder.create("long", json!({"n": 20, "seed": 1})).await;
     recorder
         .cmd("", "long", "step", json!({"steps": 5000}))

@@ -2,6 +2,7 @@
 
 mod attach;
 mod plan;
+mod play;
 mod results;
 mod slurm;
 
@@ -37,6 +38,7 @@ async fn execute(context: &Context, what: &Experiment) -> Result<(), Failure> {
     let Context { client, output } = context;
     match what {
         Experiment::Run(arguments) => run(context, arguments).await,
+        Experiment::Play(arguments) => interrupt::either(play::play(context, arguments)).await,
         Experiment::Attach(arguments) => attach::attach(context, &arguments.name).await,
         Experiment::Plan(_) => unreachable!("it needs no daemon"),
         Experiment::List => interrupt::either(list(context)).await,

@@ -1,7 +1,7 @@
 //! `journal`: the commands that a swarm has applied.
 
 use jostle_client::Client;
-use jostle_proto::{Journal, JournalEntry, Reply};
+use jostle_proto::{ExperimentFile, Journal, JournalEntry, Reply};
 use serde_json::Value;
 
 use crate::arguments::JournalArguments;
@@ -12,6 +12,12 @@ use crate::table;
 
 pub async fn journal(context: &Context, arguments: &JournalArguments) -> Result<(), Failure> {
     let Context { client, output } = context;
+    if arguments.as_experiment {
+        let answer = client.get(&arguments.name, "experiment").await?;
+        return output.reply(&answer, |reply: &Reply<ExperimentFile>| {
+            reply.result.file.trim_end().to_owned()
+        });
+    }
     let mut reply = fetch(client, &arguments.name, arguments.after).await?;
     let lost = lost(&reply.result, arguments.after);
     let entries = &mut reply.result.entries;

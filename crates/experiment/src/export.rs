@@ -1,0 +1,257 @@
+//! Writes an experiment's file whose run repeats the commands of a swarm.
+
+use std::fmt::Write as _;
+
+use jostle_physics::simulation::steps_in;
+use jostle_proto::{Spec, verbs};
+use thiserror::Error;
+use toml::{Table, Value};
+
+use crate::error::PlanError;
+use crate::plan::Plan;
+
+/// Fields of a spec that change no step, and the one that the file has as `seeds`.
+const OMITTED: [&str; 3] = ["publish_every", "rate", "seed"];
+
+/// A change that was applied to a swarm.
+#[derive(Clone, Debug, PartialEq)]
+pub struct AppliedChange {
+    /// The step at which it was applied.
+    pub step: u64,
+    /// The key of its random draws.
+    pub draw: u64,
+    /// The verb and its arguments.
+    pub change: verbs::Change,
+}
+
+/// A swarm from its start to a step.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SwarmHistory {
+    /// The name of the swarm, which becomes that of the experiment.
+    pub name: String,
+    /// Its spec, with the seed of its present run.
+    pub spec: Spec,
+    /// The number of steps that it has taken.
+    pub steps: u64,
+    /// The hash of its state, in hexadecimal.
+    pub state_hash: String,
+    /// All changes that were applied to it, in this order.
+    pub changes: Vec<AppliedChange>,
+}
+
+/// Why there is no such file.
+#[derive(Debug, Error)]
+pub enum ExportError {
+    /// The swarm has taken no step.
+    #[error("it has taken no step: a run has at least one")]
+    NoStep,
+    /// The file would not be an experiment.
+    #[error("its commands are no experiment: {0}")]
+    Plan(#[from] PlanError),
+}
+
+/// Returns a file of an experiment with one run, whose last state is that of the swarm.
+///
+/// Changes at the present step of the swarm are included. The run then has one more step, since
+/// the changes of a run precede a step.
+///
+/// # Errors
+///
+/// [`ExportError`].
+pub fn experiment_file(history: &SwarmHistory) -> Result<String, ExportError> {
+    let SwarmHistory {
+        name,
+        spec,
+        steps,
+        state_hash,
+        changes,
+    } = history;
+    if *steps == 0 {
+        return Err(ExportError::NoStep);
+    }
+    let has_later = changes.last().is_some_and(|it| it.step >= *steps);
+    let end = steps + u64::from(has_later);
+    let mut file = format!(
+        "# The commands of the swarm {name} up to step {steps}, t = {}.\n",
+        *steps as f64 * spec.dt
+    );
+    file += &match has_later {
+        false => format!("# The run below ends with its state_hash:\n# {state_hash}\n"),
+        true => {
+            "# Commands were applied at this step: the run below takes one step more, and ends \
+                 with\n# the state_hash that the swarm has after that step.\n"
+                .to_owned()
+        }
+    };
+    file += "# For other seeds, give replicates instead of seeds.\n";
+    let _ = write!(
+        file,
+        "name = {}\nseeds = [{}]\nduration = {}\n\n[spec]\n",
+        Value::from(name.as_str()),
+        spec.seed,
+        duration(end, spec.dt)
+    );
+    for (key, value) in &table(spec) {
+        if !OMITTED.contains(&key.as_str()) {
+            let _ = writeln!(file, "{key} = {value}");
+        }
+    }
+    for AppliedChange { step, draw, change } in changes {
+        let mut change = table(change);
+        let verb = change.remove("verb").unwrap_or_else(|| Value::from(""));
+        let mut args = change
+            .remove("args")
+            .unwrap_or_else(|| Value::Table(Table::new()));
+        if let Some(args) = args.as_table_mut() {
+            // `false` is the default, also where the field has no meaning.
+            args.retain(|_, value| *value != Value::Boolean(false));
+        }
+        let verb = verb.as_str().unwrap_or_default();
+        let time = *step as f64 * spec.dt;
+        let _ = write!(
+            file,
+            "\n[[at]]\nstep = {step}    # t = {time}\ndraw = {draw}\n{verb} = {args}\n"
+        );
+    }
+    Plan::parse(&file)?;
+    Ok(file)
+}
+
+/// Returns a duration that is `steps` steps.
+fn duration(steps: u64, dt: f64) -> Value {
+    let duration = steps as f64 * dt;
+    debug_assert_eq!(steps_in(duration, dt), steps);
+    Value::from(duration)
+}
+
+/// Returns the fields of a message, without those that are null.
+fn table(message: &impl serde::Serialize) -> Table {
+    // Messages are structs, which have no field that TOML cannot represent.
+    Table::try_from(message).unwrap_or_default()
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use jostle_convert::{change, hexadecimal, spec};
+    use jostle_physics::simulation::Simulation;
+    use serde_json::json;
+
+    use super::*;
+    use crate::run::execute_run;
+
+    /// A swarm whose commands have the numbers of a daemon's: `run` and `pause` count, too.
+    struct Swarm {
+        simulation: Simulation,
+        history: SwarmHistory,
+    }
+
+    impl Swarm {
+        fn new(text: &serde_json::Value) -> Self {
+            let message: Spec = serde_json::from_value(text.clone()).unwrap();
+            let n = usize::try_from(message.n).unwrap();
+            Self {
+                simulation: Simulation::new(&spec::from_proto(&message, n).unwrap()).unwrap(),
+                history: SwarmHistory {
+                    name: "school".to_owned(),
+                    spec: message,
+                    steps: 0,
+                    state_hash: String::new(),
+                    changes: Vec::new(),
+                },
+            }
+        }
+
+        fn other_commands(&mut self, count: u64) {
+            self.simulation.seq += count;
+        }
+
+        fn apply(&mut self, verb: &str, args: &serde_json::Value) {
+            let message: verbs::Change =
+                serde_json::from_value(json!({"verb": verb, "args": args})).unwrap();
+            self.simulation.seq += 1;
+            self.history.changes.push(AppliedChange {
+                step: self.simulation.state.step,
+                draw: self.simulation.seq,
+                change: message.clone(),
+            });
+            let change = change::change(message).unwrap();
+            self.simulation.apply(&change).unwrap();
+        }
+
+        fn step(&mut self, steps: u64) {
+            for _ in 0..steps {
+                self.simulation.step().unwrap();
+            }
+            self.history.steps = self.simulation.state.step;
+            self.history.state_hash = hexadecimal(&self.simulation.state.hash());
+        }
+    }
+
+    fn last_hash(file: &str) -> String {
+        let plan = Plan::parse(file).unwrap();
+        assert_eq!(plan.runs().len(), 1);
+        let run = execute_run(&plan, &plan.runs()[0], |_| true).unwrap();
+        assert_eq!(run.fault, None);
+        run.row.unwrap().state_hash
+    }
+
+    #[test]
+    fn the_run_of_the_file_ends_with_the_hash_of_the_swarm() {
+        for more in [
+            json!({}),
+            json!({"noise": 0.2, "attraction": {"kind": "topological", "neighbours": 5}}),
+            json!({"dt": 0.07, "pi1": 2.5, "start": {"kind": "disc", "radius": 9.5}}),
+        ] {
+            let mut text = json!({"n": 20, "seed": 9_007_199_254_740_991_u64, "rate": null});
+            let fields = text.as_object_mut().unwrap();
+            fields.extend(more.as_object().unwrap().clone());
+            let mut swarm = Swarm::new(&text);
+            swarm.other_commands(3);
+            swarm.apply("set", &json!({"pi3": 1.3, "contacts": "closest"}));
+            swarm.apply(
+                "inform",
+                &json!({"select": {"fraction": 0.3}, "direction": 0.1}),
+            );
+            swarm.step(31);
+            swarm.apply("inject", &json!({"count": 4, "direction": 3}));
+            swarm.other_commands(1);
+            swarm.apply("remove", &json!({"select": {"count": 6}}));
+            swarm.step(17);
+            swarm.apply(
+                "inform",
+                &json!({"select": {"foremost": {"count": 2, "along": 1}}, "direction": -1, "weight": 0.7, "for_time": 0.3}),
+            );
+            swarm.apply("uninform", &json!({"select": {"count": 1}}));
+            swarm.step(40);
+            let file = experiment_file(&swarm.history).unwrap();
+            assert_eq!(last_hash(&file), swarm.history.state_hash, "{file}");
+            assert!(file.contains(&swarm.history.state_hash), "{file}");
+        }
+    }
+
+    #[test]
+    fn commands_at_the_present_step_are_followed_by_a_step() {
+        let mut swarm = Swarm::new(&json!({"n": 12, "seed": 3}));
+        swarm.step(10);
+        swarm.apply("inform", &json!({"select": {"count": 4}, "direction": 1}));
+        let before = swarm.history.state_hash.clone();
+        let file = experiment_file(&swarm.history).unwrap();
+        assert!(!file.contains(&before), "{file}");
+        swarm.step(1);
+        assert_eq!(last_hash(&file), swarm.history.state_hash);
+    }
+
+    #[test]
+    fn a_swarm_without_steps_and_one_with_too_many_commands_are_rejected() {
+        let mut swarm = Swarm::new(&json!({"n": 12, "seed": 3}));
+        let error = experiment_file(&swarm.history).unwrap_err();
+        assert!(matches!(error, ExportError::NoStep), "{error}");
+        for k in 0..1001 {
+            swarm.apply("set", &json!({"pi2": 0.5 + 1e-6 * f64::from(k)}));
+        }
+        swarm.step(1);
+        let error = experiment_file(&swarm.history).unwrap_err().to_string();
+        assert!(error.contains("at most 1000 [[at]]"), "{error}");
+    }
+}

@@ -1,0 +1,137 @@
+//! The changes that were applied to a swarm since its start, read from the store.
+
+use jostle_experiment::AppliedChange;
+use jostle_physics::simulation::{self, Spec};
+use jostle_proto::verbs::{BatchArgs, Change};
+use serde_json::{Value, json};
+
+use crate::convert::commands::CommandError;
+use crate::persistence::journal_reader::{
+    AppliedInput, AppliedInputs, JournalReader, parse_command,
+};
+use crate::persistence::replay::{first_readable, stored_checkpoints};
+use crate::store::Store;
+use crate::swarm::checkpoint::Checkpoint;
+use crate::swarm::command::Command;
+
+/// Returns the changes that were applied to a swarm from its start, or its last reset, to `present`.
+///
+/// # Errors
+///
+/// [`CommandError::History`] if the journal since then is damaged or no longer stored, if the swarm
+/// did not begin with its spec, or if it was steered by a controller.
+pub fn changes_since_start(
+    store: &Store,
+    swarm: &str,
+    present: &Checkpoint,
+) -> Result<Vec<AppliedChange>, CommandError> {
+    let mut checkpoints = stored_checkpoints(store, swarm)?;
+    checkpoints.reverse();
+    let first = first_readable(store, swarm, checkpoints)?;
+    let mut history = History::new(&first);
+    let mut inputs = AppliedInputs::default();
+    for line in JournalReader::new(store, swarm, first.lines, present.lines) {
+        let (line, _) = line.map_err(|error| CommandError::History(error.to_string()))?;
+        if let Some(input) = inputs.read(line) {
+            history.add(&input).map_err(CommandError::History)?;
+        }
+    }
+    match history.problem {
+        Some(problem) => Err(CommandError::History(problem)),
+        None => Ok(history.changes),
+    }
+}
+
+/// The changes of the present run, as far as it has been read.
+struct History {
+    changes: Vec<AppliedChange>,
+    /// How many annotations were applied, which do not count for draws.
+    annotations: u64,
+    /// Why the changes do not determine the state.
+    problem: Option<String>,
+}
+
+impl History {
+    fn new(first: &Checkpoint) -> Self {
+        let step = first.simulation.state.step;
+        let problem = (!is_start(&first.simulation)).then(|| match step {
+            0 => {
+                "it was not created from its spec, but from a state with other commands".to_owned()
+            }
+            _ => format!(
+                "its commands are stored from step {step} on: the run of a file begins with step 0"
+            ),
+        });
+        History {
+            changes: Vec::new(),
+            annotations: first.annotations,
+            problem,
+        }
+    }
+
+    /// Adds a command. The error is the reason if its arguments cannot be read.
+    fn add(&mut self, input: &AppliedInput) -> Result<(), String> {
+        let step = input.step;
+        match parse_command(&input.sender)? {
+            Command::Reset(_) => {
+                self.changes.clear();
+                self.problem = None;
+            }
+            Command::Annotate => self.annotations += 1,
+            Command::Change(_) => {
+                let args: Value = read(&input.sender.args)?;
+                let verb = input.sender.verb;
+                let change = serde_json::from_value(json!({"verb": verb, "args": args}));
+                let change = change.map_err(|error| error.to_string())?;
+                self.push(step, input.seq.saturating_sub(self.annotations), change);
+            }
+            Command::Batch { .. } => {
+                let BatchArgs { commands, draw } = read(&input.sender.args)?;
+                let last = input.seq.saturating_sub(self.annotations);
+                let first = draw.unwrap_or((last + 1).saturating_sub(commands.len() as u64));
+                for (change, draw) in commands.into_iter().zip(first..) {
+                    self.push(step, draw, change);
+                }
+            }
+            Command::Advance { set: Some(_), .. } | Command::Control { .. } => {
+                self.steered(&format!("a controller steered it at step {step}"));
+            }
+            Command::Deadline(controller) | Command::Lost(controller) => {
+                self.steered(&format!(
+                    "the controller {controller} was late at step {step}"
+                ));
+            }
+            Command::Run { .. }
+            | Command::Pause
+            | Command::Step(_)
+            | Command::Join(_)
+            | Command::Advance { set: None, .. }
+            | Command::Leave(_)
+            | Command::Delete => {}
+        }
+        Ok(())
+    }
+
+    fn push(&mut self, step: u64, draw: u64, change: Change) {
+        self.changes.push(AppliedChange { step, draw, change });
+    }
+
+    fn steered(&mut self, what: &str) {
+        self.problem
+            .get_or_insert(format!("{what}: a file cannot contain what controllers do"));
+    }
+}
+
+fn read<T: serde::de::DeserializeOwned>(args: &str) -> Result<T, String> {
+    serde_json::from_str(args).map_err(|error| error.to_string())
+}
+
+/// Whether a simulation is at the start of its spec, with its present seed.
+fn is_start(checkpoint: &simulation::Checkpoint) -> bool {
+    let spec = Spec {
+        seed: checkpoint.state.seed,
+        ..checkpoint.spec.clone()
+    };
+    checkpoint.state.step == 0
+        && simulation::begin(&spec).is_ok_and(|state| state.hash() == checkpoint.state.hash())
+}
