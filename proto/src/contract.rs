@@ -20,10 +20,10 @@ use crate::verbs::{
 };
 use crate::{
     ControllerList, Error, Event, Events, ExperimentArgs, ExperimentFile, ExperimentResult,
-    Experiments, Hello, Journal, Metrics, NodeReply, NodeStatus, OrderPage, OrderSample, Parameter,
-    ParameterKind, Parameters, Progress, RecordArgs, Recording, RecordingPiece, Recordings,
-    ReplayArgs, ReplayResult, Reply, Request, ResultsPage, Schemas, SeekArgs, Snapshot, Spec,
-    State, Status, Swarms, Verified, WhoAmI,
+    Experiments, Hello, Journal, Measures, Metrics, NodeReply, NodeStatus, OrderPage, OrderSample,
+    Parameter, ParameterKind, Parameters, Progress, RecordArgs, Recording, RecordingPiece,
+    Recordings, ReplayArgs, ReplayResult, Reply, Request, ResultsPage, Schemas, SeekArgs, Snapshot,
+    Spec, State, Status, Swarms, Verified, WhoAmI,
 };
 
 pub use channels::{CHANNELS, Channel, ChannelKind};
@@ -40,6 +40,7 @@ pub fn schemas() -> BTreeMap<&'static str, Schema> {
         ("status.reply", sent::<Reply<Status>>()),
         ("spec.reply", sent::<Reply<Spec>>()),
         ("parameters.reply", sent::<Reply<Parameters>>()),
+        ("measures.reply", sent::<Reply<Measures>>()),
         ("events.reply", sent::<Reply<Events>>()),
         ("journal.reply", sent::<Reply<Journal>>()),
         ("snapshot.reply", sent::<Reply<Snapshot>>()),

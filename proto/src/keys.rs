@@ -6,11 +6,12 @@
 pub const DEFAULT_PREFIX: &str = "jostle";
 
 /// The nouns that `{prefix}/{swarm}/get/` answers.
-pub const SWARM_GETS: [&str; 10] = [
+pub const SWARM_GETS: [&str; 11] = [
     "status",
     "controllers",
     "spec",
     "parameters",
+    "measures",
     "events",
     "journal",
     "snapshot",

@@ -43,8 +43,8 @@ pub use experiment::{
 pub use metrics::{Metrics, RecordingMetrics, StoreMetrics, SwarmMetrics};
 pub use queries::{
     Awaited, Controller, ControllerList, Events, ExperimentFile, Hello, HistoryFrom, Journal,
-    JournalEntry, Limits, NodeStatus, Parameter, ParameterKind, Parameters, Puts, Schemas, Status,
-    SwarmSummary, Swarms, Verified,
+    JournalEntry, Limits, MeasureValue, Measures, NodeStatus, Parameter, ParameterKind, Parameters,
+    Puts, Schemas, Status, SwarmSummary, Swarms, Verified,
 };
 pub use recording::{
     BeginRecordingArgs, DEFAULT_MAX_RECORDING_BYTES, RecordArgs, Recording, RecordingFormat,

@@ -200,6 +200,24 @@ pub enum ParameterKind {
     Choice,
 }
 
+/// A swarm's reply to `get/measures?names=NAME,...`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Measures {
+    /// The requested measures of the newest state, in the requested order.
+    pub measures: Vec<MeasureValue>,
+}
+
+/// A measure of a state.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct MeasureValue {
+    /// Its name with its argument, unless that is the default: `order`, `clusters.count(0.1)`.
+    pub name: String,
+    /// Its value; `null` if it is undefined, such as `drift` without informed individuals.
+    pub value: Option<f64>,
+    /// Its unit; `1` if it has none.
+    pub unit: String,
+}
+
 /// A swarm's reply to `get/events?after=NUMBER`: the events it still has, oldest first.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Events {

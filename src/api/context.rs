@@ -45,10 +45,11 @@ pub trait Peers: Send + Sync {
     fn contests(&self) -> Vec<(Option<String>, [Claimant; 2])>;
 }
 
-/// Work on the files `T`.
+/// Work on the files `T`, or without files, `()`.
 type Job<T> = Box<dyn FnOnce(&T) + Send>;
 
-/// A thread that executes work on files, which may take long, in order. Clones share the thread.
+/// A thread that executes work, mostly on files, which may take long, in order. Clones share the
+/// thread.
 #[derive(Clone)]
 pub struct Executor<T>(Sender<Job<T>>);
 
@@ -131,6 +132,8 @@ pub struct Context {
     pub watch: Arc<OnceLock<Arc<HealthMonitor>>>,
     /// Whether the swarms of the previous run are being recovered.
     pub is_recovering: AtomicBool,
+    /// Evaluates measures.
+    pub evaluations: Executor<()>,
     /// The verifications that run or are queued.
     pub verifications: Arc<Verifications<Verify>>,
 }

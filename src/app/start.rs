@@ -240,6 +240,7 @@ struct Core {
     session: Session,
     pool: SessionPool,
     replies: Replies,
+    evaluations: Executor<()>,
     publisher: Arc<Publisher>,
     messages: SyncSender<DispatchMessage>,
     claims: Arc<Claims>,
@@ -258,6 +259,7 @@ impl Core {
         pool: SessionPool,
     ) -> Result<(Self, Receiver<DispatchMessage>, ClaimSubscribers), ServerError> {
         let replies = Replies::start()?;
+        let evaluations = queries::start_evaluations()?;
         let (messages, received) = sync_channel(MAX_QUEUED);
         let publisher = Publisher::start(&config.prefix, messages.clone())?;
         let wake = messages.clone();
@@ -277,6 +279,7 @@ impl Core {
             session,
             pool,
             replies,
+            evaluations,
             publisher,
             messages,
             claims,
@@ -359,6 +362,7 @@ fn context(
         recording_files: files.recording_files.clone(),
         watch,
         is_recovering: AtomicBool::new(true),
+        evaluations: core.evaluations.clone(),
         verifications: Arc::default(),
     })
 }

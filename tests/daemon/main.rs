@@ -23,6 +23,7 @@ mod history;
 mod idle_http;
 mod limits;
 mod load;
+mod measures;
 mod once;
 mod operator;
 mod page;

@@ -8,6 +8,7 @@ use clap::builder::StyledStr;
 use clap_complete::CompleteEnv;
 use clap_complete::engine::CompletionCandidate;
 use jostle_client::{Client, ConnectOptions, Error};
+use jostle_measures::Measure;
 use jostle_proto::contract;
 use jostle_proto::keys::DEFAULT_PREFIX;
 
@@ -89,6 +90,12 @@ pub fn figures(typed: &OsStr) -> Vec<CompletionCandidate> {
 
 pub fn messages(typed: &OsStr) -> Vec<CompletionCandidate> {
     beginning_with(typed, contract::schemas().into_keys())
+}
+
+/// The measures of one state, which a daemon evaluates.
+pub fn measures(typed: &OsStr) -> Vec<CompletionCandidate> {
+    let measures = Measure::all_of_one_state();
+    beginning_with(typed, measures.iter().map(ToString::to_string))
 }
 
 pub fn contact_rules(typed: &OsStr) -> Vec<CompletionCandidate> {

@@ -15,7 +15,7 @@ import numpy as np
 import jostle
 from jostle._controller_messages import Controllers, Joined
 from jostle._events import Events, Journal
-from jostle._messages import CreateResult, ExperimentFile, Parameters, SpecReply
+from jostle._messages import CreateResult, ExperimentFile, Measures, Parameters, SpecReply
 from jostle._node import Swarms
 from jostle._recordings import RecordingPiece, RecordingResult, Recordings
 from jostle._replay import ReplayResult
@@ -52,6 +52,7 @@ READ: dict[str, type[Any]] = {
     "node.status.reply": jostle.NodeStatus,
     "node.swarms.reply": Swarms,
     "node.whoami.reply": jostle.WhoAmI,
+    "measures.reply": Measures,
     "order": jostle.OrderSample,
     "parameters.reply": Parameters,
     "pause.reply": jostle.Reply,

@@ -143,6 +143,13 @@ QUESTIONS = [
     Row("Swarm.spec", call(), [get("get/spec")]),
     Row("Swarm.state", call(), STATE),
     Row("Swarm.parameters", call(), [get("get/parameters")]),
+    Row("Swarm.measure", call("order"), [get("get/measures?names=order")]),
+    Row("Swarm.measures", call(), [get("get/measures")]),
+    Row(
+        "Swarm.measures",
+        call("order", "clusters.count(0.1)"),
+        [get("get/measures?names=order,clusters.count(0.1)")],
+    ),
     Row("Swarm.controllers", call(), [get("get/controllers")]),
     Row("Swarm.snapshot", call(), [get("get/snapshot")]),
     Row("Swarm.verify", call(), [get("get/verify")]),

@@ -5,7 +5,8 @@ use std::time::Duration;
 
 use jostle_proto::verbs::{CreateArgs, CreateResult, DiscardArgs};
 use jostle_proto::{
-    Experiments, Hello, NodeReply, Recordings, Reply, Request, Status, SwarmSummary, Swarms, keys,
+    Experiments, Hello, Measures, NodeReply, Recordings, Reply, Request, Status, SwarmSummary,
+    Swarms, keys,
 };
 use serde::Serialize;
 
@@ -141,6 +142,20 @@ impl Client {
     /// As [`Client::command`], and [`Error::Decode`].
     pub async fn status(&self, swarm: &str) -> Result<Reply<Status>, Error> {
         self.get(swarm, "status").await?.read()
+    }
+
+    /// Measures of the newest state of a swarm, by name: `order`, `clusters.count(0.1)`; if `names` is
+    /// empty all that need no earlier state.
+    ///
+    /// # Errors
+    ///
+    /// As [`Client::status`]; `invalid_argument` if there is no such measure or it needs earlier states.
+    pub async fn measures(&self, swarm: &str, names: &[&str]) -> Result<Reply<Measures>, Error> {
+        let noun = match names {
+            [] => "measures".to_owned(),
+            names => format!("measures?names={}", names.join(",")),
+        };
+        self.get(swarm, &noun).await?.read()
     }
 
     /// The state of a swarm, a CBOR [`State`](jostle_proto::State).

@@ -1,10 +1,12 @@
 import assert from "node:assert/strict";
+import { readFileSync } from "node:fs";
 import { test } from "node:test";
 import { type Body, bodyOf, gap, meetingPoint } from "../src/geometry/body.ts";
 import { enclosed, encloses, nearest } from "../src/geometry/lasso.ts";
 import { preferences } from "../src/geometry/preference.ts";
 import {
   type Bodies,
+  clusterNumbers,
   findClusters,
   findTouching,
   TOUCHING,
@@ -157,4 +159,40 @@ test("attractions cancel, and an informed individual adds its weight", () => {
   const one = preferences(bodies, weight, direction);
   close(one[7]! - none[7]!, 0.5);
   close(one[6]! - none[6]!, 0);
+});
+
+/** States with the values of crates/measures, whose test `fixture` writes the file. */
+interface Measured {
+  pi1: number;
+  x: number[];
+  y: number[];
+  alpha: number[];
+  measures: Record<string, number | null>;
+}
+
+test("clusters are those of the daemon's measures", () => {
+  const file = new URL("../../tests/measures.json", import.meta.url);
+  const groups = JSON.parse(readFileSync(file).toString()) as Measured[];
+  assert(groups.length > 4);
+  for (const { pi1, x, y, alpha, measures } of groups) {
+    const bodies = {
+      x: Float64Array.from(x),
+      y: Float64Array.from(y),
+      alpha: Float64Array.from(alpha),
+    };
+    const pairs = findTouching(bodies, bodyOf(pi1));
+    const numbers = clusterNumbers(x.length, findClusters(x.length, pairs));
+    const {
+      "clusters.count": count,
+      "clusters.largest": largest,
+      "clusters.n_eff": n_eff,
+    } = measures;
+    assert.deepEqual(numbers, { count, largest, n_eff });
+  }
+});
+
+test("a single individual is a cluster, and an empty group has none", () => {
+  assert.deepEqual(clusterNumbers(4, [[0, 2]]), { count: 3, largest: 2, n_eff: 1.5 });
+  assert.deepEqual(clusterNumbers(2, []), { count: 2, largest: 1, n_eff: 1 });
+  assert.equal(clusterNumbers(0, []), null);
 });

@@ -11,9 +11,10 @@ import {
   MAX_POINTS,
   momentOfOrder,
   momentOfState,
+  SERIES,
 } from "../src/panels/history.ts";
 import { rangeOf } from "../src/panels/ranges.ts";
-import { degrees, fixed, rates, short, signed } from "../src/ui/format.ts";
+import { brief, degrees, fixed, rates, short, signed } from "../src/ui/format.ts";
 import { parseRoute } from "../src/ui/router.ts";
 import { linkCommand } from "../src/ui/session.ts";
 import type { Hello, OrderMessage, Parameter, Reply, SwarmEvent } from "../src/wire/messages.ts";
@@ -65,7 +66,7 @@ test("every parameter has a range as text", () => {
 
 test("the history is bounded, and drops points when time goes back", () => {
   const message = momentOfOrder(json<OrderMessage>("order.json"));
-  const history = new History();
+  const history = new History(SERIES);
   for (let k = 0; k < MAX_POINTS + 50; k += 1) {
     history.add({ ...message, time: k }, 1000 * k);
   }
@@ -79,7 +80,7 @@ test("the history is bounded, and drops points when time goes back", () => {
 
 test("of points in quick succession the newest is kept", () => {
   const message = momentOfOrder(json<OrderMessage>("order.json"));
-  const history = new History();
+  const history = new History(SERIES);
   const times = [1, 1.1, 1.2, 1.3, 1.4];
   times.forEach((time, k) => {
     history.add({ ...message, time, order: k }, 40 * k);
@@ -90,7 +91,7 @@ test("of points in quick succession the newest is kept", () => {
 
 test("a change while paused replaces the last point", () => {
   const message = momentOfOrder(json<OrderMessage>("order.json"));
-  const history = new History();
+  const history = new History(SERIES);
   history.add({ ...message, time: 1, drift: null }, 0);
   history.add({ ...message, time: 2, drift: null }, 5000);
   history.add({ ...message, time: 2, drift: -0.246 }, 5010);
@@ -163,4 +164,10 @@ test("one picture per second is singular", () => {
   assert.equal(rates(1.2, 0.9), "1 picture, 1 state a second");
   assert.equal(rates(0.6, 0), "1 picture, 0 states a second");
   assert.equal(rates(59.7, 1.6), "60 pictures, 2 states a second");
+});
+
+test("a brief number has four digits, and a small one a power of ten", () => {
+  const numbers = [0, 13, 0.0123456, 1234.56, -0.25, -1.234e-8, 0.00099, Number.NaN, null];
+  const texts = ["0", "13", "0.01235", "1235", "−0.25", "−1.2e-8", "9.9e-4", "–", "–"];
+  assert.deepEqual(numbers.map(brief), texts);
 });

@@ -70,6 +70,14 @@ impl Definition {
     };
 }
 
+impl Definition {
+    /// Whether it needs states before the one of which it is a measure.
+    #[must_use]
+    pub fn needs_past(&self) -> bool {
+        self.lag != Lag::None
+    }
+}
+
 impl Argument {
     /// Describes the range: `above 0`, `0 to 2`.
     #[must_use]

@@ -21,6 +21,24 @@ pub struct Measure {
 }
 
 impl Measure {
+    /// Returns all measures that need no past, in the order of [`definitions`]; each has the default
+    /// argument.
+    #[must_use]
+    pub fn all_of_one_state() -> Vec<Self> {
+        let measure = |(index, definition): (usize, &Definition)| {
+            let argument = match definition.argument {
+                Some(argument) => Some(argument.default?),
+                None => None,
+            };
+            (!definition.needs_past()).then_some(Self { index, argument })
+        };
+        definitions()
+            .iter()
+            .enumerate()
+            .filter_map(measure)
+            .collect()
+    }
+
     /// Evaluates the measure, in its unit.
     ///
     /// It is undefined, `None`, where its formula is: for an empty group, for too few individuals,
@@ -181,6 +199,20 @@ mod tests {
                 }
                 None => assert!(error(name).contains(argument.name), "{name}"),
             }
+        }
+    }
+
+    #[test]
+    fn the_measures_of_one_state_are_all_but_those_of_motion() {
+        let names: Vec<String> = Measure::all_of_one_state()
+            .iter()
+            .map(ToString::to_string)
+            .collect();
+        assert_eq!(names.len(), definitions().len() - 4);
+        assert_eq!(names[0], "order");
+        assert!(names.contains(&"clusters.count".to_owned()));
+        for name in ["turning_rate", "speed.informed", "speed.others", "msd"] {
+            assert!(names.iter().all(|it| !it.starts_with(name)), "{name}");
         }
     }
 

@@ -105,6 +105,16 @@ pub const CHANNELS: &[Channel] = &{
             "Every parameter: value, range, unit, default, whether it may change.",
         ),
         Channel {
+            key: "{swarm}/get/measures",
+            kind: Get("measures.reply"),
+            parameters: &[(
+                "names",
+                "the measures, separated by commas, such as `order,clusters.count(0.1)`; by \
+                 default all that need no earlier state",
+            )],
+            doc: "Measures of the newest state, by name.",
+        },
+        Channel {
             key: "{swarm}/get/events",
             kind: Get("events.reply"),
             parameters: PAGE,

@@ -9,10 +9,10 @@ use jostle_proto::verbs::{
 };
 use jostle_proto::{
     Arguments, ControllerList, Error, Event, Events, ExperimentArgs, ExperimentFile,
-    ExperimentResult, Experiments, Hello, Journal, Lenient, Metrics, NodeReply, NodeStatus,
-    OrderPage, OrderSample, Parameters, Progress, RecordArgs, Recording, RecordingPiece,
-    Recordings, ReplayArgs, ReplayResult, Reply, Request, ResultsPage, Schemas, SeekArgs, Snapshot,
-    Spec, State, Status, Swarms, Verified, WhoAmI,
+    ExperimentResult, Experiments, Hello, Journal, Lenient, Measures, Metrics, NodeReply,
+    NodeStatus, OrderPage, OrderSample, Parameters, Progress, RecordArgs, Recording,
+    RecordingPiece, Recordings, ReplayArgs, ReplayResult, Reply, Request, ResultsPage, Schemas,
+    SeekArgs, Snapshot, Spec, State, Status, Swarms, Verified, WhoAmI,
 };
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -39,6 +39,7 @@ pub fn written_back_as_text(message: &str, text: &str) -> Result<String, String>
         "status.reply" => received::<Reply<Status>>(text),
         "spec.reply" => received::<Reply<Lenient<Spec>>>(text),
         "parameters.reply" => received::<Reply<Parameters>>(text),
+        "measures.reply" => received::<Reply<Measures>>(text),
         "events.reply" => received::<Reply<Events>>(text),
         "journal.reply" => received::<Reply<Journal>>(text),
         "snapshot.reply" => received::<Reply<Snapshot>>(text),

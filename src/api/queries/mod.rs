@@ -2,6 +2,7 @@
 
 mod experiment;
 mod export;
+mod measures;
 mod node;
 mod recording;
 mod snapshot;
@@ -9,6 +10,7 @@ mod swarm;
 pub mod verify;
 mod wait;
 
+pub use measures::start_evaluations;
 pub use node::schemas;
 
 use crate::api::context::Context;

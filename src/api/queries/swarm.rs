@@ -56,6 +56,7 @@ impl Context {
                 _ => self.replies.responder(incoming, key),
             };
             let done = match noun {
+                "measures" => self.measures(swarm, incoming, &responder),
                 "wait" => self.wait(swarm, incoming, &responder),
                 "verify" | "snapshot" | "experiment" => incoming.no_parameters().and_then(|()| {
                     let handle = self.find(swarm)?;

@@ -17,6 +17,7 @@ use crate::swarm::handle::{CommandMessage, ReplyTo};
 use crate::swarm::sender::Sender;
 
 pub mod create;
+pub mod measures;
 pub mod set_points;
 pub mod swarm;
 pub mod wait;

@@ -1,6 +1,7 @@
 //! Why a request is rejected, and the error reply.
 
 mod jobs;
+pub mod measures;
 mod swarm;
 
 use jostle_convert::error::{named, object};
@@ -12,6 +13,7 @@ use jostle_proto::{Claimant, Error, ErrorCode, RequestError, claim, keys};
 use serde_json::{Map, Value, json};
 use thiserror::Error as ThisError;
 
+use self::measures::MeasuresError;
 use crate::auth::NotPermitted;
 use crate::experiments::ExperimentError;
 use crate::playback::ReplayError;
@@ -140,6 +142,8 @@ pub enum CommandError {
     Experiment(#[from] ExperimentError),
     #[error(transparent)]
     Record(#[from] RecordError),
+    #[error(transparent)]
+    Measures(#[from] MeasuresError),
 }
 
 impl CommandError {
@@ -223,6 +227,7 @@ impl WireCode for CommandError {
             CommandError::Replay(error) => error.code(),
             CommandError::Experiment(error) => error.code(),
             CommandError::Record(error) => error.code(),
+            CommandError::Measures(error) => error.code(),
             CommandError::Field { .. }
             | CommandError::Name { .. }
             | CommandError::Individuals { .. }
@@ -260,6 +265,7 @@ impl WireCode for CommandError {
             CommandError::Replay(error) => error.details(),
             CommandError::Experiment(error) => error.details(),
             CommandError::Record(error) => error.details(),
+            CommandError::Measures(error) => error.details(),
             CommandError::Field { field, .. } => named(field, Value::Null, range_of(field)),
             CommandError::Name { field, name } => named(field, json!(name), Some(keys::NAME_RULE)),
             CommandError::Individuals { n, limit } => {

@@ -21,7 +21,7 @@ const EVERYBODY: [&str; 3] = ["yes", "yes", "yes"];
 
 /// Every request, and whether a viewer, a controller and an operator may send it; `own`
 /// is for controllers named after the person alone.
-pub const TABLE: [(&str, [&str; 3]); 48] = [
+pub const TABLE: [(&str, [&str; 3]); 49] = [
     ("{swarm}/cmd/delete", NOBODY_BUT_OPERATORS),
     ("{swarm}/cmd/run", NOBODY_BUT_OPERATORS),
     ("{swarm}/cmd/pause", NOBODY_BUT_OPERATORS),
@@ -52,6 +52,7 @@ pub const TABLE: [(&str, [&str; 3]); 48] = [
     ("{swarm}/get/controllers", EVERYBODY),
     ("{swarm}/get/spec", EVERYBODY),
     ("{swarm}/get/parameters", EVERYBODY),
+    ("{swarm}/get/measures", EVERYBODY),
     ("{swarm}/get/events", EVERYBODY),
     ("{swarm}/get/journal", EVERYBODY),
     ("{swarm}/get/snapshot", EVERYBODY),

@@ -140,11 +140,12 @@ pub fn topics() -> String {
 }
 
 /// One example of each verb.
-pub const EXAMPLES: [(&str, &str); 54] = [
+pub const EXAMPLES: [(&str, &str); 55] = [
     ("create", "create school --n 50 --seed 1"),
     ("list", "list"),
     ("status", "status school"),
     ("parameters", "parameters school"),
+    ("measures", "measures school order milling"),
     ("controllers", "controllers school"),
     ("spec", "spec school > spec.json"),
     ("journal", "journal school --limit 10"),

@@ -35,6 +35,19 @@ pub enum Sort {
 }
 
 #[derive(Debug, Args)]
+pub struct MeasuresArguments {
+    /// The swarm [default: lists all measures]
+    #[arg(value_parser = values::name, add = ArgValueCompleter::new(completion::swarms))]
+    pub name: Option<String>,
+    /// The measures, such as order or 'clusters.count(0.1)' [default: all of one state]
+    #[arg(value_name = "MEASURE", add = ArgValueCompleter::new(completion::measures))]
+    pub measures: Vec<String>,
+    /// List all measures: units, ranges, definitions
+    #[arg(long, conflicts_with = "name")]
+    pub list: bool,
+}
+
+#[derive(Debug, Args)]
 pub struct JournalArguments {
     /// The swarm
     #[arg(value_parser = values::name, add = ArgValueCompleter::new(completion::swarms))]

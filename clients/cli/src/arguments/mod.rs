@@ -58,6 +58,8 @@ pub enum Verb {
     Status(SwarmArguments),
     /// Lists the parameters of a swarm: values, ranges, units, and the verbs that change them
     Parameters(SwarmArguments),
+    /// Evaluates measures of a swarm, such as milling; without a swarm lists all measures
+    Measures(MeasuresArguments),
     /// Lists the controllers of a swarm and how long it waits for each
     Controllers(SwarmArguments),
     /// Prints the spec of a swarm, as `create --spec` reads it

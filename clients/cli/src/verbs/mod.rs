@@ -32,7 +32,8 @@ use std::time::Duration;
 use jostle_client::{Client, ConnectOptions};
 
 use crate::arguments::{
-    Arguments, Experiment, ExperimentArguments, GlobalArguments, RecordArguments, Verb,
+    Arguments, Experiment, ExperimentArguments, GlobalArguments, MeasuresArguments,
+    RecordArguments, Verb,
 };
 use crate::context::Context;
 use crate::failure::{Failure, Kind};
@@ -50,6 +51,9 @@ pub async fn execute(arguments: Arguments, output: Output) -> Result<(), Failure
         Verb::Man(arguments) => return shell::man(output, &arguments),
         Verb::Help(arguments) => return help::help(output, &arguments),
         Verb::Claims(arguments) => return claims::compare(output, &arguments),
+        Verb::Measures(MeasuresArguments { name: None, .. }) => {
+            return inspect::list_measures(output);
+        }
         Verb::Results(arguments) => return results::results(output, &arguments.what),
         Verb::Experiment(ExperimentArguments {
             what: Experiment::Plan(arguments),
@@ -120,6 +124,7 @@ async fn interruptible(context: &Context, verb: Verb) -> Result<(), Failure> {
         Verb::List => inspect::list(context).await,
         Verb::Status(arguments) => inspect::status(context, &arguments.name).await,
         Verb::Parameters(arguments) => inspect::parameters(context, &arguments.name).await,
+        Verb::Measures(arguments) => inspect::measures(context, &arguments).await,
         Verb::Controllers(arguments) => inspect::controllers(context, &arguments.name).await,
         Verb::Spec(arguments) => inspect::spec(context, &arguments.name).await,
         Verb::Journal(arguments) => inspect::journal(context, &arguments).await,

@@ -17,6 +17,45 @@ fn assert_is_of_now(line: &str) {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn measures_are_evaluated_and_listed() {
+    let daemon = Daemon::start().await;
+    daemon.said("create demo --n 10").await;
+    let reply = daemon.reply("measures demo milling order").await;
+    let measures = reply["result"]["measures"].as_array().unwrap();
+    let names: Vec<&Value> = measures.iter().map(|it| &it["name"]).collect();
+    assert_eq!(names, ["milling", "order"]);
+    let status = daemon.reply("status demo").await;
+    assert_eq!(measures[1]["value"], status["result"]["order"]["order"]);
+    // No individual is informed.
+    let table = daemon.said("measures demo drift order").await;
+    let words: Vec<&str> = table.split_whitespace().collect();
+    assert!(
+        words.windows(3).any(|it| it == ["drift", "-", "v0"]),
+        "{table}"
+    );
+    assert!(table.starts_with("demo is paused at step 0"), "{table}");
+    assert!(daemon.said("measures demo").await.contains("spread"));
+    for (measure, part) in [
+        ("ordr", "did you mean `order`?"),
+        ("msd(5)", "column of an experiment"),
+    ] {
+        let error = daemon.refusal(&format!("measures demo {measure}")).await;
+        let message = error["message"].as_str().unwrap();
+        assert!(message.contains(part), "{error}");
+        assert_eq!(error["code"], "invalid_argument");
+    }
+    // The list needs no daemon.
+    let list = daemon.reply("measures --list").await;
+    let msd = list["measures"].as_array().unwrap().last().unwrap().clone();
+    assert_eq!(
+        (&msd["name"], &msd["needs_past"]),
+        (&json!("msd"), &json!(true))
+    );
+    assert_eq!(msd["argument"]["default"], Value::Null);
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn parameters_are_listed_with_their_ranges_and_verbs() {
     let daemon = Daemon::start().await;
     daemon.said("create demo --n 10 --pi1 6 --rate max").await;

@@ -15,7 +15,7 @@ use tokio::task::JoinSet;
 use crate::support::{Daemon, Ended, Running};
 
 /// A command line for each verb and nested verb. `{}` is a folder.
-const LINES: [&str; 52] = [
+const LINES: [&str; 53] = [
     "annotate demo note",
     "auth can pause",
     "auth link",
@@ -47,6 +47,7 @@ const LINES: [&str; 52] = [
     "leave demo nothing",
     "list",
     "man",
+    "measures demo",
     "nodes",
     "parameters demo",
     "pause demo",

@@ -31,6 +31,12 @@ async fn a_shell_completes_the_names_of_swarms_and_parameters() {
     assert_eq!(here(&["stat"]), ["status"]);
     assert_eq!(here(&["status", "de"]), ["demo", "desk"]);
     assert_eq!(here(&["delete", "demo", "des"]), ["desk"]);
+    assert_eq!(here(&["measures", "de"]), ["demo", "desk"]);
+    assert_eq!(
+        here(&["measures", "demo", "order", "clusters.n"]),
+        ["clusters.n_eff"]
+    );
+    assert!(here(&["measures", "demo", "msd"]).is_empty());
     assert_eq!(
         here(&["set", "demo", "pi"]),
         ["pi1=", "pi2=", "pi3=", "pi4="]

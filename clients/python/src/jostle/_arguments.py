@@ -25,6 +25,10 @@ _MAX_LABEL_BYTES = 256
 _MAX_DEPTH = 16
 
 
+# They separate measures, and parameters of a request.
+_SEPARATORS = ",;&=?#"
+
+
 class Ids(TypedDict):
     """Individuals by id."""
 
@@ -283,6 +287,19 @@ def check_name(what: str, name: str) -> str:
     if not isinstance(name, str) or _NAME.fullmatch(name) is None:
         raise invalid(
             what, f"{name!r} cannot name a {what}: names match ^[a-z0-9][a-z0-9_-]{{0,63}}$"
+        )
+    return name
+
+
+def check_measure(name: str) -> str:
+    """Returns `name` if a request may contain it as one measure; the daemon knows the measures.
+
+    Raises:
+        InvalidArgument: It is no text, or has a character that separates measures or parameters.
+    """
+    if not isinstance(name, str) or set(name) & set(_SEPARATORS):
+        raise invalid(
+            "names", f"{name!r} names no measure: give each name of its own, such as 'order'"
         )
     return name
 

@@ -390,6 +390,20 @@ class Parameters(Reply, frozen=True, kw_only=True):
     parameters: list[Parameter]
 
 
+class MeasureValue(HtmlStruct, frozen=True, kw_only=True):
+    """A measure of a state."""
+
+    name: str
+    value: float | None
+    unit: str
+
+
+class Measures(Reply, frozen=True, kw_only=True):
+    """Measures of the newest state of a swarm, in the requested order."""
+
+    measures: list[MeasureValue]
+
+
 class SpecReply(Reply, frozen=True, kw_only=True):
     """The spec of a swarm, with all defaults."""
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from typing import SupportsIndex, overload
 
 from . import _cancel
-from ._arguments import check_name, check_seconds, whole, whole_from_0
+from ._arguments import check_measure, check_name, check_seconds, whole, whole_from_0
 from ._controller_messages import Controllers, ControllerSummary
 from ._decode import read_events, read_json, read_reply
 from ._errors import (
@@ -24,6 +24,7 @@ from ._events import Event, Journal, JournalEntry
 from ._history import mark_gaps, pages
 from ._messages import (
     ExperimentFile,
+    Measures,
     Parameter,
     Parameters,
     Phase,
@@ -116,6 +117,56 @@ class Queries:
         """
         reply = read_reply(self._get("get/parameters"), Parameters)
         return {parameter.name: parameter for parameter in reply.parameters}
+
+    def measure(self, name: str) -> float | None:
+        """A measure of the swarm now: a number that is computed from its state, such as `milling`.
+
+            swarm.measure("milling")                # 0 to 1
+            swarm.measure("clusters.count(0.1)")    # clusters with gaps of at most 0.1 body sizes
+
+        `jostle measures` lists the measures with their units and definitions. Lengths are in body
+        sizes, speeds in the free speed, angles in radians.
+
+        Args:
+            name: A measure that needs no earlier state, with its argument in parentheses, if it
+                has one. `msd`, `turning_rate` and the speeds need earlier states, and are columns
+                of experiments only.
+
+        Returns:
+            Its value; None where it is undefined, such as `drift` without informed individuals.
+
+        Raises:
+            InvalidArgument: There is no such measure, its argument is invalid, or it needs earlier
+                states.
+            NotFound: There is no such swarm.
+            ResourceExhausted: The group is too large for it: more than 20,000 individuals.
+        """
+        return self.measures(name)[name]
+
+    def measures(self, *names: str) -> dict[str, float | None]:
+        """Several measures of one state of the swarm, by name; see `measure`.
+
+            now = swarm.measures("order", "milling", "clusters.largest")
+            print(now["milling"])
+
+        Args:
+            names: The measures; by default all that need no earlier state. With more than 20,000
+                individuals the default leaves out those that cost more than a sum over them.
+
+        Returns:
+            The values by the given names, in their order; None where a measure is undefined.
+
+        Raises:
+            InvalidArgument: As `measure`, or a measure is named twice.
+            NotFound: There is no such swarm.
+            ResourceExhausted: As `measure`.
+        """
+        for name in names:
+            check_measure(name)
+        query = f"get/measures?names={','.join(names)}" if names else "get/measures"
+        found = read_reply(self._get(query), Measures).measures
+        keys = names or tuple(measure.name for measure in found)
+        return {key: measure.value for key, measure in zip(keys, found, strict=True)}
 
     def history(self, after: SupportsIndex = 0) -> HtmlList[Event]:
         """The events of the swarm, oldest first, as far back as the daemon stores them.

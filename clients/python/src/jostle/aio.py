@@ -251,6 +251,8 @@ class Swarm(_Context[jostle.Swarm]):
     spec = _awaited(jostle.Swarm.spec)
     state = _awaited(jostle.Swarm.state)
     parameters = _awaited(jostle.Swarm.parameters)
+    measure = _awaited(jostle.Swarm.measure)
+    measures = _awaited(jostle.Swarm.measures)
     controllers = _awaited(jostle.Swarm.controllers)
     history = _awaited(jostle.Swarm.history)
     journal = _awaited(jostle.Swarm.journal)

@@ -1,8 +1,8 @@
 /** Pairs of touching bodies, and the clusters they form. */
 import { type Body, gap } from "./body.ts";
 
-/** Bodies nearer than this, in body sizes, count as touching: contacts leave overlaps and gaps of
- * the order of dt². */
+/** Bodies with gaps of at most this, in body sizes, count as touching: contacts leave overlaps and
+ * gaps of the order of dt². */
 export const TOUCHING = 1e-3;
 
 export interface Bodies {
@@ -35,7 +35,7 @@ export function findTouching(bodies: Bodies, body: Body): Uint32Array {
           const dy = y[j]! - y[i]!;
           if (
             dx * dx + dy * dy < width * width &&
-            gap(dx, dy, alpha[i]!, alpha[j]!, body) < TOUCHING
+            gap(dx, dy, alpha[i]!, alpha[j]!, body) <= TOUCHING
           ) {
             pairs.push(i, j);
           }
@@ -81,6 +81,29 @@ export function findClusters(n: number, pairs: Uint32Array): number[][] {
   }
   const clusters = [...members.values()].filter((cluster) => cluster.length > 1);
   return clusters.sort((a, b) => b.length - a.length || a[0]! - b[0]!);
+}
+
+/** The measures `clusters.*` of n individuals; a single individual is a cluster, too. */
+export interface ClusterNumbers {
+  count: number;
+  largest: number;
+  /** The mean size of the cluster of an individual. */
+  n_eff: number;
+}
+
+/** The measures of clusters as `findClusters` returns them; null for an empty group. */
+export function clusterNumbers(n: number, clusters: readonly number[][]): ClusterNumbers | null {
+  if (n === 0) {
+    return null;
+  }
+  const members = clusters.reduce((sum, it) => sum + it.length, 0);
+  const squares = clusters.reduce((sum, it) => sum + it.length ** 2, 0);
+  const single = n - members;
+  return {
+    count: clusters.length + single,
+    largest: clusters[0]?.length ?? 1,
+    n_eff: (squares + single) / n,
+  };
 }
 
 /** The share of the individuals that touch another. */

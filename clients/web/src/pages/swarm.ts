@@ -23,7 +23,7 @@ export function swarmPage(name: string, session: Session): Page {
   const phase = new PhaseChip();
   const reason = el("span", { class: "soft reason" });
   const numbers = new Numbers();
-  const charts = new Charts();
+  const charts = new Charts(name);
   const parameters = new Parameters(name);
   let events = new Events(name);
   const log = el("div", {}, events.element);

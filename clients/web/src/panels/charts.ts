@@ -1,88 +1,81 @@
-/** Charts of order, drift, contacts and real-time factor over simulated time. */
-import uPlot from "uplot";
-import "uplot/dist/uPlot.min.css";
+/** Charts of order, drift, contacts, real-time factor and chosen measures over simulated time. */
 import { callAll, el, setText } from "../ui/dom.ts";
 import { fixed, signed } from "../ui/format.ts";
 import { onTheme } from "../ui/theme.ts";
-import { History, isolated, type Moment, type Series } from "./history.ts";
+import { ChartMenu } from "./chart_menu.ts";
+import { History, type Moment, SERIES, type Series } from "./history.ts";
+import { MeasureCharts } from "./measure_charts.ts";
+import { type Kind, Plot } from "./plot.ts";
 
 /** The minimum time between two redraws. */
 const DRAW_INTERVAL_MS = 250;
 
-interface Kind {
-  series: Series;
-  title: string;
-  about: string;
-  format(value: number | null): string;
-  range?: [number, number];
-  colour: string;
-  dash?: number[];
-}
+const NONE = "no values yet";
 
-const KINDS: Kind[] = [
-  {
-    series: "order",
+const KINDS: Record<Series, Kind> = {
+  order: {
     title: "order",
     about: "1: all headings equal",
     format: (it) => fixed(it, 3),
     range: [0, 1],
     colour: "--chart-1",
+    none: NONE,
   },
-  {
-    series: "drift",
+  drift: {
     title: "drift",
     about: "speed along the common direction of the informed",
     format: (it) => signed(it, 3),
     range: [-1, 1],
     colour: "--chart-2",
+    none: "no individual is informed: the drift is undefined",
   },
-  {
-    series: "contacts",
+  contacts: {
     title: "contacts",
     about: "pairs near enough to constrain",
     format: (it) => fixed(it, 0),
     colour: "--chart-3",
+    none: NONE,
   },
-  {
-    series: "real_time_factor",
+  real_time_factor: {
     title: "real-time factor",
     about: "time units per second",
     format: (it) => fixed(it, 2),
     colour: "--chart-4",
+    none: NONE,
   },
-];
-
-function colour(name: string): string {
-  return getComputedStyle(document.documentElement).getPropertyValue(name).trim();
-}
+};
 
 export class Charts {
-  readonly element = el("div", { class: "charts" });
-  readonly history = new History();
-  private readonly charts: { kind: Kind; plot: uPlot; now: HTMLElement; none: HTMLElement }[] = [];
+  readonly element: HTMLElement;
+  private readonly grid = el("div", { class: "charts" });
+  private readonly history = new History(SERIES);
+  private readonly plots = new Map<Series, Plot>();
+  private readonly measures: MeasureCharts;
   private readonly ends: (() => void)[] = [];
   private timer: ReturnType<typeof setTimeout> | undefined;
   private drawnAt = Number.NEGATIVE_INFINITY;
   private shown = false;
 
-  constructor() {
-    for (const kind of KINDS) {
-      this.addChart(kind);
-    }
+  constructor(swarm: string) {
+    this.measures = new MeasureCharts(swarm, this.grid);
+    const titles = new Map(SERIES.map((name) => [name as string, KINDS[name].title]));
+    const menu = new ChartMenu(swarm, titles, (chosen) => this.choose(chosen));
+    this.element = el("section", { class: "chart-section" }, menu.element, this.grid);
+    this.choose(menu.chosen);
     const observer = new ResizeObserver(() => this.resize());
-    observer.observe(this.element);
+    observer.observe(this.grid);
     // Charts outside the viewport are not drawn.
     const visibility = new IntersectionObserver((entries) => {
       this.shown = entries.some((entry) => entry.isIntersecting);
       this.schedule();
     });
-    visibility.observe(this.element);
+    visibility.observe(this.grid);
     this.ends.push(
       () => observer.disconnect(),
       () => visibility.disconnect(),
       onTheme(() => {
-        for (const { plot } of this.charts) {
-          plot.redraw(false);
+        for (const plot of this.all()) {
+          plot.redraw();
         }
       }),
     );
@@ -91,67 +84,50 @@ export class Charts {
   /** Updates the captions at once, and the lines with the next redraw. */
   add(newest: Moment): void {
     this.history.add(newest, performance.now());
-    for (const { kind, now, none } of this.charts) {
-      const value = newest[kind.series];
-      setText(now, kind.format(value));
-      none.hidden = kind.series !== "drift" || this.history.columns.drift.some((it) => it !== null);
+    for (const name of this.plots.keys()) {
+      this.caption(name);
     }
+    this.measures.changed();
     this.schedule();
   }
 
   end(): void {
     clearTimeout(this.timer);
     callAll(this.ends);
-    for (const { plot } of this.charts) {
-      plot.destroy();
+    this.measures.end();
+    for (const plot of this.plots.values()) {
+      plot.end();
     }
   }
 
-  private addChart(kind: Kind): void {
-    const now = el("output", {});
-    const none = el(
-      "p",
-      { class: "none", hidden: true },
-      "no individual is informed: the drift is undefined",
-    );
-    const caption = el("figcaption", { title: kind.about }, el("b", {}, kind.title), " ", now);
-    const place = el("div", {
-      role: "img",
-      "aria-label": `${kind.title} over time: ${kind.about}`,
-    });
-    this.element.append(el("figure", { class: "chart" }, caption, place, none));
-    const axis: uPlot.Axis = {
-      stroke: () => colour("--soft-ink"),
-      grid: { stroke: () => colour("--line"), width: 1 },
-      ticks: { show: false },
-      font: "11px system-ui, sans-serif",
-      gap: 2,
-    };
-    // A single value without neighbours makes no line.
-    const points: uPlot.Series.Points = {
-      size: 5,
-      fill: () => colour(kind.colour),
-      filter: (plot, series) => isolated(plot.data[series] ?? []),
-    };
-    const options: uPlot.Options = {
-      width: 240,
-      height: 132,
-      legend: { show: false },
-      cursor: { show: false },
-      scales: {
-        x: { time: false },
-        y: kind.range
-          ? { range: kind.range }
-          : { range: (_, __, most) => [0, Math.max(1, 1.1 * (most ?? 0))] },
-      },
-      axes: [
-        { ...axis, size: 24, gap: 6, space: 44 },
-        { ...axis, size: 36 },
-      ],
-      series: [{}, { stroke: () => colour(kind.colour), width: 1.6, points, spanGaps: false }],
-    };
-    const plot = new uPlot(options, [[], []], place);
-    this.charts.push({ kind, plot, now, none });
+  private all(): Plot[] {
+    return [...this.plots.values(), ...this.measures.plots()];
+  }
+
+  /** Shows the charts of these names: series, and measures. */
+  private choose(chosen: readonly string[]): void {
+    for (const name of SERIES) {
+      const plot = this.plots.get(name);
+      if (chosen.includes(name) && !plot) {
+        this.plots.set(name, new Plot(KINDS[name]));
+        this.caption(name);
+      } else if (!chosen.includes(name) && plot) {
+        plot.end();
+        this.plots.delete(name);
+      }
+    }
+    // In the order of the menu.
+    this.grid.prepend(...SERIES.flatMap((name) => this.plots.get(name)?.element ?? []));
+    this.measures.choose(chosen.filter((name) => !(SERIES as readonly string[]).includes(name)));
+    this.resize();
+    this.schedule();
+  }
+
+  private caption(name: Series): void {
+    const column = this.history.columns[name];
+    const { now, none } = this.plots.get(name)!;
+    setText(now, KINDS[name].format(column.at(-1) ?? null));
+    none.hidden = name !== "drift" || column.length === 0 || column.some((it) => it !== null);
   }
 
   private schedule(): void {
@@ -164,18 +140,15 @@ export class Charts {
   private draw(): void {
     this.timer = undefined;
     this.drawnAt = performance.now();
-    const { time, columns } = this.history;
-    for (const { kind, plot } of this.charts) {
-      plot.setData([time, columns[kind.series]]);
+    for (const [name, plot] of this.plots) {
+      plot.draw(this.history.time, this.history.columns[name]);
     }
+    this.measures.draw();
   }
 
   private resize(): void {
-    for (const { plot } of this.charts) {
-      const { clientWidth: width, clientHeight: height } = plot.root.parentElement!;
-      if (width > 40 && Math.abs(width - plot.width) + Math.abs(height - plot.height) > 1) {
-        plot.setSize({ width, height });
-      }
+    for (const plot of this.all()) {
+      plot.resize();
     }
   }
 }

@@ -38,22 +38,28 @@ export function isolated(column: ArrayLike<number | null | undefined>): number[]
   );
 }
 
-export class History {
+/** Numbers at one step. */
+export type Point<Name extends string> = Record<Name, number | null> & {
+  epoch: number;
+  time: number;
+};
+
+export class History<Name extends string> {
   readonly time: number[] = [];
-  readonly columns: Record<Series, (number | null)[]> = {
-    order: [],
-    drift: [],
-    contacts: [],
-    real_time_factor: [],
-  };
+  readonly columns: Record<Name, (number | null)[]>;
   private epoch = 0;
   private began = Number.NEGATIVE_INFINITY;
+
+  constructor(private readonly names: readonly Name[]) {
+    const columns = names.map((name) => [name, [] as (number | null)[]] as const);
+    this.columns = Object.fromEntries(columns) as Record<Name, (number | null)[]>;
+  }
 
   /**
    * Adds the newest moment as the last point. It replaces the previous point if that began less than
    * SPACING_MS ago or has the same time: commands change a paused swarm, too.
    */
-  add(newest: Moment, now: number): void {
+  add(newest: Point<Name>, now: number): void {
     const last = this.time.at(-1);
     if (newest.epoch !== this.epoch || (last !== undefined && newest.time <= last)) {
       // After a reset or a restart time goes back: new points replace those from this time on.
@@ -66,13 +72,13 @@ export class History {
       this.began = now;
     }
     this.time.push(newest.time);
-    for (const name of SERIES) {
+    for (const name of this.names) {
       this.columns[name].push(newest[name]);
     }
     const surplus = this.time.length - MAX_POINTS;
     if (surplus > 0) {
       this.time.splice(0, surplus);
-      for (const name of SERIES) {
+      for (const name of this.names) {
         this.columns[name].splice(0, surplus);
       }
     }
@@ -87,7 +93,7 @@ export class History {
 
   private drop(kept: number): void {
     this.time.length = kept;
-    for (const name of SERIES) {
+    for (const name of this.names) {
       this.columns[name].length = kept;
     }
   }

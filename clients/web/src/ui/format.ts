@@ -30,6 +30,16 @@ export function short(value: unknown): string {
   return value === null || value === undefined ? NOTHING : String(value);
 }
 
+/** At most four significant digits, a small number in powers of ten: 0.0123, −1.2e-8. */
+export function brief(value: number | null | undefined): string {
+  if (value === null || value === undefined || !Number.isFinite(value)) {
+    return NOTHING;
+  }
+  const isSmall = value !== 0 && Math.abs(value) < 1e-3;
+  const text = isSmall ? value.toExponential(1) : String(Number(value.toPrecision(4)));
+  return text.replace(/^-/, "−");
+}
+
 export function time(value: number): string {
   return value.toFixed(value < 1000 ? 2 : 1);
 }

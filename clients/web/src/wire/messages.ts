@@ -79,6 +79,11 @@ export interface OrderMessage extends Stamp {
 
 export type Choice = string | { kind: string };
 
+/** The reply to `get/measures`. */
+export interface Measures {
+  measures: { name: string; value: number | null; unit: string }[];
+}
+
 export interface Parameter {
   name: string;
   doc: string;

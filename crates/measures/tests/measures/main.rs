@@ -5,6 +5,7 @@
 
 mod brute_force;
 mod degenerate;
+mod fixture;
 mod invariance;
 
 use jostle_measures::{Measure, Past, View, definitions};

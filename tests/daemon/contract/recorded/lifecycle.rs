@@ -89,6 +89,13 @@ pub async fn record_fixtures(recorded: &Recorded) {
     recorder
         .get("parameters.reply", "school", "parameters")
         .await;
+    recorder
+        .get(
+            "measures.reply",
+            "school",
+            "measures?names=order,drift,milling,clusters.largest,neighbour_gap.median",
+        )
+        .await;
 
     for name in ["school-2", "school-3"] {
         let reply = if name == "school-2" {

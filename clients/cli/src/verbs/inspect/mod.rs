@@ -2,6 +2,7 @@
 
 mod controllers;
 mod journal;
+mod measures;
 mod nodes;
 mod parameters;
 mod show;
@@ -9,6 +10,7 @@ mod top;
 
 pub use self::controllers::controllers;
 pub use self::journal::{FullJournal, full_journal, journal};
+pub use self::measures::{list_measures, measures};
 pub use self::nodes::nodes;
 pub use self::parameters::parameters;
 pub use self::show::{list, spec, status};

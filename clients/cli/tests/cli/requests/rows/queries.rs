@@ -9,6 +9,13 @@ pub fn inspecting() -> Vec<Row> {
         row("list", &["@node/test/get/swarms"]).says("pair"),
         row("status <name>demo", &["demo/get/status"]).says("school"),
         row("parameters <name>demo", &["demo/get/parameters"]).says("pi1"),
+        row("measures --list", &[]).says("experiments only"),
+        row("measures <name>demo", &["demo/get/measures"]).says("milling"),
+        row(
+            "measures <name>demo <measures>order <measures>clusters.count(0.1)",
+            &["demo/get/measures?names=order,clusters.count(0.1)"],
+        )
+        .says("milling"),
         row("controllers <name>demo", &["demo/get/controllers"]).says("bob"),
         row("spec <name>demo", &["demo/get/spec"]).says("\"pi1\": "),
         row(
