@@ -32,6 +32,12 @@ pub enum ExperimentArgs {
 pub struct SubmitArgs {
     /// The file that describes it, TOML.
     pub toml: String,
+    /// The contents of the CSV that `points` in the file names.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub points: Option<String>,
+    /// The contents of the snapshot that `start` in the file names, its CBOR as base64.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub start: Option<String>,
     /// Its name; that in the file if left out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(regex(pattern = NAME_RULE))]

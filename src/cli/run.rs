@@ -18,8 +18,8 @@ use signal_hook::consts::{SIGINT, SIGTERM};
 use crate::cli::duration;
 use jostle_experiment::shell::{operand, quoted};
 use jostle_experiment::{
-    Execution, ExecutionControl, Folder, Outcome, Plan, Progress, Subset, SubsetError, execute,
-    unfinished,
+    DryRun, Execution, ExecutionControl, Files, Folder, Outcome, Plan, Progress, Subset,
+    SubsetError, execute, unfinished,
 };
 
 /// The interval between updates of the progress bar, and between checks for a signal.
@@ -68,7 +68,8 @@ pub struct Options {
     /// Print JSON.
     #[arg(long)]
     json: bool,
-    /// List the runs with their numbers and seeds; execute nothing.
+    /// List the runs with their numbers and seeds; on stderr show the protocol of the first one and
+    /// estimate processor time and disk space from about a second of steps. Writes nothing.
     #[arg(long, conflicts_with = "output")]
     dry_run: bool,
 }
@@ -134,15 +135,24 @@ fn part(text: &str) -> Result<SelectedRuns, String> {
 /// Executes an experiment and returns the exit code.
 pub fn run(options: &Options) -> Result<u8, Box<dyn Error>> {
     let file = options.file.display();
-    let text = std::fs::read_to_string(&options.file)
-        .map_err(|error| format!("failed to read {file}: {error}"))?;
-    let plan = Plan::parse(&text).map_err(|error| format!("failed to plan {file}: {error}"))?;
+    let files = Files::read(&options.file)?;
+    let plan = Plan::of(files).map_err(|error| format!("failed to plan {file}: {error}"))?;
     let selected = options.selected_runs();
     let subset = selected
         .subset(&plan)
         .map_err(|error| format!("failed to select runs of {file}: {error}"))?;
     let Some(output) = &options.output else {
         list(&plan, &subset, options.json);
+        let dry_run = DryRun::of(&plan, &subset)?;
+        // Standard output has the runs alone, for programs. A closed one is no error.
+        match options.json {
+            true => drop(writeln!(
+                std::io::stdout(),
+                "{}",
+                json!({"summary": dry_run})
+            )),
+            false => eprintln!("{dry_run}"),
+        }
         return Ok(0);
     };
     // Removes a final `.`, to which no folder can be renamed.

@@ -13,6 +13,8 @@ pub enum ExperimentError {
     Plan {
         /// What is wrong, and where.
         reason: String,
+        /// The field of the request that is wrong.
+        field: &'static str,
         /// The line from 1, if the error is in one line.
         line: Option<usize>,
     },
@@ -68,8 +70,14 @@ impl From<PlanError> for ExperimentError {
     fn from(error: PlanError) -> Self {
         ExperimentError::Plan {
             line: match &error {
-                PlanError::Field { line, .. } | PlanError::Repeated { line, .. } => Some(*line),
+                PlanError::Field { line, .. }
+                | PlanError::Repeated { line, .. }
+                | PlanError::Points { line, .. } => Some(*line),
                 _ => None,
+            },
+            field: match &error {
+                PlanError::Points { .. } => "submit.points",
+                _ => "submit.toml",
             },
             reason: error.to_string(),
         }

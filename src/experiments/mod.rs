@@ -14,7 +14,7 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
-use jostle_experiment::{Folder, Plan};
+use jostle_experiment::{Files, Folder, Plan};
 use jostle_proto::{ExperimentPhase as Phase, keys};
 use jostle_results::table::OrderSeries;
 use parking_lot::{Condvar, Mutex, MutexGuard};
@@ -86,9 +86,9 @@ impl ExperimentManager {
     pub fn submit(
         &self,
         name: Option<&str>,
-        text: &str,
+        files: Files,
     ) -> Result<(bool, Report), ExperimentError> {
-        let mut plan = Plan::parse(text)?;
+        let mut plan = Plan::of(files)?;
         if let Some(name) = name {
             name.clone_into(&mut plan.name);
         }
@@ -101,7 +101,7 @@ impl ExperimentManager {
         let _serialized = self.begin_change()?;
         let folder = self.0.jobs.folder(&name);
         if let Ok(phase) = self.phase(&name) {
-            if read_text(&folder)? != text {
+            if read_files(&folder)? != plan.files {
                 return Err(ExperimentError::Exists(name));
             }
             if matches!(phase, Phase::Cancelled | Phase::Failed) {
@@ -379,13 +379,13 @@ fn load(name: &str, folder: &Path, status: Option<Status>) -> Entry {
 }
 
 fn read_plan(name: &str, folder: &Path) -> Result<Plan, ExperimentError> {
-    let mut plan = Plan::parse(&read_text(folder)?)?;
+    let mut plan = Plan::of(read_files(folder)?)?;
     name.clone_into(&mut plan.name);
     Ok(plan)
 }
 
-fn read_text(folder: &Path) -> Result<String, ExperimentError> {
-    std::fs::read_to_string(folder.join(PLAN)).map_err(ExperimentError::unreadable)
+fn read_files(folder: &Path) -> Result<Files, ExperimentError> {
+    Files::stored(folder).map_err(ExperimentError::unreadable)
 }
 
 fn wrong_phase(name: &str, phase: Phase, remedy: &'static str) -> ExperimentError {

@@ -6,13 +6,17 @@ import csv
 import math
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import jostle
 from conftest import Daemon
+from jostle._experiment import to_toml
+from jostle._results import ExperimentResult
 
 SMALL = {
     "name": "small",
@@ -132,3 +136,102 @@ def test_a_bar_shows_the_progress(
     experiment.wait(60.0, show=True)
     assert "8 of 8 runs" in capsys.readouterr().err
     experiment.delete()
+
+
+def test_points_are_sent_with_the_file(client: jostle.Client, tmp_path: Path) -> None:
+    toml = """name = "points"
+duration = 2
+points = "samples.csv"
+[spec]
+n = 5
+[[at]]
+time = 1
+inform = { select = { count = "$k" }, direction = 0 }
+"""
+    (tmp_path / "points.toml").write_text(toml)
+    samples = tmp_path / "samples.csv"
+    samples.write_text("pi1,k\n2,1\n4,2\n4,3\n")
+    experiment = jostle.experiment(tmp_path / "points.toml", client=client).wait(60.0)
+    frame = experiment.frame()
+    assert frame[["pi1", "k"]].to_numpy().tolist() == [[2, 1], [4, 2], [4, 3]]
+    assert client.submit(tmp_path / "points.toml").name == "points"
+    samples.write_text("pi1,k\n2,1\n4,2\n")
+    with pytest.raises(jostle.AlreadyExists):
+        client.submit(tmp_path / "points.toml")
+    samples.write_text("pi1,k\n2,1\n4,2\n,3\n")
+    with pytest.raises(jostle.InvalidArgument, match=r"samples\.csv, line 4, column 1: ") as caught:
+        client.submit(tmp_path / "points.toml", name="other")
+    assert caught.value.details == {"field": "submit.points", "line": 4}
+    samples.unlink()
+    with pytest.raises(FileNotFoundError):
+        client.submit(tmp_path / "points.toml")
+    experiment.delete()
+
+
+def test_the_commands_of_a_block_keep_the_order_of_a_mapping(client: jostle.Client) -> None:
+    inform = {"select": {"count": 3}, "direction": np.float64(0.5)}
+    remove = [{"select": {"ids": [0]}}, {"select": {"count": 1}}]
+    source: dict[str, Any] = {"name": "ordered", "duration": 2, "spec": {"n": 8}, "seeds": [5]}
+    hashes = []
+    for number, block in enumerate(
+        [
+            {"inform": inform, "time": 1, "remove": remove},
+            {"time": 1, "remove": remove, "inform": inform},
+        ]
+    ):
+        mapping = {**source, "at": [block, {"time": 1.5, "set": {"noise": 0.0}}], "stop": {}}
+        read = tomllib.loads(to_toml(mapping))
+        assert [list(it) for it in read["at"]] == [list(block), ["time", "set"]]
+        assert read == {
+            **mapping,
+            "at": [{**block, "inform": {**inform, "direction": 0.5}}, *mapping["at"][1:]],
+        }
+        experiment = client.submit(mapping, name=f"ordered-{number}").wait(60.0)
+        hashes.append(experiment.rows()[0].state_hash)
+        experiment.delete()
+    text = """name = "ordered"
+duration = 2
+spec = { n = 8 }
+seeds = [5]
+[[at]]
+time = 1
+inform = { select = { count = 3 }, direction = 0.5 }
+remove = [{ select = { ids = [0] } }, { select = { count = 1 } }]
+[[at]]
+time = 1.5
+set = { noise = 0.0 }
+"""
+    experiment = client.submit(text, name="ordered-text").wait(60.0)
+    assert hashes[0] == experiment.rows()[0].state_hash != hashes[1]
+    experiment.delete()
+
+
+def test_a_snapshot_is_sent_with_the_file(client: jostle.Client, tmp_path: Path) -> None:
+    swarm = client.create("grown", jostle.Spec(n=9, seed=4))
+    swarm.step(100)
+    swarm.snapshot().save(tmp_path / "grown.snapshot")
+    source = {
+        "name": "grown",
+        "duration": 2,
+        "start": "grown.snapshot",
+        "grid": [{"noise": [0, 1]}],
+    }
+    file = tmp_path / "grown.toml"
+    file.write_text(to_toml(source))
+    experiment = client.submit(file).wait(60.0)
+    rows = experiment.rows()
+    assert [(row.n, row.steps) for row in rows] == [(9, 100), (9, 100)]
+    swarm.step(100)
+    assert client.submit(file).name == "grown"
+    swarm.snapshot().save(tmp_path / "grown.snapshot", force=True)
+    with pytest.raises(jostle.AlreadyExists):
+        client.submit(file)
+    (tmp_path / "grown.snapshot").write_bytes(b"no snapshot")
+    with pytest.raises(jostle.InvalidArgument, match=r"line 3, column 9: .*not a snapshot"):
+        client.submit(file, name="other")
+    with pytest.raises(jostle.InvalidArgument, match="are missing"):
+        client._command(
+            "experiment", {"submit": {"toml": to_toml(source)}}, ExperimentResult, None, None
+        )
+    experiment.delete()
+    swarm.delete()

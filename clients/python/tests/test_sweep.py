@@ -80,6 +80,29 @@ def test_a_sweep_on_all_cores_writes_the_tables_of_one_program(tmp_path: Path) -
     assert {file: file.stat().st_mtime_ns for file in folder.iterdir()} == before
 
 
+def test_points_are_a_part_of_a_sweep(tmp_path: Path) -> None:
+    toml = 'name = "points"\nduration = 20\npoints = "samples.csv"\nspec = { n = 10 }\n'
+    (tmp_path / "points.toml").write_text(toml)
+    samples = tmp_path / "samples.csv"
+    samples.write_text("pi1,informed\n1,0\n2.5,1\n4,2\n")
+    folder = tmp_path / "results"
+    with jostle.sweep(tmp_path / "points.toml", folder=folder, task_secs=1e-4) as sweep:
+        next(iter(sweep))
+    # The received parts are those of this CSV.
+    samples.write_text("pi1,informed\n1,0\n2.5,1\n")
+    with pytest.raises(jostle.IncorrectState, match="contains parts of another experiment"):
+        jostle.sweep(tmp_path / "points.toml", folder=folder)
+    samples.write_text("pi1,informed\n1,0\n2.5,1\n4,2\n")
+    rows = jostle.sweep(tmp_path / "points.toml", folder=folder).wait().rows()
+    assert [(row.pi1, row.informed) for row in rows] == [(1, 0), (2.5, 1), (4, 2)]
+    assert jostle.sweep(tmp_path / "points.toml", folder=folder).rows() == rows
+    samples.write_text("pi1,informed\n1,0\n")
+    with pytest.raises(jostle.IncorrectState, match="contains another experiment"):
+        jostle.sweep(tmp_path / "points.toml", folder=folder)
+    with pytest.raises(jostle.InvalidArgument, match="leave out points"):
+        jostle.Objective(toml, "v", folder=tmp_path / "search")
+
+
 def test_an_interrupted_sweep_continues_on_another_executor(tmp_path: Path) -> None:
     folder = tmp_path / "results"
     with jostle.sweep(SMALL, folder=folder, task_secs=TASK_SECS) as sweep:

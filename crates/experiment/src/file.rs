@@ -8,6 +8,7 @@ use serde::Deserialize;
 use toml::{Spanned, Value};
 
 use crate::error::PlanError;
+use crate::points::Points;
 
 /// Keys and values, each with its span in the file.
 pub type Table = BTreeMap<Spanned<String>, Spanned<Value>>;
@@ -32,12 +33,18 @@ pub struct File {
     /// The spec that all runs share.
     #[serde(default)]
     pub spec: Table,
+    /// The CSV of the conditions, instead of `grid`.
+    #[serde(default)]
+    pub points: Option<Spanned<String>>,
+    /// The snapshot from which every run starts.
+    #[serde(default)]
+    pub start: Option<Spanned<String>>,
     /// The grids of values that vary.
     #[serde(default)]
     pub grid: Vec<Table>,
     /// The blocks of the protocol.
     #[serde(default)]
-    pub at: Vec<Table>,
+    pub at: Vec<Spanned<Table>>,
     /// What ends a run before its duration.
     #[serde(default)]
     pub stop: Table,
@@ -67,6 +74,11 @@ pub struct Measure {
     pub touch: bool,
 }
 
+/// Returns whether a character can be in the name of a variable.
+pub fn is_of_name(it: char) -> bool {
+    it.is_ascii_alphanumeric() || it == '_'
+}
+
 /// An error of the parser, with a remedy instead of the names of types.
 pub fn in_words(message: &str) -> String {
     match message.split_once(", expected ") {
@@ -78,9 +90,14 @@ pub fn in_words(message: &str) -> String {
     }
 }
 
-/// The text of a file; errors get their line from it.
+/// The text of a file, and the CSV that it names; errors get their place from it.
 #[derive(Clone, Copy)]
-pub struct Source<'a>(pub &'a str);
+pub struct Source<'a> {
+    /// The text of the TOML.
+    pub toml: &'a str,
+    /// The CSV, whose cells have spans after the end of the TOML.
+    pub points: Option<&'a Points>,
+}
 
 impl Source<'_> {
     /// Parses the file.
@@ -89,13 +106,13 @@ impl Source<'_> {
     ///
     /// [`PlanError::Field`] with the first line that is not TOML or not a field of an experiment.
     pub fn read(self) -> Result<File, PlanError> {
-        toml::from_str(self.0).map_err(|error| {
+        toml::from_str(self.toml).map_err(|error| {
             let span = error.span().unwrap_or_default();
             // Only `grid` and `at` are lists of tables.
             let reason = match error.message().contains("map, expected a sequence") {
                 true => {
                     let is_block = self
-                        .0
+                        .toml
                         .get(span.clone())
                         .is_some_and(|it| it.contains("[at]"));
                     let key = if is_block { "at" } else { "grid" };
@@ -110,6 +127,16 @@ impl Source<'_> {
     /// Returns the error for the value at `span`. Line breaks in `reason` become spaces.
     pub fn reject(self, span: &Range<usize>, reason: impl Into<String>) -> PlanError {
         let reason = reason.into().trim_end().replace('\n', " ");
+        if let Some(points) = self.points
+            && let Some((line, column)) = points.place(span)
+        {
+            return PlanError::Points {
+                file: points.file.clone(),
+                line,
+                column,
+                reason,
+            };
+        }
         let (line, column) = self.place(span);
         PlanError::Field {
             line,
@@ -118,10 +145,38 @@ impl Source<'_> {
         }
     }
 
+    /// Adds the row of the CSV to an error of its condition, if it has none; `row` is its span.
+    pub fn in_row(self, row: &Range<usize>, error: PlanError) -> PlanError {
+        let Some(points) = self.points else {
+            return error;
+        };
+        let (line, _) = points.place(row).unwrap_or_default();
+        let file = &points.file;
+        match error {
+            PlanError::Field {
+                line: at,
+                column,
+                reason,
+            } => PlanError::Field {
+                line: at,
+                column,
+                reason: format!("{reason} ({file}, line {line})"),
+            },
+            error @ PlanError::Run { .. } => self.reject(row, error.to_string()),
+            other => other,
+        }
+    }
+
     /// Returns the span of `text` within `span`, or `span` itself if it does not contain that text.
+    /// A longer name that begins with `text`, such as `$k2` for `$k`, is another text.
     pub fn find(self, span: &Range<usize>, text: &str) -> Range<usize> {
-        let within = self.0.get(span.clone()).unwrap_or_default();
-        match within.find(text) {
+        let within = self.toml.get(span.clone()).unwrap_or_default();
+        let is_whole = |at: &usize| {
+            let rest = &within[at + text.len()..];
+            !(text.ends_with(is_of_name) && rest.starts_with(is_of_name))
+        };
+        let mut found = within.match_indices(text).map(|(at, _)| at);
+        match found.find(is_whole) {
             Some(at) => span.start + at..span.start + at + text.len(),
             None => span.clone(),
         }
@@ -129,14 +184,14 @@ impl Source<'_> {
 
     /// Returns the line and the column at which `span` starts, in characters, from 1.
     pub fn place(self, span: &Range<usize>) -> (usize, usize) {
-        let before = self.0.get(..span.start).unwrap_or(self.0);
+        let before = self.toml.get(..span.start).unwrap_or(self.toml);
         let line = before.rfind('\n').map_or(0, |newline| newline + 1);
         (self.line(span), before[line..].chars().count() + 1)
     }
 
     /// Returns the line at which `span` starts, from 1.
     pub fn line(self, span: &Range<usize>) -> usize {
-        let before = self.0.bytes().take(span.start);
+        let before = self.toml.bytes().take(span.start);
         before.filter(|&byte| byte == b'\n').count() + 1
     }
 

@@ -2,7 +2,8 @@
 //!
 //! A folder contains:
 //!
-//! - `experiment.toml`, a copy of the experiment's file;
+//! - `experiment.toml`, a copy of the experiment's file, and `experiment.points.csv`, and
+//!   `experiment.start.snapshot`, copies of the files that it names;
 //! - `runs.jsonl`, a header and a line for each finished run, with its order over time if the plan
 //!   has `order_every`; a run counts as finished once its line is durable;
 //! - `order/`, in folders of earlier versions, which stored the order over time there;
@@ -14,7 +15,7 @@
 use std::collections::BTreeMap;
 use std::ffi::{OsStr, OsString};
 use std::fs::{self, File, OpenOptions};
-use std::io::{self, BufWriter, Read as _, Seek as _, SeekFrom, Write as _};
+use std::io::{BufWriter, Read as _, Seek as _, SeekFrom, Write as _};
 use std::path::{Path, PathBuf};
 
 use jostle_physics::model::MODEL_VERSION;
@@ -33,6 +34,7 @@ use self::list::{
     to_line, to_range,
 };
 pub use self::part::{Part, parts_in};
+use crate::files::{EXPERIMENT, Files};
 use crate::plan::Plan;
 use crate::run::FinishedRun;
 use crate::subset::Subset;
@@ -42,7 +44,6 @@ mod error;
 mod list;
 mod part;
 
-pub(crate) const EXPERIMENT: &str = "experiment.toml";
 const LOCK: &str = "lock";
 
 /// The folder of an experiment, locked for writing.
@@ -326,22 +327,20 @@ fn lock(folder: &Path) -> Result<File, FolderError> {
 /// Checks that the folder belongs to the plan's file. If the folder has no results, writes the
 /// file.
 fn claim(folder: &Path, plan: &Plan) -> Result<(), FolderError> {
-    let path = folder.join(EXPERIMENT);
-    match fs::read(&path) {
-        Ok(bytes) if bytes == plan.text.as_bytes() => Ok(()),
+    match Files::stored(folder) {
+        Ok(files) if files == plan.files => Ok(()),
         Ok(_) => Err(FolderError::OtherExperiment {
             folder: folder.to_owned(),
         }),
-        Err(error) if error.kind() == io::ErrorKind::NotFound => {
+        Err(_) if !folder.join(EXPERIMENT).exists() => {
             let names = [RUNS, PARQUET_NAME, CSV_NAME, ORDER_NAME, SERIES];
             if let Some(file) = names.into_iter().find(|name| folder.join(name).exists()) {
                 let folder = folder.to_owned();
                 return Err(FolderError::NoExperiment { folder, file });
             }
-            jostle_atomic_file::write(&path, plan.text.as_bytes())
-                .map_err(|source| io_error(&path, source))
+            Ok(plan.files.store(folder)?)
         }
-        Err(source) => Err(io_error(&path, source)),
+        Err(error) => Err(error.into()),
     }
 }
 

@@ -10,8 +10,9 @@ use jostle_results::COLUMNS;
 use toml::{Spanned, Value};
 
 use crate::error::PlanError;
-use crate::file::{Source, Table, in_words};
+use crate::file::{Source, Table, in_words, is_of_name};
 use crate::protocol::{STOPPED_AT, Variables};
+use crate::start::{Base, FIXED};
 
 /// The axes that a `[[grid]]` may vary, in the order in which the names of runs contain them.
 pub const AXES: [&str; 13] = [
@@ -56,18 +57,59 @@ pub struct Choice {
 /// # Errors
 ///
 /// [`PlanError::Field`] for an unknown field or a value of a wrong kind.
-pub fn common(source: Source<'_>, spec: &Table) -> Result<toml::Table, PlanError> {
+pub fn common(
+    source: Source<'_>,
+    spec: &Table,
+    base: Option<&Base>,
+) -> Result<toml::Table, PlanError> {
+    let mut fields = base.map(Base::fields).unwrap_or_default();
     for (key, value) in spec {
         if key.get_ref() == "seed" {
             let reason = "seed is not a field of [spec]: move it to the top of the file";
             return Err(source.reject(&key.span(), reason));
         }
         check(source, key.get_ref(), value)?;
+        let given = (key.get_ref().clone(), value.get_ref().clone());
+        if base.is_some()
+            && let Some(reason) = contradiction(&fields, &given)
+        {
+            return Err(source.reject(&value.span(), reason));
+        }
+        fields.extend([given]);
     }
-    let entries = spec.iter();
-    Ok(entries
-        .map(|(key, value)| (key.get_ref().clone(), value.get_ref().clone()))
-        .collect())
+    Ok(fields)
+}
+
+/// Returns why a field of `[spec]` contradicts the fields of a snapshot; none if it does not.
+fn contradiction(fields: &toml::Table, (key, value): &(String, Value)) -> Option<String> {
+    if key == "start" {
+        return Some("start is that of the snapshot: leave it out".to_owned());
+    }
+    let own = fields.get(key).and_then(number);
+    match FIXED.contains(&key.as_str()) && own != number(value) {
+        true => Some(format!(
+            "{key} = {value} contradicts the snapshot, whose {key} is {}: leave it out",
+            own.unwrap_or_default()
+        )),
+        false => None,
+    }
+}
+
+/// Checks that grids vary no axis that a snapshot determines.
+///
+/// # Errors
+///
+/// [`PlanError`] at the values of such an axis.
+pub fn check_varied(source: Source<'_>, grids: &[Grid]) -> Result<(), PlanError> {
+    for grid in grids {
+        for axis in FIXED {
+            if grid.has(axis) {
+                let reason = format!("the snapshot of start determines {axis}: leave it out");
+                return Err(source.reject(&grid.span_of(axis), reason));
+            }
+        }
+    }
+    Ok(())
 }
 
 /// Reads every `[[grid]]`. A file without a grid has one grid with a single point. `used` are the
@@ -117,27 +159,7 @@ fn read_grid(
             grid.replicates = source.whole(key, Some(&number), 0, [1, max_replicates])?;
             continue;
         }
-        let is_variable = !AXES.contains(&key);
-        let is_of_name = |it: char| it.is_ascii_alphanumeric() || it == '_';
-        if is_variable && !(key.starts_with(char::is_alphabetic) && key.chars().all(is_of_name)) {
-            let reason = format!("invalid name {key:?} of a variable: use letters, digits and '_'");
-            return Err(source.reject(&key_span, reason));
-        }
-        if is_variable && !used.contains(key) {
-            let axes = AXES.join(", ");
-            let reason = format!(
-                "unknown axis {key:?}: use one of {axes}, replicates, or a variable that an [[at]] \
-                 or [stop] uses as \"${key}\""
-            );
-            return Err(source.reject(&key_span, reason));
-        }
-        if is_variable && is_taken(key) {
-            let reason = format!(
-                "{key:?} is a column of the results, a measure or a field of [spec]: rename the \
-                 variable"
-            );
-            return Err(source.reject(&key_span, reason));
-        }
+        check_axis(source, key, &key_span, used)?;
         let values = match value.get_ref() {
             Value::Array(values) if values.is_empty() => {
                 return Err(source.reject(&value.span(), format!("{key} has no value")));
@@ -148,24 +170,40 @@ fn read_grid(
             }
             _ => vec![value.clone()],
         };
-        for value in &values {
-            match is_variable {
-                true => check_variable(source, key, value)?,
-                false => check(source, key, value)?,
-            }
-        }
-        grid.axes.push((key.to_owned(), values));
+        grid.add(source, key, values)?;
     }
-    grid.axes.sort_by_key(|(axis, _)| {
-        let place = AXES.iter().position(|it| it == axis);
-        (place.unwrap_or(AXES.len()), axis.clone())
-    });
-    let both = ["informed", "informed_fraction"].map(|axis| grid.has(axis));
-    if both == [true, true] {
-        let reason = "informed and informed_fraction exclude each other: leave out one of them";
-        return Err(source.reject(&grid.span, reason));
-    }
-    Ok(grid)
+    grid.finished(source)
+}
+
+/// Checks the name of an axis or a variable.
+///
+/// # Errors
+///
+/// [`PlanError`] at `span`.
+pub fn check_axis(
+    source: Source<'_>,
+    key: &str,
+    span: &Range<usize>,
+    used: &BTreeSet<String>,
+) -> Result<(), PlanError> {
+    let reason = if AXES.contains(&key) {
+        return Ok(());
+    } else if !(key.starts_with(char::is_alphabetic) && key.chars().all(is_of_name)) {
+        format!("invalid name {key:?} of a variable: use letters, digits and '_'")
+    } else if !used.contains(key) {
+        let axes = AXES.join(", ");
+        format!(
+            "unknown axis {key:?}: use one of {axes}, replicates, or a variable that an [[at]] or \
+             [stop] uses as \"${key}\""
+        )
+    } else if is_taken(key) {
+        format!(
+            "{key:?} is a column of the results, a measure or a field of [spec]: rename the variable"
+        )
+    } else {
+        return Ok(());
+    };
+    Err(source.reject(span, reason))
 }
 
 /// Checks one value by itself: its kind, and for the informed individuals its range.
@@ -217,6 +255,51 @@ fn number(value: &Value) -> Option<f64> {
 }
 
 impl Grid {
+    /// Adds the values of an axis, each of which is checked by itself.
+    ///
+    /// # Errors
+    ///
+    /// [`PlanError`] at the first value that is wrong.
+    pub fn add(
+        &mut self,
+        source: Source<'_>,
+        axis: &str,
+        values: Vec<Spanned<Value>>,
+    ) -> Result<(), PlanError> {
+        for value in &values {
+            match AXES.contains(&axis) {
+                true => check(source, axis, value)?,
+                false => check_variable(source, axis, value)?,
+            }
+        }
+        self.axes.push((axis.to_owned(), values));
+        Ok(())
+    }
+
+    /// Returns the grid with its axes sorted.
+    ///
+    /// # Errors
+    ///
+    /// [`PlanError`] if two axes exclude each other.
+    pub fn finished(mut self, source: Source<'_>) -> Result<Self, PlanError> {
+        self.axes.sort_by_key(|(axis, _)| {
+            let place = AXES.iter().position(|it| it == axis);
+            (place.unwrap_or(AXES.len()), axis.clone())
+        });
+        let both = ["informed", "informed_fraction"].map(|axis| self.has(axis));
+        if both == [true, true] {
+            let reason = "informed and informed_fraction exclude each other: leave out one of them";
+            return Err(source.reject(&self.span, reason));
+        }
+        Ok(self)
+    }
+
+    /// Returns the span of the values of an axis, or that of the grid if it has none.
+    pub fn span_of(&self, axis: &str) -> Range<usize> {
+        let values = self.axes.iter().find(|(it, _)| it == axis);
+        values.map_or(self.span.clone(), |(_, values)| values[0].span())
+    }
+
     /// Returns whether the grid has values for `axis`.
     pub fn has(&self, axis: &str) -> bool {
         self.axes.iter().any(|(it, _)| *it == axis)
@@ -257,7 +340,7 @@ impl Grid {
             }
         }
         if !table.contains_key("n") {
-            let reason = "n is given neither by [spec] nor by this grid";
+            let reason = "n is given neither by [spec] nor here: give n";
             return Err(source.reject(&self.span, reason));
         }
         let spec: Spec = table.try_into().map_err(|error: toml::de::Error| {

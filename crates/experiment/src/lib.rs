@@ -1,29 +1,35 @@
 //! Experiments: grids of runs, each of which gives a row of a table.
 //!
-//! [`Plan::parse`] parses and checks an experiment's file. A [`Folder`] contains the results.
+//! [`Plan::of`] parses and checks an experiment's [`Files`]. A [`Folder`] contains the results.
 //! [`execute`] executes the unfinished runs, while other threads read its progress and pause or
 //! cancel it through an [`ExecutionControl`]. No daemon is needed.
 
 mod contact_events;
+mod dry_run;
 mod error;
 mod execute;
 mod export;
 mod file;
+mod files;
 mod folder;
 mod grid;
 mod limits;
 mod merge;
 mod plan;
 mod play;
+mod points;
 mod progress;
 mod protocol;
 mod run;
 pub mod shell;
+mod start;
 mod subset;
 
+pub use dry_run::{DryRun, Estimate, Measured};
 pub use error::PlanError;
 pub use execute::{ExecuteError, Execution, Outcome, execute};
 pub use export::{AppliedChange, ExportError, SwarmHistory, experiment_file};
+pub use files::{Files, FilesError, POINTS, START};
 pub use folder::{Folder, FolderError, unfinished};
 pub use grid::AXES;
 pub use jostle_physics::model::MODEL_VERSION;

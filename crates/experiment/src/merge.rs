@@ -12,7 +12,8 @@ use std::thread;
 use thiserror::Error;
 
 use crate::error::PlanError;
-use crate::folder::{EXPERIMENT, Folder, FolderError, Part, parts_in, unfinished};
+use crate::files::{EXPERIMENT, Files};
+use crate::folder::{Folder, FolderError, Part, parts_in, unfinished};
 use crate::plan::Plan;
 use crate::run::{FinishedRun, execute_run};
 use crate::subset::Subset;
@@ -155,14 +156,14 @@ impl Parts {
     pub fn read(folders: &[PathBuf]) -> Result<Self, MergeError> {
         let folders = &parts_in(folders)?;
         let first = folders.first().ok_or(MergeError::NoParts)?;
-        let texts = folders.iter().map(|folder| Part::text(folder));
-        let texts = texts.collect::<Result<Vec<_>, _>>()?;
-        if texts.iter().any(|text| *text != texts[0]) {
+        let all = folders.iter().map(|folder| Part::files(folder));
+        let all = all.collect::<Result<Vec<_>, _>>()?;
+        if all.iter().any(|files| *files != all[0]) {
             // Named are those that differ from the most.
-            let count = |text: &String| texts.iter().filter(|it| *it == text).count();
-            let usual = texts.iter().rev().max_by_key(|text| count(text));
+            let count = |files: &Files| all.iter().filter(|it| *it == files).count();
+            let usual = all.iter().rev().max_by_key(|files| count(files));
             let (others, usual): (Vec<_>, Vec<_>) =
-                (folders.iter().zip(&texts)).partition(|(_, text)| Some(*text) != usual);
+                (folders.iter().zip(&all)).partition(|(_, files)| Some(*files) != usual);
             let first = usual.first().map_or(first, |(folder, _)| folder).clone();
             let others = others
                 .into_iter()
@@ -170,7 +171,7 @@ impl Parts {
                 .collect();
             return Err(MergeError::OtherExperiment { first, others });
         }
-        let plan = Plan::parse(&texts[0]).map_err(|source| MergeError::Plan {
+        let plan = Plan::of(all[0].clone()).map_err(|source| MergeError::Plan {
             folder: first.clone(),
             source,
         })?;
@@ -387,7 +388,7 @@ pub fn missing(plan: &Plan, folders: &[PathBuf]) -> Result<Subset, MergeError> {
             // No part of it is complete.
             continue;
         }
-        if Part::text(folder)? != plan.text {
+        if Part::files(folder)? != plan.files {
             return Err(MergeError::ForeignPart {
                 folder: folder.clone(),
             });

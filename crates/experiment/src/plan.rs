@@ -3,20 +3,25 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use jostle_measures::{Measure, MeasureError, check_past};
+use jostle_measures::{Measure, check_past};
 use jostle_physics::simulation::{Spec, Start, begin, steps_in};
 use jostle_proto::{LARGEST_WHOLE, keys};
 use toml::Spanned;
 
 use crate::error::PlanError;
-use crate::file::{File, Measure as MeasureTable, Source};
+use crate::file::{File, Source};
+use crate::files::Files;
 use crate::grid::{self, AXES, Choice, Grid};
-use crate::limits::{
-    MAX_BLOCKS, MAX_BLOCKS_OF_PLAN, MAX_COLUMNS, MAX_ENTRIES, MAX_INDIVIDUALS, MAX_RUNS, MAX_STEPS,
-};
-use crate::protocol::{Protocol, Setting, Variables, used};
+use crate::limits::{MAX_BLOCKS_OF_PLAN, MAX_ENTRIES, MAX_INDIVIDUALS, MAX_RUNS, MAX_STEPS};
+use crate::points::Points;
+use crate::protocol::{Block, Protocol, Setting, Variables, first_span, templates, used};
+use crate::start::Base;
 use jostle_convert::spec;
 use jostle_convert::value::count;
+
+use self::settings::{check_sizes, columns, seeds};
+
+mod settings;
 
 /// An experiment: common settings and the list of runs.
 #[derive(Clone, Debug, PartialEq)]
@@ -33,8 +38,10 @@ pub struct Plan {
     pub touch: bool,
     /// The measures whose means are columns of the table of results.
     pub columns: Columns,
-    /// The text of the experiment's file, unchanged.
-    pub text: String,
+    /// The experiment's files, unchanged.
+    pub files: Files,
+    /// The state from which every run starts, if the file has `start`.
+    pub(crate) base: Option<Base>,
     points: Vec<Point>,
     runs: Vec<PlannedRun>,
     /// The indices of all runs, sorted by name.
@@ -78,7 +85,16 @@ pub struct PlannedRun {
 }
 
 impl Plan {
-    /// Parses and checks an experiment's file.
+    /// Parses and checks an experiment's file that names no other file.
+    ///
+    /// # Errors
+    ///
+    /// As [`Self::of`].
+    pub fn parse(toml: &str) -> Result<Self, PlanError> {
+        Self::of(Files::from(toml))
+    }
+
+    /// Parses and checks an experiment's files.
     ///
     /// Runs are ordered by grid. Within a grid the axes vary in the order of [`AXES`], the last one
     /// fastest, each in the order of its listed values; replicates vary fastest of all. The name of
@@ -88,9 +104,24 @@ impl Plan {
     /// # Errors
     ///
     /// [`PlanError`], with the line or the run.
-    pub fn parse(text: &str) -> Result<Self, PlanError> {
-        let source = Source(text);
+    pub fn of(files: Files) -> Result<Self, PlanError> {
+        let mut plan = Self::checked(&files)?;
+        plan.files = files;
+        Ok(plan)
+    }
+
+    /// As [`Self::of`], without the files.
+    fn checked(files: &Files) -> Result<Self, PlanError> {
+        let source = Source {
+            toml: &files.toml,
+            points: None,
+        };
         let file = source.read()?;
+        let points = points(source, &file, files)?;
+        let source = Source {
+            points: points.as_ref(),
+            ..source
+        };
         let name = file.name.get_ref();
         if !keys::is_name(name) {
             let reason = format!(
@@ -116,32 +147,29 @@ impl Plan {
             .map_or(replicates, |seeds| seeds.len() as u64);
         let columns = columns(source, &file.measure, duration)?;
         if file.measure.touch
-            && let Some(first) = file
-                .at
-                .iter()
-                .flat_map(|table| table.keys())
-                .map(Spanned::span)
-                .min_by_key(|span| span.start)
+            && let Some(first) = file.at.first()
         {
             let reason = "[[at]] and touch exclude each other: leave out one of them";
-            return Err(source.reject(&first, reason));
+            return Err(source.reject(&first_span(first), reason));
         }
         check_sizes(source, &file)?;
-        let common = grid::common(source, &file.spec)?;
-        let used = used(file.at.iter().chain([&file.stop]));
-        let grids = grid::grids(source, &file.grid, &used, replicates, MAX_RUNS)?;
+        let base = base(source, &file, files)?;
+        let common = grid::common(source, &file.spec, base.as_ref())?;
+        let used = used(file.at.iter().map(Spanned::get_ref).chain([&file.stop]));
+        let grids = match &points {
+            Some(points) => points.grids(source, &used, replicates)?,
+            None => grid::grids(source, &file.grid, &used, replicates, MAX_RUNS)?,
+        };
+        if base.is_some() {
+            grid::check_varied(source, &grids)?;
+        }
         let runs = count_runs(&grids);
         if runs > MAX_RUNS {
             return Err(PlanError::TooManyRuns { runs });
         }
         let points = runs / replicates.max(1);
         if points.saturating_mul(file.at.len() as u64) > MAX_BLOCKS_OF_PLAN as u64 {
-            let first = file
-                .at
-                .iter()
-                .flat_map(|table| table.keys())
-                .map(Spanned::span);
-            let span = first.min_by_key(|span| span.start).unwrap_or(0..0);
+            let span = file.at.first().map_or(0..0, first_span);
             let reason = format!(
                 "{} blocks at {points} points of the grid: the limit is {MAX_BLOCKS_OF_PLAN} in all",
                 file.at.len()
@@ -155,7 +183,8 @@ impl Plan {
             order_every: (every > 0).then_some(every),
             touch: file.measure.touch,
             columns,
-            text: text.to_owned(),
+            files: Files::default(),
+            base,
             points: Vec::new(),
             runs: Vec::new(),
             by_name: Vec::new(),
@@ -168,7 +197,8 @@ impl Plan {
             for index in 0..count(grid.size().unwrap_or(0)) {
                 let choice = grid.choice(source, &common, index)?;
                 let name = choice.name(&varied);
-                plan.add_point((source, &file), grid, &choice, &name)?;
+                let added = plan.add_point((source, &file), grid, &choice, &name);
+                added.map_err(|error| source.in_row(&grid.span, error))?;
                 if let Some(seeds) = &seeds {
                     let first = plan.runs.len() - seeds.len();
                     for (run, &seed) in plan.runs[first..].iter_mut().zip(seeds) {
@@ -177,10 +207,17 @@ impl Plan {
                 }
                 let new = plan.runs.iter().enumerate().rev();
                 for (index, run) in new.take(count(grid.replicates)) {
-                    if names.insert(run.name.clone(), index).is_some() {
-                        let (line, run) = (source.line(&grid.span), run.name.clone());
-                        return Err(PlanError::Repeated { line, run });
+                    if names.insert(run.name.clone(), index).is_none() {
+                        continue;
                     }
+                    let (line, run) = (source.line(&grid.span), run.name.clone());
+                    return Err(match source.points {
+                        Some(_) => {
+                            let reason = format!("duplicate run {run:?}: remove the repeated row");
+                            source.reject(&grid.span, reason)
+                        }
+                        None => PlanError::Repeated { line, run },
+                    });
                 }
             }
         }
@@ -221,8 +258,28 @@ impl Plan {
         }
     }
 
+    /// Returns the blocks of the protocol of `run` with their commands as text.
+    ///
+    /// # Errors
+    ///
+    /// [`PlanError`] if its files are not those of a plan.
+    pub fn blocks(&self, run: &PlannedRun) -> Result<Vec<Block>, PlanError> {
+        let source = Source {
+            toml: &self.files.toml,
+            points: None,
+        };
+        let point = self.point(run);
+        let setting = Setting {
+            spec: &point.spec,
+            informed: point.informed,
+            duration: self.duration,
+            variables: &point.variables,
+        };
+        templates(source, &source.read()?.at, setting)
+    }
+
     /// Returns the number of entries in a run's time series.
-    fn entries(&self, run: &PlannedRun) -> u64 {
+    pub(crate) fn entries(&self, run: &PlannedRun) -> u64 {
         let every = self.order_every;
         every.map_or(0, |every| self.point(run).steps / every + 1)
     }
@@ -236,10 +293,11 @@ impl Plan {
         name: &str,
     ) -> Result<(), PlanError> {
         let reject = |reason: String| source.reject(&grid.span, reason);
-        let Choice { spec, informed, .. } = choice;
+        let Choice { spec, .. } = choice;
+        let informed = self.base.as_ref().map_or(choice.informed, Base::informed);
         if !(1..=MAX_INDIVIDUALS).contains(&spec.n) {
             let reason = format!("n = {} is outside [1, {MAX_INDIVIDUALS}]", spec.n);
-            return Err(reject(reason));
+            return Err(source.reject(&grid.span_of("n"), reason));
         }
         let start =
             spec::from_proto(spec, count(spec.n)).map_err(|error| reject(error.to_string()))?;
@@ -248,9 +306,17 @@ impl Plan {
             PlanError::Run { run, error }
         };
         let parameters = &start.parameters;
-        let weight = if *informed > 0 { parameters.pi2 } else { 0.0 };
-        let checked = parameters.check(weight);
-        checked.map_err(|error| reject_run(error.into()))?;
+        let weight = if informed > 0 { parameters.pi2 } else { 0.0 };
+        match &self.base {
+            Some(base) => {
+                let built = base.simulation(&start, Box::new(|_| Ok(())));
+                built.map_err(reject_run)?;
+            }
+            None => {
+                let checked = parameters.check(weight);
+                checked.map_err(|error| reject_run(error.into()))?;
+            }
+        }
         // A start in the default disc is not checked: it has room.
         if start.start != Start::Disc(None) {
             begin(&start).map_err(reject_run)?;
@@ -262,13 +328,21 @@ impl Plan {
         }
         let setting = Setting {
             spec: &start,
-            informed: *informed,
+            informed: self.base.as_ref().map_or(informed, |_| 0),
             duration: self.duration,
             variables: &choice.variables,
         };
         let protocol = Protocol::resolve(source, &file.at, &file.stop, setting)?;
         let lags = self.columns.measures.iter().map(|it| it.lag(parameters.dt));
         let lag = lags.max().unwrap_or(0);
+        if let Some(from) = file.measure.from.as_ref()
+            && !self.columns.measures.is_empty()
+            && steps_in(self.columns.from, parameters.dt) >= steps
+        {
+            let (time, duration) = (self.columns.from, self.duration);
+            let reason = format!("from = {time} is within the last step: duration = {duration}");
+            return Err(source.reject(&from.span(), reason));
+        }
         check_past(lag, start.n).map_err(|error| {
             let span = file.measure.columns.first().map_or(0..0, Spanned::span);
             source.reject(&span, error.to_string())
@@ -283,7 +357,7 @@ impl Plan {
         }
         self.points.push(Point {
             spec: start,
-            informed: *informed,
+            informed,
             steps,
             variables: choice.variables.clone(),
             protocol,
@@ -292,73 +366,44 @@ impl Plan {
     }
 }
 
-/// Checks the number of blocks and of columns.
-fn check_sizes(source: Source<'_>, file: &File) -> Result<(), PlanError> {
-    if let Some(first) = file.at.get(MAX_BLOCKS) {
-        let span = first.keys().next().map_or(0..0, Spanned::span);
-        return Err(source.reject(&span, format!("a file has at most {MAX_BLOCKS} [[at]]")));
-    }
-    if let Some(first) = file.measure.columns.get(MAX_COLUMNS) {
-        let reason = format!("[measure] has at most {MAX_COLUMNS} columns");
-        return Err(source.reject(&first.span(), reason));
-    }
-    Ok(())
-}
-
-/// Reads the seeds of the runs; none if they are derived.
-fn seeds(source: Source<'_>, file: &File) -> Result<Option<Vec<u64>>, PlanError> {
-    let Some(seeds) = &file.seeds else {
-        return Ok(None);
-    };
-    let first = seeds.first().map_or(0..0, Spanned::span);
-    let grids = file.grid.iter().flat_map(|table| table.keys());
-    let mut of_grids = grids.filter(|key| key.get_ref() == "replicates");
-    let reason = if file.replicates.is_some() || of_grids.next().is_some() {
-        "seeds and replicates exclude each other: leave out replicates"
-    } else if seeds.is_empty() || seeds.len() as u64 > MAX_RUNS {
-        "seeds: give at least one"
-    } else if is_repeated(seeds) {
-        "seeds: a seed is given twice: its runs would be the same"
-    } else {
-        let whole = |seed| source.whole("seeds", Some(seed), 0, [0, LARGEST_WHOLE]);
-        return seeds.iter().map(whole).collect::<Result<_, _>>().map(Some);
-    };
-    Err(source.reject(&first, reason))
-}
-
-fn is_repeated(seeds: &[Spanned<u64>]) -> bool {
-    let mut sorted: Vec<u64> = seeds.iter().map(|seed| *seed.get_ref()).collect();
-    sorted.sort_unstable();
-    sorted.windows(2).any(|pair| pair[0] == pair[1])
-}
-
-/// Reads the chosen columns of `[measure]`.
-fn columns(source: Source<'_>, file: &MeasureTable, duration: f64) -> Result<Columns, PlanError> {
-    let every = source.whole("every", file.every.as_ref(), 1, [1, MAX_STEPS])?;
-    let from = file.from.as_ref().map_or(0.0, |from| *from.get_ref());
-    if let Some(given) = &file.from
-        && !(from >= 0.0 && from < duration)
-    {
-        let reason = format!("from = {from} is outside [0, {duration}), the time of a run");
-        return Err(source.reject(&given.span(), reason));
-    }
-    let mut measures: Vec<Measure> = Vec::new();
-    for name in &file.columns {
-        let reject = |reason: String| source.reject(&name.span(), reason);
-        let measure: Measure = name
-            .get_ref()
-            .parse()
-            .map_err(|error: MeasureError| reject(error.to_string()))?;
-        if measures.contains(&measure) {
-            return Err(reject(format!("{measure} is given twice")));
+/// Reads the CSV that the file names; none if it names none.
+fn points(source: Source<'_>, file: &File, files: &Files) -> Result<Option<Points>, PlanError> {
+    let reason = match (&file.points, &files.points) {
+        (Some(named), Some(text)) if file.grid.is_empty() => {
+            let name = named.get_ref();
+            return Points::read(name, text, source.toml.len() + 1).map(Some);
         }
-        measures.push(measure);
-    }
-    Ok(Columns {
-        measures,
-        from,
-        every,
-    })
+        (Some(_), _) if !file.grid.is_empty() => {
+            "points and [[grid]] exclude each other: leave out one of them"
+        }
+        (Some(_), _) => {
+            "points: the contents of this file are missing: submit the experiment with a client of \
+             this version"
+        }
+        (None, Some(_)) => "a CSV was sent, but the file names none: give points",
+        (None, None) => return Ok(None),
+    };
+    let span = file.points.as_ref().map_or(0..0, Spanned::span);
+    Err(source.reject(&span, reason))
+}
+
+/// Reads the snapshot that the file names; none if it names none.
+fn base(source: Source<'_>, file: &File, files: &Files) -> Result<Option<Base>, PlanError> {
+    let span = file.start.as_ref().map_or(0..0, Spanned::span);
+    let reason = match (&file.start, &files.start) {
+        (Some(named), Some(bytes)) => match Base::read(bytes) {
+            Ok(base) => return Ok(Some(base)),
+            Err(reason) => format!("{}: {reason}", named.get_ref()),
+        },
+        (Some(_), None) => {
+            "start: the contents of this file are missing: submit the experiment with a \
+             client of this version"
+                .to_owned()
+        }
+        (None, Some(_)) => "a snapshot was sent, but the file names none: give start".to_owned(),
+        (None, None) => return Ok(None),
+    };
+    Err(source.reject(&span, reason))
 }
 
 /// Returns the number of runs of all grids; saturates at `u64::MAX`.
@@ -388,273 +433,4 @@ fn derive_seed(seed: u64, name: &str) -> u64 {
 
 #[cfg(test)]
 #[expect(clippy::unwrap_used, reason = "tests")]
-mod tests {
-    use super::*;
-    use jostle_physics::model::ParametersError;
-    use jostle_physics::simulation::ChangeError;
-
-    const HEAD: &str = "name = \"a\"\nduration = 10\n";
-
-    fn plan(rest: &str) -> Plan {
-        Plan::parse(&format!("{HEAD}{rest}")).unwrap()
-    }
-
-    fn error(rest: &str) -> PlanError {
-        Plan::parse(&format!("{HEAD}{rest}")).unwrap_err()
-    }
-
-    /// Returns the line and the reason of a [`PlanError::Field`].
-    fn field_error(rest: &str) -> (usize, String) {
-        match error(rest) {
-            PlanError::Field { line, reason, .. } => (line, reason),
-            other => panic!("{other}"),
-        }
-    }
-
-    fn names(plan: &Plan) -> Vec<&str> {
-        plan.runs().iter().map(|run| run.name.as_str()).collect()
-    }
-
-    #[test]
-    fn the_papers_series_are_planned_under_both_rules() {
-        let files = [
-            (include_str!("../../../paper/series1.toml"), 2 * 4 * 9 * 16),
-            (include_str!("../../../paper/series2.toml"), 2 * 35 * 40),
-            (include_str!("../../../paper/animations.toml"), 2 * 6 * 4),
-        ];
-        for (text, runs) in files {
-            let plan = Plan::parse(text).unwrap();
-            assert_eq!(plan.runs().len(), runs, "{}", plan.name);
-        }
-        let plan = Plan::parse(files[1].0).unwrap();
-        let run = &plan.runs()[plan.runs().len() - 1];
-        assert_eq!(
-            run.name,
-            "pi1=8 n=40 informed_fraction=0.5 contacts=closest dt=0.1 #7"
-        );
-        let point = plan.point(run);
-        assert_eq!((point.informed, point.steps), (20, 10_000));
-        assert_eq!(plan.spec(run).seed, run.seed);
-    }
-
-    #[test]
-    fn without_a_grid_there_is_one_point() {
-        let plan = plan("replicates = 2\n[spec]\nn = 3\n");
-        assert_eq!(names(&plan), ["#0", "#1"]);
-        assert_eq!(plan.point(&plan.runs()[0]).steps, 500);
-    }
-
-    #[test]
-    fn axes_vary_in_one_order_and_grids_follow_each_other() {
-        let both = plan(
-            "replicates = 2\n[[grid]]\nn = [5, 3]\npi1 = [2, 1.5]\n[[grid]]\nreplicates = 1\n\
-             pi3 = 0.5\nn = 4",
-        );
-        let expected = [
-            "pi1=2 pi3=1 n=5 #0",
-            "pi1=2 pi3=1 n=5 #1",
-            "pi1=2 pi3=1 n=3 #0",
-            "pi1=2 pi3=1 n=3 #1",
-            "pi1=1.5 pi3=1 n=5 #0",
-            "pi1=1.5 pi3=1 n=5 #1",
-            "pi1=1.5 pi3=1 n=3 #0",
-            "pi1=1.5 pi3=1 n=3 #1",
-            "pi1=4 pi3=0.5 n=4 #0",
-        ];
-        assert_eq!(names(&both), expected);
-        for (index, run) in both.runs().iter().enumerate() {
-            assert_eq!(both.index(&run.name), Some(index));
-        }
-        assert_eq!(both.index("pi1=2 pi3=1 n=5 #2"), None);
-        // A value that does not vary is that of [spec], or the default.
-        assert_eq!(both.spec(&both.runs()[8]).parameters.pi3, 0.5);
-        let laws = plan(
-            "spec = { n = 9 }\ngrid = [{ attraction = [{ kind = \"all\" }, { kind = \
-             \"topological\", neighbours = 7 }], relinearise = 1, informed = 2 }]",
-        );
-        let expected = [
-            "informed=2 relinearise=1 attraction=all #0",
-            "informed=2 relinearise=1 attraction=topological:7 #0",
-        ];
-        assert_eq!(names(&laws), expected);
-    }
-
-    #[test]
-    fn a_seed_depends_on_the_name_and_the_experiments_seed_alone() {
-        let seeds = |plan: &Plan| -> Vec<(String, u64)> {
-            let runs = plan.runs().iter();
-            runs.map(|run| (run.name.clone(), run.seed)).collect()
-        };
-        let few = seeds(&plan("seed = 7\n[[grid]]\nn = [3]\npi1 = [4]"));
-        // If the derivation of seeds changes, the results of all experiments change.
-        assert_eq!(
-            few,
-            [("pi1=4 n=3 #0".to_owned(), derive_seed(7, "pi1=4 n=3 #0"))]
-        );
-        assert!(few[0].1 <= LARGEST_WHOLE);
-        let many = plan("seed = 7\nreplicates = 3\n[[grid]]\nn = [50, 3]\npi1 = [1.5, 4.0]");
-        assert!(seeds(&many).contains(&few[0]), "more values changed a seed");
-        let other = seeds(&plan("seed = 8\n[[grid]]\nn = [3]\npi1 = [4]"));
-        assert_ne!(few[0].1, other[0].1);
-        let mut distinct: Vec<u64> = many.runs().iter().map(|run| run.seed).collect();
-        distinct.sort_unstable();
-        distinct.dedup();
-        assert_eq!(distinct.len(), many.runs().len());
-    }
-
-    #[test]
-    fn invalid_fields_and_values_are_rejected_with_their_line() {
-        for (rest, line, part) in [
-            ("colour = 1\n", 3, "colour"),
-            ("[spec]\nn = 3\npi5 = 2\n", 5, "pi5"),
-            ("[spec]\nn = 3\npi1 = \"long\"\n", 5, "pi1"),
-            ("[spec]\nseed = 3\n", 4, "seed"),
-            ("[spec]\nstart = { kind = \"ring\" }\n", 4, "ring"),
-            (
-                "[[grid]]\nn = 3\n[[grid]]\nn = 4\n\nspeed = [1, 2]\n",
-                8,
-                "speed",
-            ),
-            ("[[grid]]\nn = [3,\n \"x\"]\n", 4, "n: "),
-            (
-                "[[grid]]\nn = 3\ncontacts = [\"endpoint\"]\n",
-                5,
-                "endpoint",
-            ),
-            ("[[grid]]\nn = []\n", 4, "no value"),
-            ("[[grid]]\nn = 3\nreplicates = 0\n", 5, "replicates = 0"),
-            ("[measure]\norder_each = 3\n", 4, "order_each"),
-            ("[measure]\norder_every = 0\n", 4, "order_every = 0"),
-            ("replicates = -1\n", 3, "-1"),
-            ("seed = 9007199254740992\n", 3, "seed = 9007199254740992"),
-            ("[spec\n", 3, ""),
-            ("[spec]\nn = 10.5\n", 4, "10.5`: give a whole number"),
-            ("[[grid]]\nn = [10.5]\n", 4, "10.5`: give a whole number"),
-            ("replicates = 1.5\n", 3, "1.5`: give a whole number"),
-            ("[spec]\nn = 3\npi1 = \"4\"\n", 5, "\"4\": give a number"),
-            ("[grid]\nn = [3]\n", 3, "write [[grid]]"),
-            ("[at]\ntime = 3\n", 3, "write [[at]]"),
-            ("[[grid]]\npi1 = 3\n", 4, "n is given neither"),
-            ("[[grid]]\nn = 3\ninformed = 4\n", 5, "more than n = 3"),
-            ("[[grid]]\nn = 3\ninformed = -1\n", 5, "informed"),
-            (
-                "[[grid]]\nn = 3\ninformed_fraction = 0.1\n",
-                5,
-                "selects no individual",
-            ),
-            (
-                "[[grid]]\nn = 3\ninformed_fraction = 1.1\n",
-                5,
-                "within [0, 1]",
-            ),
-            ("[[grid]]\nn = 3\ninformed = 1\npi2 = 0\n", 5, "pi2"),
-            (
-                "[[grid]]\ninformed = 1\nn = 3\ninformed_fraction = 0.5\n",
-                4,
-                "exclude each other",
-            ),
-            ("[spec]\nn = 3\nrelinearise = 2\n", 1, "relinearise"),
-        ] {
-            let (at, reason) = field_error(rest);
-            assert!(reason.contains(part), "{rest}: {reason}");
-            assert_eq!(at, line, "{rest}: {reason}");
-        }
-        for head in ["duration = 1", "name = \"a\"", "name = \"A\"\nduration = 1"] {
-            assert!(matches!(
-                Plan::parse(head),
-                Err(PlanError::Field { line: 1, .. })
-            ));
-        }
-        let unnamed = Plan::parse("name = \"\"\nduration = 1").unwrap_err();
-        let unnamed = unnamed.to_string();
-        assert!(
-            unnamed.contains("use 1 to 64 lowercase letters"),
-            "{unnamed}"
-        );
-        assert!(!unnamed.contains('^'), "{unnamed}");
-        for duration in ["0", "-1", "nan", "inf"] {
-            let text = format!("name = \"a\"\nduration = {duration}\nspec = {{ n = 3 }}");
-            assert!(matches!(
-                Plan::parse(&text),
-                Err(PlanError::Field { line: 2, .. })
-            ));
-        }
-    }
-
-    #[test]
-    fn excessive_sizes_are_rejected() {
-        let list = (1..=1000)
-            .map(|k| k.to_string())
-            .collect::<Vec<_>>()
-            .join(", ");
-        let text = format!("[[grid]]\nn = [{list}]\npi3 = [{list}]\npi4 = [{list}]");
-        match error(&text) {
-            PlanError::TooManyRuns { runs } => assert_eq!(runs, 1_000_000_000),
-            other => panic!("{other}"),
-        }
-        assert!(
-            field_error("spec = { n = 1000000000 }")
-                .1
-                .contains("n = 1000000000")
-        );
-        let (_, reason) = field_error("replicates = 1000000000");
-        assert!(reason.contains("replicates"), "{reason}");
-        let (_, reason) = field_error("spec = { n = 2, dt = 1e-12 }");
-        assert!(reason.contains("steps"), "{reason}");
-        let text = "spec = { n = 2, dt = 1e-7 }\nreplicates = 20\nmeasure = { order_every = 1 }";
-        match error(text) {
-            PlanError::TooManyEntries { entries } => assert_eq!(entries, 2_000_000_020),
-            other => panic!("{other}"),
-        }
-    }
-
-    #[test]
-    fn the_parameters_of_a_run_are_checked_with_its_weights() {
-        // dt (1 + h ω) <= 2 r: 0.12 is short enough only without informed individuals.
-        let text = "[spec]\npi1 = 8\n[[grid]]\nn = 10\ndt = 0.12\ninformed = ";
-        plan(&format!("{text}0"));
-        match error(&format!("{text}[0, 1]")) {
-            PlanError::Run {
-                run,
-                error: ChangeError::Parameters(ParametersError::StepTooLong { .. }),
-            } => assert_eq!(run, "n=10 informed=1 dt=0.12 #0"),
-            other => panic!("{other}"),
-        }
-        let start = "[spec]\nn = 2\nstart = { kind = \"given\", x = [0, 9], y = [0, 0], alpha = \
-                     [0, 0] }\n";
-        plan(start);
-        assert!(
-            field_error(&start.replace("n = 2", "n = 3"))
-                .1
-                .contains("n is 3")
-        );
-        let crossed = start.replace("[0, 9]", "[0, 0]");
-        assert!(matches!(error(&crossed), PlanError::Run { .. }));
-    }
-
-    #[test]
-    fn a_repeated_run_is_rejected() {
-        for text in [
-            "[[grid]]\nn = [3, 3.0]",
-            "[[grid]]\nn = [3, 4]\n[[grid]]\nn = 4",
-            "[[grid]]\nn = 4\ninformed = 0\n[[grid]]\nn = [4, 3]\ninformed = [1, 0]",
-        ] {
-            match error(text) {
-                PlanError::Repeated { .. } => {}
-                PlanError::Field { reason, .. } => assert!(reason.contains("3.0"), "{reason}"),
-                other => panic!("{other}"),
-            }
-        }
-    }
-
-    #[test]
-    fn informed_fractions_round_half_up() {
-        let plan = plan("[[grid]]\nn = [10, 5]\ninformed_fraction = [0, 0.1, 0.25, 0.5, 1]");
-        let counts: Vec<usize> = plan
-            .runs()
-            .iter()
-            .map(|run| plan.point(run).informed)
-            .collect();
-        assert_eq!(counts, [0, 1, 3, 5, 10, 0, 1, 1, 3, 5]);
-    }
-}
+mod tests;

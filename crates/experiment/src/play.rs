@@ -41,6 +41,12 @@ pub enum PlayError {
          it a time, or execute the run with `jostle experiment run`"
     )]
     Condition(usize),
+    /// The run starts from a snapshot.
+    #[error(
+        "the run starts from a snapshot with another seed: `jostle restore` creates a swarm from a \
+         snapshot"
+    )]
+    Start,
     /// The values of a ramp are invalid.
     #[error("the [[at]] of line {line}, at step {step}: {reason}")]
     Invalid {
@@ -58,8 +64,12 @@ impl LiveRun {
     ///
     /// # Errors
     ///
-    /// [`PlayError::Condition`] if a block has a condition.
+    /// [`PlayError::Start`] if the file has `start`, [`PlayError::Condition`] if a block has a
+    /// condition.
     pub fn new(plan: &Plan, run: &PlannedRun) -> Result<Self, PlayError> {
+        if plan.base.is_some() {
+            return Err(PlayError::Start);
+        }
         let point = plan.point(run);
         let (dt, steps) = (point.spec.parameters.dt, point.steps);
         let (mut commands, mut draw) = (Vec::new(), INFORMED_BY);

@@ -110,8 +110,14 @@ pub fn execute_run_from(
 
 impl<'a> CurrentRun<'a> {
     fn start(plan: &'a Plan, run: &'a PlannedRun) -> Result<Self, ChangeError> {
-        let mut simulation = Simulation::with_reserve(plan.spec(run), reserve())?;
-        let informed = inform(plan, run, &mut simulation.state)?;
+        let (simulation, informed) = match &plan.base {
+            Some(base) => (base.simulation(&plan.spec(run), reserve())?, 0),
+            None => {
+                let mut simulation = Simulation::with_reserve(plan.spec(run), reserve())?;
+                let informed = inform(plan, run, &mut simulation.state)?;
+                (simulation, informed)
+            }
+        };
         let protocol = plan.point(run).protocol.clone();
         let next_draw = INFORMED_BY + u64::from(informed > 0);
         Ok(Self {
@@ -265,6 +271,9 @@ fn lag(plan: &Plan, run: &PlannedRun) -> u64 {
 ///
 /// [`ChangeError::Start`] if the individuals do not fit in the disc.
 pub fn start(plan: &Plan, run: &PlannedRun) -> Result<State, ChangeError> {
+    if let Some(base) = &plan.base {
+        return Ok(base.simulation(&plan.spec(run), reserve())?.state);
+    }
     let mut state = simulation::begin(&plan.spec(run))?;
     inform(plan, run, &mut state)?;
     Ok(state)

@@ -127,7 +127,8 @@ impl Subset {
             .fold(0.0, f64::max)
     }
 
-    fn points<'a>(&'a self, plan: &'a Plan) -> impl Iterator<Item = &'a Point> {
+    /// Returns the settings of its runs, in the plan's order.
+    pub(crate) fn points<'a>(&'a self, plan: &'a Plan) -> impl Iterator<Item = &'a Point> {
         let runs = self.0.iter().map(|&index| &plan.runs()[index]);
         runs.map(|run| plan.point(run))
     }

@@ -1,10 +1,14 @@
 //! `experiment`: submits, pauses, resumes, cancels and deletes experiments.
 
-use jostle_proto::{ExperimentArgs, ExperimentResult, NodeReply};
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
+use jostle_experiment::Files;
+use jostle_proto::{ExperimentArgs, ExperimentResult, NodeReply, SubmitArgs};
 
 use crate::api::context::{Context, Parsed};
 use crate::convert::commands::{CommandError, check_name};
 use crate::convert::{self, Payload};
+use crate::experiments::ExperimentError;
 
 impl Context {
     pub(super) fn experiment(
@@ -27,7 +31,27 @@ impl Context {
         self.experiment_files.submit(move |experiments| {
             let done = match &args {
                 ExperimentArgs::Submit(args) => {
-                    experiments.submit(args.name.as_deref(), &args.toml)
+                    let SubmitArgs {
+                        toml,
+                        points,
+                        start,
+                        name,
+                    } = args.clone();
+                    match start.map(|it| STANDARD.decode(it)).transpose() {
+                        Ok(start) => {
+                            let files = Files {
+                                toml,
+                                points,
+                                start,
+                            };
+                            experiments.submit(name.as_deref(), files)
+                        }
+                        Err(error) => Err(ExperimentError::Plan {
+                            reason: format!("start is no base64: {error}"),
+                            field: "submit.start",
+                            line: None,
+                        }),
+                    }
                 }
                 ExperimentArgs::Pause(args) => experiments.pause(&args.name).map(|it| (false, it)),
                 ExperimentArgs::Resume(args) => {

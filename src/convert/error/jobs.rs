@@ -29,7 +29,7 @@ impl WireCode for ExperimentError {
 
     fn details(&self) -> Map<String, Value> {
         object(match self {
-            ExperimentError::Plan { line, .. } => json!({"field": "submit.toml", "line": line}),
+            ExperimentError::Plan { line, field, .. } => json!({"field": field, "line": line}),
             ExperimentError::Name(name) => json!({"field": "submit.toml", "value": name}),
             ExperimentError::UnknownRun { run, .. } | ExperimentError::Unfinished { run, .. } => {
                 json!({"field": "run", "value": run})

@@ -12,7 +12,7 @@ pub fn check(data: &[u8]) {
     };
     match Plan::parse(text) {
         Ok(plan) => {
-            assert_eq!(plan.text, text);
+            assert_eq!(plan.files.toml, text);
             let names: BTreeSet<&str> = plan.runs().iter().map(|run| &*run.name).collect();
             assert_eq!(names.len(), plan.runs().len());
             for run in plan.runs() {

@@ -86,6 +86,10 @@ pub struct RunExperimentArguments {
     /// Do not show its progress
     #[arg(long)]
     pub detach: bool,
+    /// Show its conditions, the protocol of its first run, and an estimate of processor time and
+    /// disk space; needs no daemon
+    #[arg(long, conflicts_with = "detach")]
+    pub dry_run: bool,
     #[command(flatten)]
     pub sender: SenderArguments,
 }

@@ -58,6 +58,9 @@ pub async fn execute(arguments: Arguments, output: Output) -> Result<(), Failure
         Verb::Experiment(ExperimentArguments {
             what: Experiment::Plan(arguments),
         }) => return experiment::plan(output, &arguments),
+        Verb::Experiment(ExperimentArguments {
+            what: Experiment::Run(arguments),
+        }) if arguments.dry_run => return experiment::dry_run(output, &arguments),
         Verb::Doctor => return interrupt::either(doctor::doctor(output, global)).await,
         Verb::Record(RecordArguments {
             recover: Some(file),

@@ -9,12 +9,14 @@ from html import escape
 from pathlib import Path
 from typing import Any, Self, SupportsIndex, TypeVar
 
+import msgspec
+
 from ._arguments import check_name, whole
 from ._connect import open_session
 from ._credentials import WhoAmI, read_credentials
 from ._decode import read_reply
 from ._errors import InvalidArgument, JostleError, NotFound, invalid
-from ._experiment import Experiment, Source, to_toml
+from ._experiment import Experiment, Files, Source, read_files
 from ._messages import CreateResult, Reply
 from ._metrics import Metrics
 from ._node import Hello, NodeStatus, Schemas, Swarms, SwarmSummary
@@ -97,8 +99,9 @@ def experiment(
         OSError: The file cannot be read.
         Unavailable: No daemon answers there.
     """
-    text = to_toml(source)
-    return (connect(endpoint) if client is None else client).submit(text, name=name)
+    files = read_files(source)
+    client = connect(endpoint) if client is None else client
+    return client._submit(files, name, None, None)
 
 
 class Client:
@@ -276,11 +279,12 @@ class Client:
 
             client.submit("order.toml").wait().frame()
 
-        Submitting the same text under the same name returns the same experiment, and resumes it if
+        Submitting the same files under the same name returns the same experiment, and resumes it if
         it was cancelled.
 
         Args:
-            source: A file, its text, or a mapping of its fields.
+            source: A file, its text, or a mapping of its fields; `points` and `start` in it are
+                relative to the folder of the file, or to the current folder.
             name: The name of the experiment; None is the one in the file.
             timeout: Seconds it may take; None is the client's.
             request_id: The id of the request, see `Options`; None is a new one.
@@ -290,7 +294,12 @@ class Client:
             InvalidArgument: The experiment is invalid; the message names line and field.
             OSError: The file cannot be read.
         """
-        args: dict[str, Any] = {"toml": to_toml(source)}
+        return self._submit(read_files(source), name, timeout, request_id)
+
+    def _submit(
+        self, files: Files, name: str | None, timeout: float | None, request_id: str | None
+    ) -> Experiment:
+        args: dict[str, Any] = msgspec.to_builtins(files)
         if name is not None:
             args["name"] = check_name("name", name)
         result = self._command(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import time
+import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Self
@@ -36,6 +37,15 @@ if TYPE_CHECKING:
 _POLL_INTERVAL_SECS = 0.5
 # How long a disconnected daemon is waited for: the experiment continues when it is back.
 _RECONNECT_TIMEOUT_SECS = 60.0
+
+EXPERIMENT = "experiment.toml"
+"""The name of an experiment's file in a folder of results."""
+
+POINTS = "experiment.points.csv"
+"""The name of the CSV of its conditions there."""
+
+START = "experiment.start.snapshot"
+"""The name of the snapshot from which its runs start there."""
 
 Source = str | os.PathLike[str] | Mapping[str, Any]
 """An experiment: a file, its text, or a mapping of its fields."""
@@ -200,6 +210,62 @@ class Experiment:
         return self._session.get(key, swarm=None, timeout=timeout)
 
 
+class Files(msgspec.Struct, frozen=True, omit_defaults=True):
+    """The contents of an experiment's files, as the daemon takes them."""
+
+    toml: str
+    points: str | None = None
+    start: bytes | None = None
+
+    def store(self, folder: Path) -> Path:
+        """Writes them into a folder, where `jostled run` finds them; returns the TOML's path."""
+        for name, contents in self._contents().items():
+            if contents is not None:
+                (folder / name).write_bytes(contents)
+        return folder / EXPERIMENT
+
+    def is_stored(self, folder: Path) -> bool:
+        """Whether a folder contains them, and no others."""
+        return all(
+            _bytes_of(folder / name) == contents for name, contents in self._contents().items()
+        )
+
+    def _contents(self) -> dict[str, bytes | None]:
+        points = None if self.points is None else self.points.encode()
+        return {POINTS: points, START: self.start, EXPERIMENT: self.toml.encode()}
+
+
+def read_files(source: Source) -> Files:
+    """The contents of an experiment's file and of those that it names.
+
+    Names are relative to the folder of the file, or to the current one if `source` is no file.
+
+    Raises:
+        InvalidArgument: A field of a mapping has a value that TOML does not have.
+        OSError: A file cannot be read.
+    """
+    toml = to_toml(source)
+    try:
+        fields = tomllib.loads(toml)
+    except tomllib.TOMLDecodeError:
+        # The daemon names the line.
+        return Files(toml)
+    folder, is_copy = Path(), False
+    if not isinstance(source, Mapping) and not (isinstance(source, str) and "\n" in source):
+        folder, is_copy = Path(source).parent, Path(source).name == EXPERIMENT
+
+    def contents(key: str, copy: Path) -> bytes | None:
+        named = fields.get(key)
+        if not isinstance(named, str):
+            return None
+        return (copy if is_copy and copy.is_file() else folder / named).read_bytes()
+
+    points = contents("points", folder / POINTS)
+    # Line breaks stay as they are.
+    text = None if points is None else points.decode()
+    return Files(toml, text, contents("start", folder / START))
+
+
 def to_toml(source: Source) -> str:
     """The text of an experiment's file.
 
@@ -209,8 +275,7 @@ def to_toml(source: Source) -> str:
     """
     if isinstance(source, Mapping):
         try:
-            fields = msgspec.to_builtins(source, str_keys=True, enc_hook=_builtin)
-            return tomli_w.dumps(fields)
+            return _dumps(msgspec.to_builtins(source, str_keys=True, enc_hook=_builtin))
         except (TypeError, ValueError) as error:
             raise invalid(
                 "toml",
@@ -219,6 +284,43 @@ def to_toml(source: Source) -> str:
     if isinstance(source, str) and "\n" in source:
         return source
     return Path(source).read_text(encoding="utf-8")
+
+
+def _bytes_of(file: Path) -> bytes | None:
+    return file.read_bytes() if file.exists() else None
+
+
+def _dumps(fields: dict[str, Any]) -> str:
+    """The text of a mapping, in which the keys of each `[[at]]` keep their order.
+
+    The commands of a block are executed in that order, and `tomli_w` writes tables last.
+    """
+    text = tomli_w.dumps(fields)
+    blocks = fields.get("at")
+    if not isinstance(blocks, list) or not all(isinstance(block, dict) for block in blocks):
+        return text
+    written = tomllib.loads(text).get("at", [])
+    if [list(block) for block in blocks] == [list(block) for block in written]:
+        return text
+    lines = [tomli_w.dumps({key: value for key, value in fields.items() if key != "at"})]
+    for block in blocks:
+        lines.append("\n[[at]]\n")
+        lines += [f"{_key(key)} = {_inline(value)}\n" for key, value in block.items()]
+    return "".join(lines)
+
+
+def _inline(value: Any) -> str:
+    """A value in one line of TOML."""
+    if isinstance(value, dict):
+        entries = ", ".join(f"{_key(key)} = {_inline(it)}" for key, it in value.items())
+        return f"{{ {entries} }}" if entries else "{}"
+    if isinstance(value, list):
+        return f"[{', '.join(map(_inline, value))}]"
+    return tomli_w.dumps({"v": value}).removeprefix("v = ").rstrip("\n")
+
+
+def _key(key: str) -> str:
+    return tomli_w.dumps({key: 0}).removesuffix(" = 0\n")
 
 
 def _builtin(value: Any) -> Any:

@@ -16,10 +16,13 @@ import msgspec
 from . import _program
 from ._atomic_file import atomic_file
 from ._errors import Conflict, Faulted
+from ._experiment import EXPERIMENT, POINTS, START, Files
 from ._watchdog import with_watchdog
 
 # The files that a task returns. Its tables are left out: merging writes them.
-FILES = ("experiment.toml", "runs.jsonl")
+FILES = (EXPERIMENT, "runs.jsonl")
+# Those that only some experiments have.
+OPTIONAL_FILES = (POINTS, START)
 _ERROR_LINES = 20
 
 
@@ -55,12 +58,12 @@ class Processes:
 
 
 def run_part(
-    toml: str, runs: str, jostled: str | None, processes: Processes | None = None
+    files: Files, runs: str, jostled: str | None, processes: Processes | None = None
 ) -> bytes:
     """Executes runs of an experiment on one core, in a temporary folder of this machine.
 
     Args:
-        toml: The text of the experiment's file.
+        files: The experiment's files.
         runs: The numbers of the runs, such as `17,18,40-60`.
         jostled: Path of `jostled` on this machine; None searches as `jostle.local` does.
         processes: Where to add the program while it runs.
@@ -74,7 +77,7 @@ def run_part(
         Unavailable: There is no program.
     """
     try:
-        return _run(toml, runs, jostled, processes)
+        return _run(files, runs, jostled, processes)
     except OSError as error:
         remedy = ""
         if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES):
@@ -87,11 +90,10 @@ def _failed(runs: str, why: str) -> Faulted:
     return Faulted(f"runs {runs} on {host}: {why}", details={"runs": runs, "host": host})
 
 
-def _run(toml: str, runs: str, jostled: str | None, processes: Processes | None) -> bytes:
+def _run(files: Files, runs: str, jostled: str | None, processes: Processes | None) -> bytes:
     program = _program.find(jostled)
     with tempfile.TemporaryDirectory(prefix="jostle-part-", ignore_cleanup_errors=True) as folder:
-        file = Path(folder, "experiment.toml")
-        file.write_text(toml, encoding="utf-8")
+        file = files.store(Path(folder))
         part = Path(folder, "part")
         command = [program, "run", str(file), "--runs", runs, "--threads", "1", "--json"]
         code, errors = _call([*command, "-o", str(part)], folder, processes)
@@ -100,8 +102,9 @@ def _run(toml: str, runs: str, jostled: str | None, processes: Processes | None)
             raise _failed(runs, f"`jostled run` {_ending(code)}: " + "\n".join(lines))
         archive = io.BytesIO()
         with tarfile.open(fileobj=archive, mode="w:gz", compresslevel=1) as tar:
-            for name in FILES:
-                tar.add(part / name, arcname=name)
+            for name in (*FILES, *OPTIONAL_FILES):
+                if name in FILES or (part / name).exists():
+                    tar.add(part / name, arcname=name)
         return archive.getvalue()
 
 
@@ -159,8 +162,11 @@ def unpack(archive: bytes, folder: Path, runs: str, model_version: int) -> None:
         Conflict: The worker has another version of jostle or of the model.
     """
     with tarfile.open(fileobj=io.BytesIO(archive)) as tar:
-        for name in FILES:
-            member = tar.extractfile(name) if name in tar.getnames() else None
+        names = tar.getnames()
+        for name in (*FILES, *OPTIONAL_FILES):
+            member = tar.extractfile(name) if name in names else None
+            if member is None and name in OPTIONAL_FILES:
+                continue
             if member is None:
                 raise Conflict(
                     f"the result of runs {runs} has no {name}: install the same version of "

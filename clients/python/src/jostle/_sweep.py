@@ -27,7 +27,7 @@ from ._errors import (
     Unavailable,
     invalid,
 )
-from ._experiment import Source, to_toml
+from ._experiment import EXPERIMENT, Source, read_files
 from ._extras import import_extra
 from ._plan import Programs, Task
 from ._progress import Bar
@@ -138,7 +138,7 @@ class Sweep:
         jostled: str | os.PathLike[str] | None,
     ) -> None:
         self._source = source
-        self._toml = to_toml(source)
+        self._files = read_files(source)
         self._executor = executor
         self._jostled = None if jostled is None else os.fspath(jostled)
         self._programs = Programs(self._jostled)
@@ -253,15 +253,14 @@ class Sweep:
                 self._read(self._folder)
                 self._end_merged()
                 return
-        file = self._parts / "experiment.toml"
         done = self._done()
-        if done and not (file.exists() and file.read_bytes() == self._toml.encode()):
+        if done and not self._files.is_stored(self._parts):
             raise IncorrectState(
                 f"{self._parts} contains parts of another experiment: remove it, or choose another "
                 "folder",
                 details={"field": "folder"},
             )
-        file.write_bytes(self._toml.encode())
+        file = self._files.store(self._parts)
         for draft in self._parts.glob(".*"):
             # A part that was being written when an earlier sweep was killed.
             shutil.rmtree(draft, ignore_errors=True)
@@ -280,13 +279,13 @@ class Sweep:
 
     def _check_merged(self) -> None:
         """Checks that the folder has all results of this experiment."""
-        file = self._folder / "experiment.toml"
         # As `jostled run` compares them.
-        if not file.exists() or file.read_bytes() != self._toml.encode():
+        if not self._files.is_stored(self._folder):
             raise IncorrectState(
                 f"{self._folder} contains another experiment or other files: choose another folder",
                 details={"field": "folder"},
             )
+        file = self._folder / EXPERIMENT
         if self._programs.plan(file, 1e9, self._folder):
             raise IncorrectState(
                 f"{self._folder} contains an unfinished experiment: finish it with `jostled run "
@@ -337,7 +336,7 @@ class Sweep:
 
         self._open.callback(_ignore_errors, cancel)
         for task in self._planned:
-            tasks[executor.submit(_part.run_part, self._toml, task.runs, *arguments)] = task
+            tasks[executor.submit(_part.run_part, self._files, task.runs, *arguments)] = task
         return tasks
 
     def _results(self) -> Iterator[list[ResultRow]]:

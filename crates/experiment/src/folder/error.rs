@@ -7,7 +7,7 @@ use jostle_physics::model::MODEL_VERSION;
 use jostle_results::table::TableError;
 use thiserror::Error;
 
-use super::EXPERIMENT;
+use crate::files::{EXPERIMENT, FilesError};
 
 /// Why a folder cannot be used.
 #[derive(Debug, Error)]
@@ -95,6 +95,12 @@ pub enum FolderError {
         /// What is wrong.
         reason: String,
     },
+}
+
+impl From<FilesError> for FolderError {
+    fn from(FilesError { path, source }: FilesError) -> Self {
+        Self::Io { path, source }
+    }
 }
 
 /// Returns the error of a system call on `path`.

@@ -8,9 +8,10 @@ use std::path::{Path, PathBuf};
 use rustix::fs::{FlockOperation, flock};
 use rustix::io::Errno;
 
+use super::LOCK;
 use super::error::{FolderError, io_error};
 use super::list::{Entry, Line, RUNS, parse_runs, read_or_empty, read_series, to_line, to_range};
-use super::{EXPERIMENT, LOCK};
+use crate::files::{EXPERIMENT, Files};
 use crate::plan::Plan;
 use crate::run::FinishedRun;
 
@@ -29,18 +30,19 @@ impl Part {
             .any(|name| folder.join(name).exists())
     }
 
-    /// Reads the text of the experiment's file of a folder.
+    /// Reads the experiment's files of a folder.
     ///
     /// # Errors
     ///
     /// [`FolderError`].
-    pub fn text(folder: &Path) -> Result<String, FolderError> {
-        let path = folder.join(EXPERIMENT);
-        fs::read_to_string(&path).map_err(|source| match source.kind() {
-            io::ErrorKind::NotFound if folder.is_dir() => FolderError::NoResults {
-                folder: folder.to_owned(),
-            },
-            _ => io_error(&path, source),
+    pub fn files(folder: &Path) -> Result<Files, FolderError> {
+        Files::stored(folder).map_err(|error| match error.source.kind() {
+            io::ErrorKind::NotFound if folder.is_dir() && !folder.join(EXPERIMENT).exists() => {
+                FolderError::NoResults {
+                    folder: folder.to_owned(),
+                }
+            }
+            _ => error.into(),
         })
     }
 

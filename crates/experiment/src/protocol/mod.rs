@@ -4,20 +4,23 @@
 //! `[[at]]` blocks are checked for each condition of the plan ([`Protocol::resolve`]), with the
 //! values of its variables, and executed between steps ([`ProtocolRun`]).
 
+mod arguments;
 mod block;
+mod check;
 mod execute;
+mod resolve;
 mod setting;
 mod variables;
 
 use std::sync::Arc;
 
 use jostle_measures::check_past;
-use jostle_physics::simulation::{Simulation, Spec, Start};
 use toml::Spanned;
 
-use self::block::Resolver;
 pub use self::block::{Block, Trigger};
 pub use self::execute::{Boundary, ProtocolProgress, ProtocolRun};
+use self::resolve::Resolver;
+pub use self::resolve::first_span;
 pub use self::setting::Setting;
 pub use self::variables::{Variables, used};
 use crate::error::PlanError;
@@ -46,7 +49,7 @@ impl Protocol {
     /// that no swarm of the spec accepts, or a time after the end.
     pub fn resolve(
         source: Source<'_>,
-        blocks: &[Table],
+        blocks: &[Spanned<Table>],
         stop: &Table,
         setting: Setting<'_>,
     ) -> Result<Option<Arc<Self>>, PlanError> {
@@ -59,7 +62,7 @@ impl Protocol {
             protocol.blocks.push(resolver.block(table)?);
         }
         protocol.stop = resolver.stop(stop)?;
-        resolver.check(&protocol.blocks, blocks, &checker(setting))?;
+        resolver.check(&protocol.blocks, blocks)?;
         let dt = setting.spec.parameters.dt;
         let triggers = protocol.blocks.iter().filter_map(Block::trigger);
         let lags = triggers
@@ -67,7 +70,8 @@ impl Protocol {
             .map(|it| it.condition.lag(dt));
         protocol.lag = lags.max().unwrap_or(0);
         check_past(protocol.lag, setting.spec.n).map_err(|error| {
-            let mut keys = blocks.iter().chain([stop]).flat_map(|table| table.keys());
+            let tables = blocks.iter().map(Spanned::get_ref).chain([stop]);
+            let mut keys = tables.flat_map(|table| table.keys());
             let when = keys.find(|key| key.get_ref() == "when");
             let span = when.map_or(0..0, Spanned::span);
             source.reject(&span, error.to_string())
@@ -76,19 +80,21 @@ impl Protocol {
     }
 }
 
-/// Returns a swarm of one individual that checks the numbers of changes.
-fn checker(setting: Setting<'_>) -> Option<Simulation> {
-    let spec = Spec {
-        n: 1,
-        start: Start::Disc(None),
-        ..setting.spec.clone()
-    };
-    let mut simulation = Simulation::new(&spec).ok()?;
-    if setting.informed > 0 {
-        let weight = simulation.state.parameters.pi2;
-        simulation.state.configuration.inform(0, weight, 0.0, None);
-    }
-    Some(simulation)
+/// Reads the blocks of a file with their commands as text; see [`Block::commands`].
+///
+/// # Errors
+///
+/// As [`Protocol::resolve`].
+pub fn templates(
+    source: Source<'_>,
+    blocks: &[Spanned<Table>],
+    setting: Setting<'_>,
+) -> Result<Vec<Block>, PlanError> {
+    let resolver = Resolver { source, setting };
+    blocks
+        .iter()
+        .map(|table| resolver.template(table))
+        .collect()
 }
 
 #[cfg(test)]

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use toml::Value;
 
-use crate::file::Table;
+use crate::file::{Table, is_of_name};
 
 /// The values of the variables of one condition of a plan, by name.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -66,8 +66,8 @@ fn collect(value: &Value, names: &mut BTreeSet<String>) {
     match value {
         // A condition can contain several.
         Value::String(text) => names.extend(text.split('$').skip(1).map(|rest| {
-            let is_of_name = |it: &char| it.is_ascii_alphanumeric() || *it == '_';
-            rest.chars().take_while(is_of_name).collect::<String>()
+            let name = rest.chars().take_while(|&it| is_of_name(it));
+            name.collect::<String>()
         })),
         Value::Array(items) => items.iter().for_each(|item| collect(item, names)),
         Value::Table(entries) => entries.values().for_each(|item| collect(item, names)),

@@ -6,7 +6,7 @@ use thiserror::Error;
 
 pub use super::body::Pose;
 use super::body::{Body, pose};
-use super::parameters::{check_coordinate, check_weight};
+use super::parameters::{check_coordinate, check_finite, check_weight};
 use super::random::{Purpose, Stream};
 use super::start::draw_in_disc;
 use super::{CELL, Configuration, Parameters, ParametersError};
@@ -98,12 +98,12 @@ pub fn at(
     lapses_at: Option<u64>,
 ) -> Result<Vec<u32>, InjectionError> {
     check(parameters, configuration, poses.len(), weight, direction)?;
+    check_poses(poses)?;
     let body = Body::new(parameters);
     let mut placed = Vec::with_capacity(poses.len());
     let mut others = all_poses(configuration);
     for (index, given) in poses.iter().enumerate() {
-        let [x, y] = check_coordinate("alpha", given.alpha)
-            .and_then(|()| relative(configuration, ["x", "y"], [given.x, given.y]))
+        let [x, y] = relative(configuration, ["x", "y"], [given.x, given.y])
             .map_err(|error| InjectionError::Pose { index, error })?;
         let pose = Pose {
             x,
@@ -167,7 +167,7 @@ pub fn within(
     draw: Draw,
 ) -> Result<Vec<u32>, InjectionError> {
     check(parameters, configuration, count, weight, direction)?;
-    check_radius("within.radius", region.radius)?;
+    check_region(region)?;
     let [x, y] = relative(
         configuration,
         ["within.x", "within.y"],
@@ -200,6 +200,33 @@ pub fn within(
         placed.push(pose);
     }
     Ok(add(configuration, &placed, weight, direction, None))
+}
+
+/// Checks the numbers of poses that no swarm accepts, whatever its individuals are.
+///
+/// # Errors
+///
+/// [`InjectionError::Pose`] with the first pose.
+pub fn check_poses(poses: &[Pose]) -> Result<(), InjectionError> {
+    for (index, pose) in poses.iter().enumerate() {
+        check_coordinate("alpha", pose.alpha)
+            .and_then(|()| check_finite("x", pose.x))
+            .and_then(|()| check_finite("y", pose.y))
+            .map_err(|error| InjectionError::Pose { index, error })?;
+    }
+    Ok(())
+}
+
+/// Checks the numbers of a region that no swarm accepts, whatever its individuals are.
+///
+/// # Errors
+///
+/// [`InjectionError::Parameters`].
+pub fn check_region(region: Region) -> Result<(), InjectionError> {
+    check_radius("within.radius", region.radius)?;
+    check_finite("within.x", region.x)?;
+    check_finite("within.y", region.y)?;
+    Ok(())
 }
 
 /// Checks a region's radius.

@@ -354,5 +354,21 @@ pub fn check_coordinate(field: &'static str, value: f64) -> Result<(), Parameter
     })
 }
 
+/// Checks a number that only has to be finite.
+///
+/// # Errors
+///
+/// [`ParametersError::OutOfRange`] with `field`, if it is infinite or not a number.
+pub fn check_finite(field: &'static str, value: f64) -> Result<(), ParametersError> {
+    if value.is_finite() {
+        return Ok(());
+    }
+    Err(ParametersError::OutOfRange {
+        field,
+        value,
+        range: "the finite numbers",
+    })
+}
+
 #[cfg(test)]
 mod tests;

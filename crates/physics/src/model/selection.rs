@@ -3,7 +3,7 @@
 use thiserror::Error;
 
 use super::injection::check_radius;
-use super::parameters::check_coordinate;
+use super::parameters::{check_coordinate, check_finite};
 use super::random::{Purpose, Stream};
 use super::{Configuration, ParametersError};
 use crate::plural::counted;
@@ -112,6 +112,34 @@ fn unknown(id: u32, candidates: usize, among: Candidates) -> String {
     }
 }
 
+impl Selection {
+    /// Checks the numbers of a rule that no swarm accepts, whatever its individuals are.
+    ///
+    /// # Errors
+    ///
+    /// [`SelectionError::Number`] and [`SelectionError::RepeatedId`].
+    pub fn check(&self) -> Result<(), SelectionError> {
+        match *self {
+            Selection::Count(_) | Selection::Informed(_) => {}
+            Selection::Ids(ref ids) => {
+                let mut sorted = ids.clone();
+                sorted.sort_unstable();
+                if let Some(pair) = sorted.windows(2).find(|pair| pair[0] == pair[1]) {
+                    return Err(SelectionError::RepeatedId { id: pair[0] });
+                }
+            }
+            Selection::Fraction(fraction) => share(0, fraction).map(drop)?,
+            Selection::Within { x, y, radius } => {
+                check_finite("select.within.x", x)?;
+                check_finite("select.within.y", y)?;
+                check_radius("select.within.radius", radius)?;
+            }
+            Selection::Foremost { along, .. } => check_coordinate("select.foremost.along", along)?,
+        }
+        Ok(())
+    }
+}
+
 /// Selects individuals and returns their indices in ascending order.
 ///
 /// Draws are keyed by the swarm's seed and the command's number `seq`.
@@ -126,6 +154,7 @@ pub fn select(
     seed: u64,
     seq: u64,
 ) -> Result<Vec<usize>, SelectionError> {
+    selection.check()?;
     let mut pool: Vec<usize> = (0..configuration.n())
         .filter(|&k| candidates == Candidates::All || configuration.weight[k] > 0.0)
         .collect();
@@ -150,9 +179,6 @@ pub fn select(
         }
         Selection::Within { x, y, radius } => {
             let centre = configuration.relative([x, y]);
-            check_finite("select.within.x", x)?;
-            check_finite("select.within.y", y)?;
-            check_radius("select.within.radius", radius)?;
             pool.retain(|&k| {
                 let (dx, dy) = (
                     configuration.x[k] - centre[0],
@@ -165,7 +191,6 @@ pub fn select(
             pool.retain(|&k| (configuration.weight[k] > 0.0) == is_informed);
         }
         Selection::Foremost { count, along } => {
-            check_coordinate("select.foremost.along", along)?;
             let count = check_count("select.foremost.count", count)?;
             let (sin, cos) = libm::sincos(along);
             let lead = |k: usize| configuration.x[k] * cos + configuration.y[k] * sin;
@@ -186,9 +211,6 @@ fn by_id(
 ) -> Result<Vec<usize>, SelectionError> {
     let mut sorted = ids.to_vec();
     sorted.sort_unstable();
-    if let Some(pair) = sorted.windows(2).find(|pair| pair[0] == pair[1]) {
-        return Err(SelectionError::RepeatedId { id: pair[0] });
-    }
     let find = |id: &u32| {
         pool.binary_search_by(|&k| configuration.id[k].cmp(id))
             .map(|place| pool[place])
@@ -234,17 +256,6 @@ fn draw(pool: &mut Vec<usize>, count: usize, seed: u64, seq: u64) {
         pool.swap(k, k + stream.below(left) as usize);
     }
     pool.truncate(count);
-}
-
-fn check_finite(field: &'static str, value: f64) -> Result<(), ParametersError> {
-    if value.is_finite() {
-        return Ok(());
-    }
-    Err(ParametersError::OutOfRange {
-        field,
-        value,
-        range: "the finite numbers",
-    })
 }
 
 #[cfg(test)]

@@ -2,10 +2,10 @@
 //! outcomes.
 
 use crate::model::Drive;
-use crate::model::injection::{Pose, Region};
+use crate::model::injection::{self, Pose, Region};
 use crate::model::parameters::{Attraction, ContactRule, Parameters, Stepping};
 use crate::model::selection::Selection;
-use crate::simulation::error::ReserveError;
+use crate::simulation::error::{ChangeError, ReserveError};
 
 /// Time units per second of wall clock; `None` is the highest possible rate.
 pub type Rate = Option<f64>;
@@ -98,6 +98,27 @@ impl Change {
             weight: None,
             for_time: None,
         }
+    }
+
+    /// Checks the numbers of its selection and its poses that no swarm accepts, whatever its
+    /// individuals and its parameters are.
+    ///
+    /// # Errors
+    ///
+    /// [`ChangeError::Selection`] and [`ChangeError::Injection`].
+    pub fn check(&self) -> Result<(), ChangeError> {
+        match self {
+            Change::Inform { selection, .. }
+            | Change::Uninform(selection)
+            | Change::Remove(selection) => selection.check()?,
+            Change::Inject { place, .. } => match place {
+                Placement::At(poses) => injection::check_poses(poses)?,
+                Placement::Within(_, region) => injection::check_region(*region)?,
+                Placement::Border(_) => {}
+            },
+            Change::Set(_) => {}
+        }
+        Ok(())
     }
 
     /// Returns the kind of this change.

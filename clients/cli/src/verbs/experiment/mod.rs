@@ -8,7 +8,12 @@ mod slurm;
 
 pub use self::plan::plan;
 
+use std::path::Path;
+
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
 use jostle_client::Payload;
+use jostle_experiment::{DryRun, Files, Plan, PlanError, Subset};
 use jostle_proto::{
     ExperimentArgs, ExperimentName, ExperimentPhase, ExperimentResult, Experiments, NodeReply,
     Progress, SubmitArgs,
@@ -20,6 +25,7 @@ use crate::failure::Failure;
 use crate::file;
 use crate::format;
 use crate::interrupt;
+use crate::output::Output;
 use crate::table::Column;
 
 pub async fn experiment(context: &Context, what: &Experiment) -> Result<(), Failure> {
@@ -64,7 +70,11 @@ async fn execute(context: &Context, what: &Experiment) -> Result<(), Failure> {
 /// Submits an experiment and shows its progress.
 async fn run(context: &Context, arguments: &RunExperimentArguments) -> Result<(), Failure> {
     let Context { client, output } = context;
-    let toml = file::read(&arguments.file).map_err(|problem| {
+    let Files {
+        toml,
+        points,
+        start,
+    } = read(&arguments.file).map_err(|problem| {
         Failure::argument(
             "FILE",
             format!(
@@ -75,6 +85,8 @@ async fn run(context: &Context, arguments: &RunExperimentArguments) -> Result<()
     })?;
     let args = ExperimentArgs::Submit(SubmitArgs {
         toml,
+        points,
+        start: start.map(|bytes| STANDARD.encode(bytes)),
         name: arguments.name.clone(),
     });
     let sent = client.command_node("experiment", &args, &arguments.sender);
@@ -87,6 +99,21 @@ async fn run(context: &Context, arguments: &RunExperimentArguments) -> Result<()
         output.note(&submitted(&reply));
     }
     attach::attach(context, &reply.result.progress.name).await
+}
+
+/// Reads an experiment's file, or standard input for `-`, and the files that it names.
+fn read(path: &Path) -> Result<Files, String> {
+    let toml = file::read(path)?;
+    Files::with_named(toml, path).map_err(|error| error.to_string())
+}
+
+/// Shows what an experiment would do. Needs no daemon.
+pub fn dry_run(output: Output, arguments: &RunExperimentArguments) -> Result<(), Failure> {
+    let files = read(&arguments.file).map_err(|problem| Failure::argument("FILE", problem))?;
+    let of_file = |error: PlanError| Failure::argument(arguments.file.display(), error.to_string());
+    let plan = Plan::of(files).map_err(of_file)?;
+    let dry_run = DryRun::of(&plan, &Subset::all(&plan)).map_err(of_file)?;
+    output.print(&dry_run, &dry_run.to_string())
 }
 
 async fn list(context: &Context) -> Result<(), Failure> {

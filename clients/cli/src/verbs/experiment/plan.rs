@@ -9,7 +9,6 @@ use serde_json::{Value, json};
 use super::slurm::{self, Part};
 use crate::arguments::{Emit, PlanArguments};
 use crate::failure::Failure;
-use crate::file;
 use crate::format;
 use crate::output::Output;
 use crate::table::table;
@@ -20,8 +19,9 @@ const MAX_RUNS_OF_LIST: usize = 10_000;
 
 /// Prints how an experiment is split.
 pub fn plan(output: Output, arguments: &PlanArguments) -> Result<(), Failure> {
-    let text = file::read(&arguments.file).map_err(|problem| Failure::argument("FILE", problem))?;
-    let plan = Plan::parse(&text)
+    let files =
+        super::read(&arguments.file).map_err(|problem| Failure::argument("FILE", problem))?;
+    let plan = Plan::of(files)
         .map_err(|error| Failure::argument(arguments.file.display(), error.to_string()))?;
     let left = match arguments.missing.as_slice() {
         [] => Subset::all(&plan),

@@ -9,16 +9,16 @@ use serde_json::json;
 use crate::arguments::PlayArguments;
 use crate::context::Context;
 use crate::failure::Failure;
-use crate::file;
 use crate::format;
 use crate::suggest::did_you_mean;
 
 /// Creates the swarm of a run, paused, and schedules its commands.
 pub async fn play(context: &Context, arguments: &PlayArguments) -> Result<(), Failure> {
     let Context { client, output } = context;
-    let text = file::read(&arguments.file).map_err(|problem| Failure::argument("FILE", problem))?;
+    let files =
+        super::read(&arguments.file).map_err(|problem| Failure::argument("FILE", problem))?;
     let wrong = |error: String| Failure::argument(arguments.file.display(), error);
-    let plan = Plan::parse(&text).map_err(|error| wrong(error.to_string()))?;
+    let plan = Plan::of(files).map_err(|error| wrong(error.to_string()))?;
     let run = find(&plan, arguments.run.as_deref())?;
     let live = LiveRun::new(&plan, run).map_err(|error| wrong(error.to_string()))?;
     let swarm = arguments.swarm.as_deref().unwrap_or(&plan.name);

@@ -209,6 +209,7 @@ pub fn local() -> Vec<Row> {
         row("man -o {}/manual", &[]).writes("manual/jostle-run.1"),
         row("figure <kind>2 <of>{}/results --out {}/two.svg", &[]).writes("two.svg"),
         row("experiment plan <file>{}/grid.toml", &[]).says("1/1"),
+        row("experiment run <file>{}/grid.toml --dry-run", &[]).says("1 condition, 2 runs"),
         row(
             "experiment plan <file>{}/grid.toml --parts 2 --emit slurm --out {}/parts",
             &[],

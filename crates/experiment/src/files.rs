@@ -1,0 +1,162 @@
+//! The files that an experiment consists of: its TOML, and the files that this names.
+//!
+//! A client reads them and sends their contents; a daemon never reads a path of a client. The folder
+//! of an experiment's results has copies of them, under names of their own.
+
+use std::borrow::Cow;
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use serde::Deserialize;
+use thiserror::Error;
+
+/// The name of the TOML in the folder of results.
+pub const EXPERIMENT: &str = "experiment.toml";
+
+/// The name of the copy of the file of `points` there.
+pub const POINTS: &str = "experiment.points.csv";
+
+/// The name of the copy of the snapshot of `start` there.
+pub const START: &str = "experiment.start.snapshot";
+
+/// The contents of an experiment's files. Equal contents are the same experiment.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Files {
+    /// The text of the TOML.
+    pub toml: String,
+    /// The text of the CSV that `points` names.
+    pub points: Option<String>,
+    /// The contents of the snapshot that `start` names.
+    pub start: Option<Vec<u8>>,
+}
+
+/// Why a file cannot be read.
+#[derive(Debug, Error)]
+#[error("failed to read {}: {source}", path.display())]
+pub struct FilesError {
+    /// The file.
+    pub path: PathBuf,
+    /// The system's error.
+    pub source: io::Error,
+}
+
+/// The names of files in a TOML.
+#[derive(Default, Deserialize)]
+struct Named {
+    points: Option<String>,
+    start: Option<String>,
+}
+
+impl Named {
+    /// Returns the names; none if the TOML is invalid, which the plan reports.
+    fn of(toml: &str) -> Self {
+        toml::from_str(toml).unwrap_or_default()
+    }
+}
+
+impl From<&str> for Files {
+    fn from(toml: &str) -> Self {
+        Self {
+            toml: toml.to_owned(),
+            ..Self::default()
+        }
+    }
+}
+
+impl Files {
+    /// Reads the TOML at `path` and the files that it names, relative to its folder.
+    ///
+    /// # Errors
+    ///
+    /// [`FilesError`].
+    pub fn read(path: &Path) -> Result<Self, FilesError> {
+        Self::with_named(read_text(path)?, path)
+    }
+
+    /// Adds the files that `toml` names, relative to the folder of `path`, from which it was read. If
+    /// that is in a folder of results, its copies are read.
+    ///
+    /// # Errors
+    ///
+    /// [`FilesError`].
+    pub fn with_named(toml: String, path: &Path) -> Result<Self, FilesError> {
+        let folder = path.parent().unwrap_or(Path::new(""));
+        let is_copy = path.file_name().is_some_and(|name| name == EXPERIMENT);
+        let place = |named: &str, copy: &str| {
+            let copy = folder.join(copy);
+            match is_copy && copy.is_file() {
+                true => copy,
+                false => folder.join(named),
+            }
+        };
+        let named = Named::of(&toml);
+        let points = named.points.map(|it| read_text(&place(&it, POINTS)));
+        let start = named.start.map(|it| read(&place(&it, START)));
+        Ok(Self {
+            points: points.transpose()?,
+            start: start.transpose()?,
+            toml,
+        })
+    }
+
+    /// Reads the copies in a folder of results.
+    ///
+    /// # Errors
+    ///
+    /// [`FilesError`].
+    pub fn stored(folder: &Path) -> Result<Self, FilesError> {
+        let toml = read_text(&folder.join(EXPERIMENT))?;
+        let named = Named::of(&toml);
+        let points = named.points.map(|_| read_text(&folder.join(POINTS)));
+        let start = named.start.map(|_| read(&folder.join(START)));
+        Ok(Self {
+            points: points.transpose()?,
+            start: start.transpose()?,
+            toml,
+        })
+    }
+
+    /// Writes the copies in a folder of results. The TOML is the last: with it they are complete.
+    ///
+    /// # Errors
+    ///
+    /// [`FilesError`].
+    pub fn store(&self, folder: &Path) -> Result<(), FilesError> {
+        let points = self.points.as_deref().map(str::as_bytes);
+        let copies = [
+            (POINTS, points),
+            (START, self.start.as_deref()),
+            (EXPERIMENT, Some(self.toml.as_bytes())),
+        ];
+        for (name, contents) in copies {
+            let path = folder.join(name);
+            if let Some(contents) = contents {
+                jostle_atomic_file::write(&path, contents)
+                    .map_err(|source| FilesError { path, source })?;
+            }
+        }
+        Ok(())
+    }
+}
+
+fn read(path: &Path) -> Result<Vec<u8>, FilesError> {
+    fs::read(path).map_err(|source| FilesError {
+        path: path.to_owned(),
+        source,
+    })
+}
+
+fn read_text(path: &Path) -> Result<String, FilesError> {
+    let bytes = read(path)?;
+    match String::from_utf8_lossy(&bytes) {
+        Cow::Borrowed(text) => Ok(text.to_owned()),
+        Cow::Owned(_) => Err(FilesError {
+            path: path.to_owned(),
+            source: io::Error::new(
+                io::ErrorKind::InvalidData,
+                "it is not UTF-8: save it as UTF-8",
+            ),
+        }),
+    }
+}

@@ -1,0 +1,134 @@
+//! The state of a snapshot, from which every run starts.
+
+use std::sync::Arc;
+
+use jostle_convert::{snapshot, spec};
+use jostle_physics::model::{Parameters, State};
+use jostle_physics::observables::RunningMeans;
+use jostle_physics::simulation::{
+    Change, ChangeError, Checkpoint, Exactness, ReserveMemory, Settings, Simulation, Spec, Start,
+};
+use jostle_proto::Snapshot;
+
+use crate::limits::MAX_INDIVIDUALS;
+
+/// The axes that a snapshot determines.
+pub const FIXED: [&str; 5] = ["n", "pi1", "dt", "informed", "informed_fraction"];
+
+/// The start of every run of a plan: the state in a snapshot, at step 0.
+#[derive(Clone, Debug)]
+pub struct Base(Arc<Checkpoint>);
+
+impl PartialEq for Base {
+    fn eq(&self, other: &Self) -> bool {
+        self.0.state.hash() == other.0.state.hash()
+    }
+}
+
+impl Base {
+    /// Reads the contents of a snapshot file.
+    ///
+    /// # Errors
+    ///
+    /// The reason if it is damaged, of another version, or no run can start from it.
+    pub fn read(bytes: &[u8]) -> Result<Self, String> {
+        let sent = Snapshot::from_file(bytes).map_err(|error| {
+            format!("not a snapshot, or not all of one ({error}): `jostle snapshot` writes one")
+        })?;
+        let scheduled = sent.scheduled.len() + usize::from(sent.pending.is_some());
+        if scheduled > 0 {
+            return Err(format!(
+                "the snapshot has {scheduled} scheduled commands, which a run does not execute: take it \
+                 when none is left, and write them as [[at]]"
+            ));
+        }
+        let fail = |error: snapshot::SnapshotError| error.to_string();
+        let mut checkpoint = snapshot::from_proto(&sent).map_err(fail)?;
+        snapshot::check(&checkpoint).map_err(fail)?;
+        let State {
+            configuration,
+            step,
+            parameters,
+            ..
+        } = &mut checkpoint.state;
+        let n = configuration.n();
+        if n as u64 > MAX_INDIVIDUALS {
+            return Err(format!(
+                "the snapshot has {n} individuals, the limit is {MAX_INDIVIDUALS}"
+            ));
+        }
+        // Steps and times of a run count from its start.
+        for lapses_at in configuration.lapses_at.iter_mut().flatten() {
+            *lapses_at = lapses_at.saturating_sub(*step);
+        }
+        *step = 0;
+        checkpoint.spec = Spec {
+            n,
+            parameters: *parameters,
+            start: Start::Disc(None),
+            ..checkpoint.spec
+        };
+        Ok(Self(Arc::new(Checkpoint {
+            epoch: 1,
+            seq: 0,
+            means: RunningMeans::default(),
+            exactness: Exactness::default(),
+            ..checkpoint
+        })))
+    }
+
+    /// Returns the fields of its spec, with the present parameters and size of the group.
+    pub fn fields(&self) -> toml::Table {
+        let Self(checkpoint) = self;
+        toml::Table::try_from(spec::to_proto(&checkpoint.spec, 0)).unwrap_or_default()
+    }
+
+    /// Returns the number of informed individuals.
+    pub fn informed(&self) -> usize {
+        let weights = self.0.state.configuration.weight.iter();
+        weights.filter(|weight| **weight > 0.0).count()
+    }
+
+    /// Returns the simulation of a run: the state, with the seed of `spec` and its parameters.
+    ///
+    /// # Errors
+    ///
+    /// [`ChangeError`] if the state cannot have these parameters.
+    pub fn simulation(
+        &self,
+        spec: &Spec,
+        reserve: ReserveMemory,
+    ) -> Result<Simulation, ChangeError> {
+        let mut simulation = Simulation::from_checkpoint(&self.0, reserve);
+        let Parameters {
+            pi2,
+            pi3,
+            pi4,
+            contacts,
+            stepping,
+            relinearise,
+            attraction,
+            noise,
+            ..
+        } = spec.parameters;
+        simulation.apply(&Change::Set(Settings {
+            pi2: Some(pi2),
+            pi3: Some(pi3),
+            pi4: Some(pi4),
+            contacts: Some(contacts),
+            stepping: Some(stepping),
+            relinearise: Some(relinearise),
+            attraction: Some(attraction),
+            noise: Some(noise),
+            ..Settings::default()
+        }))?;
+        simulation.state.seed = spec.seed;
+        simulation.publish_every = spec.publish_every;
+        simulation.spec = spec.clone();
+        Ok(simulation)
+    }
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests;
