@@ -7,9 +7,14 @@
 //! after steps that warm up the stepper. `-- --states` generates the states of the five groups
 //! again.
 //!
+//! It also counts one evaluation of each measure on groups of 50 and 1,000 individuals after such
+//! steps, and fails if `order`, `drift` and `milling` together cost more than 5 % of a step at n = 50.
+//! `-- --measures` prints the table of docs/measures.md.
+//!
 //! Counts depend on the compiler. They do not depend on the machine if it has AVX2: valgrind hides
 //! later instruction sets.
 
+mod measures;
 #[path = "../physics/step/settled.rs"]
 mod settled;
 
@@ -46,6 +51,20 @@ fn main() -> ExitCode {
         run_case(arguments[index + 1].parse().expect("a case is a number"));
         return ExitCode::SUCCESS;
     }
+    if let Some(index) = arguments
+        .iter()
+        .position(|argument| argument == "--measure")
+    {
+        let [n, names] = &arguments[index + 1..=index + 2] else {
+            panic!("--measure N NAMES");
+        };
+        measures::run(n.parse().expect("n is a number"), names);
+        return ExitCode::SUCCESS;
+    }
+    if has_flag("--measures") {
+        measures::print_table();
+        return ExitCode::SUCCESS;
+    }
     if has_flag("--states") {
         let groups: Vec<Value> = CASES
             .iter()
@@ -61,7 +80,11 @@ fn main() -> ExitCode {
         }
         write(&data_file("counts.txt"), &text);
     }
-    compare(&counts)
+    let [steps, measures] = [compare(&counts), measures::compare(counts[1])];
+    match steps && measures {
+        true => ExitCode::SUCCESS,
+        false => ExitCode::FAILURE,
+    }
 }
 
 /// Rounds a state to nine decimals, which halves its file and is exact enough for a start.
@@ -78,38 +101,46 @@ fn rounded(mut state: State) -> State {
     state
 }
 
-/// Compares the counts with `counts.txt` and prints the changes.
-fn compare(counts: &[u64]) -> ExitCode {
+/// Compares the counts with `counts.txt` and prints the changes. Returns whether all are within the
+/// tolerance.
+fn compare(counts: &[u64]) -> bool {
     let text = fs::read_to_string(data_file("counts.txt")).expect("counts.txt can be read");
     let expected = text.lines().map(|line| {
         let last = line.split(' ').next_back().expect("a line has a count");
         last.parse::<f64>().expect("a count is a number")
     });
-    let mut code = ExitCode::SUCCESS;
+    let mut is_ok = true;
     for ((Case { pi1, n }, &count), expected) in CASES.iter().zip(counts).zip(expected) {
         let change = count as f64 / expected - 1.0;
         let percent = 100.0 * change;
         let verdict = if change.abs() <= TOLERANCE {
             "ok"
         } else {
-            code = ExitCode::FAILURE;
+            is_ok = false;
             "changed by more than 3 %: find the cause, or update the counts with -- --write"
         };
         println!("pi1 = {pi1}, n = {n}: {count} instructions, {percent:+.2} %, {verdict}");
     }
-    code
+    is_ok
 }
 
-/// Counts the instructions of one step, in a process under callgrind.
+/// Counts the instructions of one step.
 fn count(case: usize) -> u64 {
+    let case = case.to_string();
+    count_instructions("counted_step", &["--case", &case], &case)
+}
+
+/// Counts the instructions of a function of this program, in a process under callgrind with these
+/// arguments.
+fn count_instructions(function: &str, arguments: &[&str], name: &str) -> u64 {
     fs::create_dir_all(target()).expect("target/ can be written");
-    let out = target().join(format!("callgrind.{case}"));
+    let out = target().join(format!("callgrind.{name}"));
     let status = Command::new("valgrind")
         .args(["--tool=callgrind", "--quiet", "--collect-atstart=no"])
-        .arg("--toggle-collect=*counted_step*")
+        .arg(format!("--toggle-collect=*{function}*"))
         .arg(format!("--callgrind-out-file={}", out.display()))
         .arg(env::current_exe().expect("this program has a path"))
-        .args(["--case", &case.to_string()])
+        .args(arguments)
         .status();
     let status = status.expect("valgrind is installed");
     assert!(status.success(), "valgrind: {status}");
@@ -118,7 +149,7 @@ fn count(case: usize) -> u64 {
     let count = totals.and_then(|count| count.trim().parse().ok());
     count
         .filter(|&count| count > 0)
-        .expect("callgrind has counted the step")
+        .expect("callgrind has counted the function")
 }
 
 /// Takes the steps of one case. The last one is counted.

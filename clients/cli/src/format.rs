@@ -93,6 +93,18 @@ pub fn number(number: f64) -> String {
     }
 }
 
+/// A number to so many significant digits, at least one; a small one in powers of ten.
+pub fn rounded(value: f64, digits: usize) -> String {
+    /// Numbers below this are in powers of ten.
+    const SMALL: f64 = 1e-4;
+    let decimals = digits.saturating_sub(1);
+    let rounded: f64 = format!("{value:.decimals$e}").parse().unwrap_or(value);
+    if rounded != 0.0 && rounded.abs() < SMALL {
+        return format!("{rounded:e}");
+    }
+    number(rounded)
+}
+
 /// A duration in its two largest units.
 pub fn duration(secs: f64) -> String {
     const UNITS: [(f64, &str); 4] = [(86_400.0, "d"), (3600.0, "h"), (60.0, "min"), (1.0, "s")];
@@ -216,6 +228,20 @@ mod tests {
     use serde_json::json;
 
     use super::*;
+
+    #[test]
+    fn rounded_numbers_have_so_many_digits() {
+        for (value, six, three) in [
+            (0.0, "0", "0"),
+            (1.0, "1", "1"),
+            (-0.000_000_012_345_678, "-1.23457e-8", "-1.23e-8"),
+            (0.123_456_789, "0.123457", "0.123"),
+            (228.607_786_9, "228.608", "229"),
+            (22.0, "22", "22"),
+        ] {
+            assert_eq!([rounded(value, 6), rounded(value, 3)], [six, three]);
+        }
+    }
 
     #[test]
     fn times_have_no_trailing_zeros() {

@@ -212,11 +212,6 @@ class Recorder:
                 for recording in reply["result"]["recordings"]:
                     recording["parts"] = _PARTS
                 return reply
-            case ["get", "measures"] if "names" in parameters:
-                reply = fixture("measures.reply")
-                names = parameters["names"].split(",")
-                values = [{"name": it, "value": 0.5, "unit": "1"} for it in names]
-                return {**reply, "result": {"measures": values}}
             case ["get", noun]:
                 return fixture(f"node.{noun}.reply")
             case ["cmd", "replay"] if "upload" in body["args"]:
@@ -272,6 +267,11 @@ class Recorder:
                 reply = fixture("controllers.reply")
                 reply["result"]["controllers"][0]["controller"] = self.controller
                 return reply
+            case ["get", "measures"] if "names" in parameters:
+                reply = fixture("measures.reply")
+                names = parameters["names"].split(",")
+                values = [{"name": it, "value": 0.5, "unit": "1"} for it in names]
+                return {**reply, "result": {"measures": values}}
             case ["get", noun]:
                 return fixture(f"{noun}.reply")
         raise AssertionError(rest)

@@ -171,7 +171,7 @@ interface Measured {
 }
 
 test("clusters are those of the daemon's measures", () => {
-  const file = new URL("../../tests/measures.json", import.meta.url);
+  const file = new URL("../../../../crates/measures/tests/states.json", import.meta.url);
   const groups = JSON.parse(readFileSync(file).toString()) as Measured[];
   assert(groups.length > 4);
   for (const { pi1, x, y, alpha, measures } of groups) {

@@ -18,7 +18,7 @@ pub fn read<'a>(
 fn parse(names: &str) -> Result<Vec<Measure>, MeasuresError> {
     let mut measures = Vec::new();
     for text in names.split(',') {
-        let measure: Measure = truncate(text).parse()?;
+        let measure: Measure = truncate(text).parse().map_err(Box::new)?;
         if measure.definition().needs_past() {
             return Err(MeasuresError::NeedsPast(measure.to_string()));
         }

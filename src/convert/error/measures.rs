@@ -15,7 +15,7 @@ pub const MAX_MEASURES: usize = 64;
 pub enum MeasuresError {
     /// The text is no measure.
     #[error(transparent)]
-    Measure(#[from] MeasureError),
+    Measure(#[from] Box<MeasureError>),
     /// A running swarm has no past.
     #[error(
         "`{0}` needs the states of earlier steps, which a daemon does not keep: leave it out, or \

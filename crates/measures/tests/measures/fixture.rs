@@ -61,7 +61,7 @@ fn the_page_has_the_fixture_of_these_states() {
     });
     let groups: Vec<String> = groups.map(|group| group.to_string()).collect();
     let text = format!("[\n{}\n]\n", groups.join(",\n"));
-    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../clients/web/tests/measures.json");
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/states.json");
     if std::env::var_os(RECORD).is_some() {
         fs::write(&file, &text).unwrap();
     }

@@ -11,8 +11,8 @@ use crate::format;
 use crate::output::Output;
 use crate::table::{self, Column};
 
-/// Values below this are printed in powers of ten.
-const SMALL: f64 = 1e-4;
+/// The significant digits of the table; `--json` has all.
+const DIGITS: usize = 6;
 
 /// Prints measures of the newest state of a swarm; by default all that need no earlier state.
 pub async fn measures(context: &Context, arguments: &MeasuresArguments) -> Result<(), Failure> {
@@ -28,7 +28,9 @@ pub async fn measures(context: &Context, arguments: &MeasuresArguments) -> Resul
     context.output.reply(&answer, |reply: &Reply<Measures>| {
         let columns: [Column<MeasureValue>; 3] = [
             ("measure", |it| it.name.clone()),
-            ("value", |it| format::or_none(it.value.map(rounded))),
+            ("value", |it| {
+                format::or_none(it.value.map(|value| format::rounded(value, DIGITS)))
+            }),
             ("unit", |it| it.unit.clone()),
         ];
         let table = table::of(&reply.result.measures, columns);
@@ -85,34 +87,11 @@ fn meaning(definition: &Definition) -> String {
     }
 }
 
-/// A value to six significant digits, a small one in powers of ten; `--json` has all digits.
-fn rounded(value: f64) -> String {
-    let rounded: f64 = format!("{value:.5e}").parse().unwrap_or(value);
-    if rounded != 0.0 && rounded.abs() < SMALL {
-        return format!("{rounded:e}");
-    }
-    format::number(rounded)
-}
-
 #[cfg(test)]
 mod tests {
     #![expect(clippy::unwrap_used, reason = "tests")]
 
     use super::*;
-
-    #[test]
-    fn values_have_six_digits() {
-        for (value, text) in [
-            (0.0, "0"),
-            (1.0, "1"),
-            (-0.000_000_012_345_678, "-1.23457e-8"),
-            (0.123_456_789, "0.123457"),
-            (228.607_786_9, "228.608"),
-            (22.0, "22"),
-        ] {
-            assert_eq!(rounded(value), text);
-        }
-    }
 
     #[test]
     fn the_list_says_which_measures_only_experiments_have() {

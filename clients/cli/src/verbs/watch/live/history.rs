@@ -1,4 +1,4 @@
-//! Order and drift over time, in bounded memory.
+//! Order, drift and a measure over time, in bounded memory.
 
 /// The number of points kept: more than the widest chart has dots.
 const MAX_POINTS: usize = 1024;
@@ -10,6 +10,8 @@ pub struct Point {
     pub order: f64,
     /// The drift, if there was a direction.
     pub drift: Option<f64>,
+    /// The chosen measure, if there is one and it is defined.
+    pub measure: Option<f64>,
 }
 
 /// The samples of one epoch, oldest first. When there are too many, every second one is dropped,
@@ -51,6 +53,13 @@ impl History {
         }
     }
 
+    /// Removes the values of the measure, because another one is chosen.
+    pub fn forget_measure(&mut self) {
+        for point in &mut self.points {
+            point.measure = None;
+        }
+    }
+
     /// The points, oldest first.
     pub fn points(&self) -> &[Point] {
         &self.points
@@ -66,6 +75,7 @@ mod tests {
             time,
             order: 0.5,
             drift: None,
+            measure: None,
         }
     }
 

@@ -8,7 +8,7 @@ use super::prompt::{KeyAction, Prompt};
 use super::view::{Action, End, View};
 
 /// The keys with their actions, as shown.
-pub const KEYS: [(&str, &str); 11] = [
+pub const KEYS: [(&str, &str); 12] = [
     ("↑ ↓ j k", "select a swarm"),
     ("space", "pause or run it"),
     ("s  S", "one step, or a hundred"),
@@ -17,6 +17,7 @@ pub const KEYS: [(&str, &str); 11] = [
     ("← →", "pan; with Shift up and down, too"),
     ("H J K L", "pan"),
     ("f", "follow the group, or stop following"),
+    ("m  M", "draw the next measure, or the one before"),
     ("?", "show these keys"),
     ("Esc", "close the popup"),
     ("q", "quit; the swarms go on"),
@@ -59,6 +60,8 @@ impl View {
             KeyCode::Down if is_shifted => self.camera.pan(0.0, -1.0),
             KeyCode::Char('+' | '=') => self.camera.zoom(true),
             KeyCode::Char('-' | '_') => self.camera.zoom(false),
+            KeyCode::Char('m') => self.choose_measure(1),
+            KeyCode::Char('M') => self.choose_measure(-1),
             KeyCode::Char('f') => self.follow(),
             KeyCode::Up | KeyCode::Char('k') => return self.move_selection(-1),
             KeyCode::Down | KeyCode::Char('j') => return self.move_selection(1),

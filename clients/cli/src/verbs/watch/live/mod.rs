@@ -9,6 +9,7 @@ mod history;
 mod keys;
 mod list;
 mod mailbox;
+mod measured;
 mod prompt;
 mod selected;
 #[cfg(test)]

@@ -2,10 +2,12 @@
 
 use std::collections::VecDeque;
 
+use jostle_measures::Measure;
 use jostle_proto::{Event, OrderSample, Phase, Reply, State, Status, SwarmSummary};
 
 use super::camera::Camera;
 use super::history::{History, Point};
+use super::measured;
 use crate::verbs::watch::sample_of;
 
 /// The number of events kept.
@@ -22,7 +24,9 @@ pub struct Selected {
     pub pi1: f64,
     /// Its last state.
     pub state: Option<State>,
-    /// Order and drift over time.
+    /// The chosen measure of the last state.
+    pub measured: Option<f64>,
+    /// Order, drift and the chosen measure over time.
     pub history: History,
     /// Its events, oldest first.
     pub events: VecDeque<Event>,
@@ -37,6 +41,7 @@ impl Selected {
             reason: None,
             pi1: 4.0,
             state: None,
+            measured: None,
             history: History::default(),
             events: VecDeque::new(),
         }
@@ -62,11 +67,17 @@ impl Selected {
     }
 
     /// Applies a state and returns whether it is new.
-    pub fn set_state(&mut self, state: State, camera: &mut Camera) -> bool {
+    pub fn set_state(
+        &mut self,
+        state: State,
+        camera: &mut Camera,
+        measure: Option<Measure>,
+    ) -> bool {
         if self.state.as_ref() == Some(&state) {
             return false;
         }
         camera.track(&state);
+        self.measured = measure.and_then(|it| measured::evaluate(it, &state, self.pi1));
         if let Some(numbers) = &mut self.numbers {
             numbers.epoch = state.epoch;
             (numbers.step, numbers.time) = (state.step, state.time);
@@ -96,6 +107,15 @@ impl Selected {
         before != now || reason != self.reason
     }
 
+    /// Draws another measure from now on.
+    pub fn choose(&mut self, measure: Option<Measure>) {
+        let (state, pi1) = (self.state.as_ref(), self.pi1);
+        let value = measure.zip(state);
+        self.measured = value.and_then(|(measure, state)| measured::evaluate(measure, state, pi1));
+        self.history.forget_measure();
+        self.record_order();
+    }
+
     pub fn push_event(&mut self, event: Event) {
         if self.events.len() == MAX_EVENTS {
             self.events.pop_front();
@@ -110,6 +130,7 @@ impl Selected {
                 time: numbers.time,
                 order: numbers.order.order,
                 drift: numbers.order.drift,
+                measure: self.measured,
             };
             self.history.add(numbers.epoch, point);
         }

@@ -161,6 +161,30 @@ fn every_popup_can_be_drawn_at_every_size() {
 }
 
 #[test]
+fn m_chooses_the_measure_of_the_second_chart() {
+    let mut view = view();
+    assert!(text(&view, (120, 40)).contains(" drift "));
+    press(&mut view, KeyCode::Char('M'));
+    let shown = text(&view, (120, 40));
+    // No two of the four bodies touch.
+    assert!(
+        shown.contains(" contacts_per_body 0 individuals"),
+        "{shown}"
+    );
+    assert!(!shown.contains("no direction given"));
+    press(&mut view, KeyCode::Char('m'));
+    assert!(text(&view, (120, 40)).contains(" drift "));
+    press(&mut view, KeyCode::Char('m'));
+    press(&mut view, KeyCode::Char('m'));
+    let milling = view.measure.map(|it| it.to_string());
+    assert_eq!(milling.as_deref(), Some("milling"));
+    assert!(text(&view, (120, 40)).contains(" milling 0."));
+    for size in [(1, 1), (20, 5), (60, 20)] {
+        drawn(&view, size, false);
+    }
+}
+
+#[test]
 fn keys_and_the_prompt_are_shown_in_popups() {
     let mut view = view();
     press(&mut view, KeyCode::Char('?'));

@@ -1,10 +1,12 @@
 //! The state of the view: messages update it, without I/O.
 
+use jostle_measures::Measure;
 use jostle_proto::{Event, EventKind, Reply, State, Status, SwarmSummary};
 use ratatui::crossterm::event::KeyEvent;
 
 use super::camera::Camera;
 use super::command::Command;
+use super::measured;
 use super::prompt::Prompt;
 use super::selected::Selected;
 use crate::failure::Failure;
@@ -83,6 +85,8 @@ pub struct View {
     /// Why the daemon does not reply, if it does not.
     pub away: Option<String>,
     pub selected: Option<Selected>,
+    /// The measure of the second chart; none if that shows the drift.
+    pub measure: Option<Measure>,
     /// The visible part of the plane.
     pub camera: Camera,
     /// The last notice.
@@ -107,6 +111,7 @@ impl View {
             swarms: None,
             away: None,
             selected: swarm.map(Selected::new),
+            measure: None,
             camera: Camera::default(),
             notice: None,
             prompt: None,
@@ -134,7 +139,7 @@ impl View {
             }
             Message::State(state) => {
                 if let Some(selected) = self.selected.as_mut().filter(|it| it.name == state.swarm) {
-                    self.is_changed |= selected.set_state(*state, &mut self.camera);
+                    self.is_changed |= selected.set_state(*state, &mut self.camera, self.measure);
                 }
             }
             Message::Events(events) => self.add_events(events),
@@ -169,6 +174,16 @@ impl View {
             return Vec::new();
         }
         self.follow_swarm(Some(name))
+    }
+
+    /// Draws the measure `by` places further in the menu.
+    pub fn choose_measure(&mut self, by: isize) {
+        self.measure = measured::neighbour(self.measure, by);
+        if let Some(selected) = &mut self.selected {
+            selected.choose(self.measure);
+        }
+        let name = self.measure.map_or("drift".to_owned(), |it| it.to_string());
+        self.notify(format!("the second chart shows {name}"), false);
     }
 
     fn follow_swarm(&mut self, name: Option<String>) -> Vec<Action> {
