@@ -165,7 +165,8 @@ fn zenoh(channel: &Channel) -> Value {
             | "experiment.file.reply"
             | "node.recording.reply"
             | "experiment.results"
-            | "experiment.order",
+            | "experiment.order"
+            | "experiment.series",
         ) => queryable(&declared, "not answered"),
         ChannelKind::Get(_) if channel.key.ends_with("/wait") => {
             queryable(&declared, "not answered")
@@ -278,7 +279,7 @@ fn messages(examples: &Examples) -> Value {
         let encodings = match name {
             "state" => json!([CBOR, JSON]),
             "step.reply" => json!([JSON, CBOR]),
-            "snapshot.reply" | "experiment.order" => json!([CBOR]),
+            "snapshot.reply" | "experiment.order" | "experiment.series" => json!([CBOR]),
             _ => json!([JSON]),
         };
         let message = json!({

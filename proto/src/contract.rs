@@ -22,8 +22,8 @@ use crate::{
     ControllerList, Error, Event, Events, ExperimentArgs, ExperimentFile, ExperimentResult,
     Experiments, Hello, Journal, Measures, Metrics, NodeReply, NodeStatus, OrderPage, OrderSample,
     Parameter, ParameterKind, Parameters, Progress, RecordArgs, Recording, RecordingPiece,
-    Recordings, ReplayArgs, ReplayResult, Reply, Request, ResultsPage, Schemas, SeekArgs, Snapshot,
-    Spec, State, Status, Swarms, Verified, WhoAmI,
+    Recordings, ReplayArgs, ReplayResult, Reply, Request, ResultsPage, Schemas, SeekArgs,
+    SeriesPage, Snapshot, Spec, State, Status, Swarms, Verified, WhoAmI,
 };
 
 pub use channels::{CHANNELS, Channel, ChannelKind};
@@ -106,6 +106,7 @@ pub fn schemas() -> BTreeMap<&'static str, Schema> {
         ("experiment.progress", sent::<Progress>()),
         ("experiment.results", sent::<ResultsPage>()),
         ("experiment.order", sent::<OrderPage>()),
+        ("experiment.series", sent::<SeriesPage>()),
     ])
 }
 

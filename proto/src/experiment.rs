@@ -176,6 +176,40 @@ pub struct OrderPage {
     pub next: Option<u64>,
 }
 
+/// The chosen measures of a run over time, if the experiment has `series_every`.
+///
+/// In CBOR the columns are RFC 8746 typed arrays, little-endian.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct SeriesPage {
+    /// The experiment's name.
+    pub name: String,
+    /// The run's name.
+    pub run: String,
+    /// The steps of the entries.
+    #[serde(with = "column::f64_column")]
+    #[schemars(with = "Vec<f64>")]
+    pub step: Vec<f64>,
+    /// The times of the entries.
+    #[serde(with = "column::f64_column")]
+    #[schemars(with = "Vec<f64>")]
+    pub time: Vec<f64>,
+    /// The measures, in the order of the experiment's file.
+    pub measures: Vec<MeasureSeries>,
+    /// Where to ask on, as `after`; `null` if there is no more.
+    pub next: Option<u64>,
+}
+
+/// One measure of a run over time.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct MeasureSeries {
+    /// Its name, as in the experiment's file.
+    pub name: String,
+    /// Its value at each entry, `null` (in CBOR NaN) where it is undefined.
+    #[serde(with = "column::nan_column")]
+    #[schemars(with = "Vec<Option<f64>>")]
+    pub value: Vec<f64>,
+}
+
 #[cfg(test)]
 mod tests {
     use super::ExperimentPhase::{Cancelled, Failed, Finished, Paused, Queued, Running};

@@ -54,7 +54,7 @@ pub const NODE_VERBS: [&str; 6] = [
 ];
 
 /// The nouns that `{prefix}/@node/{node}/experiment/{experiment}/` answers.
-pub const EXPERIMENT_GETS: [&str; 3] = ["progress", "results", "order"];
+pub const EXPERIMENT_GETS: [&str; 4] = ["progress", "results", "order", "series"];
 
 /// The longest name of a swarm, a node, an experiment, a recording or a controller, in
 /// bytes.

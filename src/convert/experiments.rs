@@ -1,7 +1,7 @@
 //! Progress and results of experiments.
 
 use jostle_proto as proto;
-use jostle_results::table::OrderSeries;
+use jostle_results::table::{OrderSeries, Series};
 
 use crate::experiments::Report;
 
@@ -70,6 +70,39 @@ pub fn order_page(
         time: part(&series.times),
         order: part(&series.orders),
         drift: part(&series.drifts),
+        next: (end < count).then_some(end as u64),
+    }
+}
+
+/// Returns entries of a run's measures over time, from number `after` + 1: at most `limit`, and at
+/// most `values` numbers.
+pub fn series_page(
+    name: String,
+    series: &Series,
+    after: u64,
+    limit: usize,
+    values: usize,
+) -> proto::SeriesPage {
+    let count = series.steps.len();
+    let begin = usize::try_from(after).map_or(count, |after| after.min(count));
+    let limit = limit.min(values / (series.measures.len() + 2)).max(1);
+    let end = begin.saturating_add(limit).min(count);
+    let measures = series.measures.iter().map(|measure| proto::MeasureSeries {
+        name: measure.name.clone(),
+        value: measure.values[begin..end]
+            .iter()
+            .map(|value| value.unwrap_or(f64::NAN))
+            .collect(),
+    });
+    proto::SeriesPage {
+        name,
+        run: series.run.clone(),
+        step: series.steps[begin..end]
+            .iter()
+            .map(|&step| step as f64)
+            .collect(),
+        time: series.times[begin..end].to_vec(),
+        measures: measures.collect(),
         next: (end < count).then_some(end as u64),
     }
 }

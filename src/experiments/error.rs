@@ -34,6 +34,11 @@ pub enum ExperimentError {
         "experiment {0:?} does not measure the order over time: submit it under another name with \
          order_every in [measure]"
     )]
+    NoOrder(String),
+    #[error(
+        "experiment {0:?} does not record measures over time: submit it under another name with \
+         series_every in [measure]"
+    )]
     NoSeries(String),
     #[error(
         "another experiment has the name {0:?}: submit this one under another name, or delete that \

@@ -16,12 +16,12 @@ use std::time::Duration;
 
 use jostle_experiment::{Files, Folder, Plan};
 use jostle_proto::{ExperimentPhase as Phase, keys};
-use jostle_results::table::OrderSeries;
+use jostle_results::table::{OrderSeries, Series};
 use parking_lot::{Condvar, Mutex, MutexGuard};
 use tracing::{info, warn};
 
 pub use self::error::ExperimentError;
-use self::results::{ResultsCache, Rows};
+use self::results::{Results, ResultsCache, Rows};
 pub use self::status::Report;
 use self::status::{Entry, Status};
 use crate::jobs::JobDirectory;
@@ -207,30 +207,58 @@ impl ExperimentManager {
     /// The rows of an experiment's finished runs, each with the number of its run in the plan.
     pub fn rows(&self, name: &str) -> Result<Rows, ExperimentError> {
         let plan = self.plan(name)?;
-        let folder = self.0.jobs.folder(name);
-        self.0.results.rows(name, &folder, &plan)
+        Ok(self.results(name, &plan)?.rows)
+    }
+
+    fn results(&self, name: &str, plan: &Plan) -> Result<Results, ExperimentError> {
+        self.0.results.read(name, &self.0.jobs.folder(name), plan)
     }
 
     /// The order over time of one run.
     pub fn order(&self, name: &str, run: &str) -> Result<OrderSeries, ExperimentError> {
         let plan = self.plan(name)?;
         if plan.order_every.is_none() {
+            return Err(ExperimentError::NoOrder(name.to_owned()));
+        }
+        let (index, results) = self.finished_run(name, &plan, run)?;
+        let folder = self.0.jobs.folder(name);
+        let read = Folder::read_order(&folder, &plan, &results.finished, index);
+        read.map_err(ExperimentError::unreadable)
+    }
+
+    /// The chosen measures of one run over time.
+    pub fn series(&self, name: &str, run: &str) -> Result<Series, ExperimentError> {
+        let plan = self.plan(name)?;
+        if plan.columns.series_every.is_none() {
             return Err(ExperimentError::NoSeries(name.to_owned()));
         }
-        let Some(index) = plan.runs().iter().position(|it| it.name == run) else {
+        let (index, results) = self.finished_run(name, &plan, run)?;
+        let folder = self.0.jobs.folder(name);
+        let read = Folder::read_series(&folder, &plan, &results.finished, index);
+        read.map_err(ExperimentError::unreadable)
+    }
+
+    /// Returns the index of a finished run in the plan, and the finished runs.
+    fn finished_run(
+        &self,
+        name: &str,
+        plan: &Plan,
+        run: &str,
+    ) -> Result<(usize, Results), ExperimentError> {
+        let Some(index) = plan.index(run) else {
             return Err(ExperimentError::UnknownRun {
                 name: name.to_owned(),
                 run: run.chars().take(200).collect(),
             });
         };
-        let rows = self.rows(name)?;
+        let results = self.results(name, plan)?;
+        let rows = &results.rows;
         let is_finished = rows.binary_search_by_key(&(index as u64 + 1), |(number, _)| *number);
         if is_finished.is_err() {
             let (name, run) = (name.to_owned(), run.to_owned());
             return Err(ExperimentError::Unfinished { name, run });
         }
-        let read = Folder::read_order(&self.0.jobs.folder(name), &plan, index);
-        read.map_err(ExperimentError::unreadable)
+        Ok((index, results))
     }
 
     /// Waits while no experiment is running and the version of the state is `seen`. Returns the new
@@ -356,8 +384,8 @@ fn load(name: &str, folder: &Path, status: Option<Status>) -> Entry {
     let mut loaded = None;
     if !status.phase.is_over() {
         let read = read_plan(name, folder).and_then(|plan| {
-            let rows = Folder::read(folder, &plan).map_err(ExperimentError::unreadable)?;
-            Ok((plan, rows.len()))
+            let read = Folder::read(folder, &plan).map_err(ExperimentError::unreadable)?;
+            Ok((plan, read.rows.len()))
         });
         match read {
             Ok((plan, finished)) => {

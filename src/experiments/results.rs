@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 use std::sync::Arc;
 
-use jostle_experiment::{Folder, Plan};
+use jostle_experiment::{FinishedRuns, Folder, Plan};
 use jostle_results::ResultRow;
 use parking_lot::Mutex;
 
@@ -13,26 +13,38 @@ use super::error::ExperimentError;
 /// Rows in the plan's order, each with the number of its run in the plan, from 1.
 pub type Rows = Arc<Vec<(u64, ResultRow)>>;
 
-/// The rows that were read last, with the name of their experiment and the length of its list of
+/// The finished runs of an experiment.
+#[derive(Clone, Debug)]
+pub struct Results {
+    pub rows: Rows,
+    /// The same runs, from which their time series are read.
+    pub finished: Arc<FinishedRuns>,
+}
+
+/// The results that were read last, with the name of their experiment and the length of its list of
 /// finished runs: a client requests one page after the other.
 #[derive(Debug, Default)]
-pub struct ResultsCache(Mutex<Option<(String, u64, Rows)>>);
+pub struct ResultsCache(Mutex<Option<(String, u64, Results)>>);
 
 impl ResultsCache {
-    pub fn rows(&self, name: &str, folder: &Path, plan: &Plan) -> Result<Rows, ExperimentError> {
+    pub fn read(&self, name: &str, folder: &Path, plan: &Plan) -> Result<Results, ExperimentError> {
         // The list is only appended to.
         let list = fs::metadata(folder.join("runs.jsonl"));
         let length = list.map_or(0, |list| list.len());
-        if let Some((of, cached, rows)) = &*self.0.lock()
+        if let Some((of, cached, results)) = &*self.0.lock()
             && of == name
             && *cached == length
         {
-            return Ok(rows.clone());
+            return Ok(results.clone());
         }
-        let read = Folder::read(folder, plan).map_err(ExperimentError::unreadable)?;
-        let rows = Arc::new(numbered(plan, read));
-        *self.0.lock() = Some((name.to_owned(), length, rows.clone()));
-        Ok(rows)
+        let mut finished = Folder::read(folder, plan).map_err(ExperimentError::unreadable)?;
+        let rows = numbered(plan, std::mem::take(&mut finished.rows));
+        let results = Results {
+            rows: Arc::new(rows),
+            finished: Arc::new(finished),
+        };
+        *self.0.lock() = Some((name.to_owned(), length, results.clone()));
+        Ok(results)
     }
 }
 

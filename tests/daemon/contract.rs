@@ -147,7 +147,7 @@ async fn every_channel_of_the_document_is_served() {
             let parameters = match last {
                 "wait" => "?step=0",
                 "recording" => "?name=take",
-                "order" => "?run=n=2 #0",
+                "order" | "series" => "?run=n=2 #0",
                 _ => "",
             };
             let reply = client

@@ -28,15 +28,18 @@ informed_fraction = 0.4
 
 [measure]
 order_every = 2
+series_every = 70
+columns = ["milling", "msd(1)"]
 touch = true
 "#;
 
 const RUNS: usize = 24;
 
-const TABLES: [&str; 4] = [
+const TABLES: [&str; 5] = [
     "results.csv",
     "results.parquet",
     "order.parquet",
+    "series.parquet",
     "touch.csv",
 ];
 

@@ -242,6 +242,9 @@ pub fn read(encoding: &Encoding, bytes: &[u8]) -> Value {
             if let Ok(order) = ciborium::from_reader::<jostle_proto::OrderPage, _>(bytes) {
                 return serde_json::to_value(order).unwrap();
             }
+            if let Ok(series) = ciborium::from_reader::<jostle_proto::SeriesPage, _>(bytes) {
+                return serde_json::to_value(series).unwrap();
+            }
             match ciborium::from_reader::<Stepped, _>(bytes) {
                 Ok(reply) => serde_json::to_value(reply).unwrap(),
                 Err(_) => {

@@ -83,9 +83,11 @@ pub fn recordings(typed: &OsStr) -> Vec<CompletionCandidate> {
     names(typed, async |client| client.recordings().await)
 }
 
-/// The figures that can be drawn.
-pub fn figures(typed: &OsStr) -> Vec<CompletionCandidate> {
-    beginning_with(typed, values::figures())
+/// The figures that can be drawn, and the experiments.
+pub fn plots(typed: &OsStr) -> Vec<CompletionCandidate> {
+    let mut plots = beginning_with(typed, values::figures());
+    plots.extend(experiments(typed));
+    plots
 }
 
 pub fn messages(typed: &OsStr) -> Vec<CompletionCandidate> {

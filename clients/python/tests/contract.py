@@ -75,7 +75,7 @@ READ: dict[str, type[Any]] = {
 }
 """What a daemon sends."""
 
-OPAQUE = {"snapshot.reply", "experiment.order"}
+OPAQUE = {"snapshot.reply", "experiment.order", "experiment.series"}
 """What is sent for other daemons, of which a few fields are read; what is read as arrays."""
 
 CHANGES: dict[str, type[Any]] = {

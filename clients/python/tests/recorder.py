@@ -225,11 +225,13 @@ class Recorder:
             case ["experiment", _, "results"]:
                 page = fixture("experiment.results")
                 return {**page, "next": 2 if parameters["after"] == "0" else None}
-            case ["experiment", _, "order"]:
-                page = fixture("experiment.order")
-                for name in ("time", "order", "drift"):
-                    column = np.array(page[name], "<f8").tobytes()
-                    page[name] = cbor2.CBORTag(86, column)
+            case ["experiment", _, "order" | "series" as noun]:
+                page = fixture(f"experiment.{noun}")
+                for columns in (page, *page.get("measures", [])):
+                    for name, values in columns.items():
+                        if name in ("step", "time", "order", "drift", "value"):
+                            data = np.array(values, "<f8").tobytes()
+                            columns[name] = cbor2.CBORTag(86, data)
                 page["next"] = 3 if parameters["after"] == "0" else None
                 return cbor2.dumps(page)
         raise AssertionError(rest)

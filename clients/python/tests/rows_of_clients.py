@@ -232,6 +232,11 @@ EXPERIMENTS = [
         call("n=5 #0"),
         [node_get(f"experiment/small/order?run=n=5 #0;after={after}") for after in (0, 3)],
     ),
+    Row(
+        "Experiment.series",
+        call("n=5 #0"),
+        [node_get(f"experiment/small/series?run=n=5 #0;after={after}") for after in (0, 3)],
+    ),
 ]
 
 ROWS = [*CLIENTS, *EXPERIMENTS]

@@ -88,6 +88,25 @@ def test_results_are_rows_and_a_frame_with_the_columns_of_the_table(
     experiment.delete()
 
 
+def test_measures_over_time_are_a_frame(client: jostle.Client) -> None:
+    measure = {"columns": ["order", "drift"], "series_every": 200, "order_every": 100}
+    experiment = client.submit({**SMALL, "name": "measured", "measure": measure}).wait(60.0)
+    frame = experiment.series()
+    assert list(frame.columns) == ["run", "n", "informed", "step", "time", "order", "drift"]
+    # 500 steps: each run has the steps 0, 200 and 400, and the last one.
+    assert frame.step.tolist() == [0, 200, 400, 500] * 8
+    assert np.allclose(frame.time, frame.step * 0.02)
+    assert (frame.n.unique().tolist(), frame.informed.unique().tolist()) == ([3, 8], [0, 1])
+    assert frame.drift.isna().tolist() == (frame.informed == 0).tolist()
+    order = experiment.order(frame.run[0]).order
+    one = experiment.series(frame.run[0])
+    assert one.order.tolist()[:3] == order[::2][:3].tolist()
+    assert one.order.iloc[3] == order[-1]
+    with pytest.raises(jostle.NotFound):
+        experiment.series("unknown")
+    experiment.delete()
+
+
 def test_an_experiment_is_paused_resumed_and_cancelled(client: jostle.Client) -> None:
     experiment = client.submit(ENDLESS)
     assert experiment.pause().phase == "paused"

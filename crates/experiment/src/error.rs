@@ -54,7 +54,8 @@ pub enum PlanError {
     },
     /// The time series have more than [`MAX_ENTRIES`] entries.
     #[error(
-        "the orders over time have {entries} entries, the limit is {MAX_ENTRIES}: raise order_every"
+        "the time series have {entries} values, the limit is {MAX_ENTRIES}: raise order_every or \
+         series_every"
     )]
     TooManyEntries {
         /// Their number.

@@ -69,6 +69,9 @@ pub struct Measure {
     /// Steps between two entries of the order's time series.
     #[serde(default)]
     pub order_every: Option<Spanned<u64>>,
+    /// Steps between two entries of the time series of `columns`.
+    #[serde(default)]
+    pub series_every: Option<Spanned<u64>>,
     /// Whether contacts are measured, in a table of their own.
     #[serde(default)]
     pub touch: bool,

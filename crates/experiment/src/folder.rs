@@ -5,24 +5,28 @@
 //! - `experiment.toml`, a copy of the experiment's file, and `experiment.points.csv`, and
 //!   `experiment.start.snapshot`, copies of the files that it names;
 //! - `runs.jsonl`, a header and a line for each finished run, with its order over time if the plan
-//!   has `order_every`; a run counts as finished once its line is durable;
+//!   has `order_every`, and its measures over time if it has `series_every`; a run counts as finished once its line is durable;
 //! - `order/`, in folders of earlier versions, which stored the order over time there;
-//! - the tables, written from these: `results.parquet`, `results.csv`, `order.parquet` and
-//!   `touch.csv`;
+//! - the tables, written from these: `results.parquet`, `results.csv`, `order.parquet`,
+//!   `series.parquet` and `touch.csv`;
 //! - `checkpoints/`, from which unfinished runs continue;
 //! - `lock`, which a process that writes to the folder holds exclusively.
 
 use std::collections::BTreeMap;
 use std::ffi::{OsStr, OsString};
 use std::fs::{self, File, OpenOptions};
-use std::io::{BufWriter, Read as _, Seek as _, SeekFrom, Write as _};
+use std::io::{BufWriter, Seek as _, SeekFrom, Write as _};
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use jostle_physics::model::MODEL_VERSION;
 use jostle_results::ResultRow;
 use jostle_results::contact_statistics::{self, CONTACT_STATISTICS_NAME};
 use jostle_results::table::order::ORDER_NAME;
-use jostle_results::table::{self, CSV_NAME, OrderSeries, OrderWriter, PARQUET_NAME};
+use jostle_results::table::series::SERIES_NAME;
+use jostle_results::table::{
+    self, CSV_NAME, OrderSeries, OrderWriter, PARQUET_NAME, Series, SeriesWriter,
+};
 use rustix::fs::{FlockOperation, flock};
 use rustix::io::Errno;
 
@@ -30,8 +34,8 @@ pub use self::checkpoints::Checkpoints;
 pub use self::error::FolderError;
 use self::error::io_error;
 use self::list::{
-    Entry, Header, Line, RUNS, Record, SERIES, Series, parse_runs, read_or_empty, read_series,
-    to_line, to_range,
+    Entry, Header, Line, RUNS, Record, SERIES, parse_runs, read_line, read_or_empty, read_order,
+    read_series, to_line,
 };
 pub use self::part::{Part, parts_in};
 use crate::files::{EXPERIMENT, Files};
@@ -45,6 +49,15 @@ mod list;
 mod part;
 
 const LOCK: &str = "lock";
+
+/// The finished runs of a folder that is read without a lock.
+#[derive(Clone, Debug, Default)]
+pub struct FinishedRuns {
+    /// The rows, in the plan's order.
+    pub rows: Vec<ResultRow>,
+    /// The byte range of each run's line in the list, by its index in the plan.
+    lines: BTreeMap<usize, Range<u64>>,
+}
 
 /// The folder of an experiment, locked for writing.
 #[derive(Debug)]
@@ -103,16 +116,21 @@ impl Folder {
         })
     }
 
-    /// Reads the rows of the finished runs, in the plan's order. Does not lock the folder: another
-    /// process may append runs meanwhile.
+    /// Reads the finished runs. Does not lock the folder: another process may append runs
+    /// meanwhile.
     ///
     /// # Errors
     ///
     /// [`FolderError`].
-    pub fn read(path: &Path, plan: &Plan) -> Result<Vec<ResultRow>, FolderError> {
+    pub fn read(path: &Path, plan: &Plan) -> Result<FinishedRuns, FolderError> {
         let bytes = read_or_empty(&path.join(RUNS))?;
         let (finished, _) = parse_runs(path, plan, &bytes)?;
-        Ok(rows(&finished))
+        let rows = rows(&finished);
+        let entries = finished.into_iter();
+        Ok(FinishedRuns {
+            rows,
+            lines: entries.map(|(index, entry)| (index, entry.line)).collect(),
+        })
     }
 
     /// Reads the order over time of a finished run, by its index in the plan.
@@ -120,14 +138,27 @@ impl Folder {
     /// # Errors
     ///
     /// [`FolderError`], if the run has no such series, too.
-    pub fn read_order(path: &Path, plan: &Plan, index: usize) -> Result<OrderSeries, FolderError> {
-        let bytes = read_or_empty(&path.join(RUNS))?;
-        let (finished, _) = parse_runs(path, plan, &bytes)?;
-        let line = match finished.get(&index) {
-            Some(entry) => &bytes[to_range(&entry.line)],
-            None => &[],
-        };
-        read_series(path, plan, index, line)
+    pub fn read_order(
+        path: &Path,
+        plan: &Plan,
+        finished: &FinishedRuns,
+        index: usize,
+    ) -> Result<OrderSeries, FolderError> {
+        read_order(path, plan, index, &finished.line(path, index)?)
+    }
+
+    /// Reads the chosen measures over time of a finished run, by its index in the plan.
+    ///
+    /// # Errors
+    ///
+    /// [`FolderError`], if the run has no such series, too.
+    pub fn read_series(
+        path: &Path,
+        plan: &Plan,
+        finished: &FinishedRuns,
+        index: usize,
+    ) -> Result<Series, FolderError> {
+        read_series(path, plan, index, &finished.line(path, index)?)
     }
 
     /// The path of the folder.
@@ -186,11 +217,11 @@ impl Folder {
                 row: finished.row,
                 touch: finished.touch,
             };
-            let order = finished.series.map(Series::from);
             let start = self.length + lines.len() as u64;
             lines.extend(to_line(&Line {
                 record: &record,
-                order,
+                order: finished.order.map(Into::into),
+                series: finished.series.map(Into::into),
             }));
             let line = start..self.length + lines.len() as u64;
             entries.push((index, Entry { record, line }));
@@ -286,22 +317,43 @@ impl Folder {
                 &rows.collect::<Vec<_>>(),
             )?;
         }
-        if plan.order_every.is_none() {
-            return Ok(());
+        if plan.order_every.is_some() {
+            let mut writer = OrderWriter::begin(&self.path.join(ORDER_NAME))?;
+            self.for_each_line(|index, line| {
+                Ok(writer.append(&read_order(&self.path, plan, index, line)?)?)
+            })?;
+            writer.finish()?;
         }
-        let path = self.path.join(RUNS);
-        let fail = |source| io_error(&path, source);
-        let mut list = File::open(&path).map_err(fail)?;
-        let mut writer = OrderWriter::begin(&self.path.join(ORDER_NAME))?;
+        if plan.columns.series_every.is_some() {
+            let names = plan.columns.measures.iter().map(ToString::to_string);
+            let mut writer = SeriesWriter::begin(&self.path.join(SERIES_NAME), names)?;
+            self.for_each_line(|index, line| {
+                Ok(writer.append(&read_series(&self.path, plan, index, line)?)?)
+            })?;
+            writer.finish()?;
+        }
+        Ok(())
+    }
+
+    /// Calls `each` with the index and the line of every run that has a row, in the plan's order.
+    fn for_each_line(
+        &self,
+        mut each: impl FnMut(usize, &[u8]) -> Result<(), FolderError>,
+    ) -> Result<(), FolderError> {
         for (&index, entry) in &self.finished {
             if entry.record.row.is_some() {
-                list.seek(SeekFrom::Start(entry.line.start)).map_err(fail)?;
-                let mut line = vec![0; to_range(&entry.line).len()];
-                list.read_exact(&mut line).map_err(fail)?;
-                writer.append(&read_series(&self.path, plan, index, &line)?)?;
+                each(index, &read_line(&self.path, &entry.line)?)?;
             }
         }
-        Ok(writer.finish()?)
+        Ok(())
+    }
+}
+
+impl FinishedRuns {
+    /// Reads the line of a run; empty if it is not finished.
+    fn line(&self, folder: &Path, index: usize) -> Result<Vec<u8>, FolderError> {
+        let line = self.lines.get(&index);
+        line.map_or_else(|| Ok(Vec::new()), |line| read_line(folder, line))
     }
 }
 
@@ -333,7 +385,14 @@ fn claim(folder: &Path, plan: &Plan) -> Result<(), FolderError> {
             folder: folder.to_owned(),
         }),
         Err(_) if !folder.join(EXPERIMENT).exists() => {
-            let names = [RUNS, PARQUET_NAME, CSV_NAME, ORDER_NAME, SERIES];
+            let names = [
+                RUNS,
+                PARQUET_NAME,
+                CSV_NAME,
+                ORDER_NAME,
+                SERIES_NAME,
+                SERIES,
+            ];
             if let Some(file) = names.into_iter().find(|name| folder.join(name).exists()) {
                 let folder = folder.to_owned();
                 return Err(FolderError::NoExperiment { folder, file });

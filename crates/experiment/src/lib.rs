@@ -30,7 +30,7 @@ pub use error::PlanError;
 pub use execute::{ExecuteError, Execution, Outcome, execute};
 pub use export::{AppliedChange, ExportError, SwarmHistory, experiment_file};
 pub use files::{Files, FilesError, POINTS, START};
-pub use folder::{Folder, FolderError, unfinished};
+pub use folder::{FinishedRuns, Folder, FolderError, unfinished};
 pub use grid::AXES;
 pub use jostle_physics::model::MODEL_VERSION;
 pub use limits::{MAX_ENTRIES, MAX_INDIVIDUALS, MAX_RUNS, MAX_STEPS};

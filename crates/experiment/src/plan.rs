@@ -57,6 +57,8 @@ pub struct Columns {
     pub from: f64,
     /// Steps between two measurements.
     pub every: u64,
+    /// Steps between two entries of their time series; none if no series is recorded.
+    pub series_every: Option<u64>,
 }
 
 /// The settings that the replicates of a run share.
@@ -278,10 +280,16 @@ impl Plan {
         templates(source, &source.read()?.at, setting)
     }
 
-    /// Returns the number of entries in a run's time series.
-    pub(crate) fn entries(&self, run: &PlannedRun) -> u64 {
-        let every = self.order_every;
-        every.map_or(0, |every| self.point(run).steps / every + 1)
+    /// Returns the number of values in a run's time series.
+    #[must_use]
+    pub fn entries(&self, run: &PlannedRun) -> u64 {
+        let steps = self.point(run).steps;
+        let orders = self.order_every.map_or(0, |every| steps / every + 1);
+        let columns = &self.columns;
+        let values = columns.series_every.map_or(0, |every| {
+            (steps / every + 2).saturating_mul(columns.measures.len() as u64)
+        });
+        orders.saturating_add(values)
     }
 
     /// Checks a choice and adds all its replicates.

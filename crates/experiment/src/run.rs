@@ -10,7 +10,7 @@ use jostle_physics::simulation::{
 use jostle_proto::snapshot::SnapshotPhase;
 use jostle_results::ResultRow;
 use jostle_results::contact_statistics::ContactStatistics;
-use jostle_results::table::OrderSeries;
+use jostle_results::table::{OrderSeries, Series};
 
 use crate::contact_events::ContactMeter;
 use crate::limits::MAX_INDIVIDUALS;
@@ -40,7 +40,9 @@ pub struct FinishedRun {
     /// Why the run ended early, if it did.
     pub fault: Option<String>,
     /// The order over time, if the plan has `order_every`.
-    pub series: Option<OrderSeries>,
+    pub order: Option<OrderSeries>,
+    /// The chosen measures over time, if the plan has `series_every`.
+    pub series: Option<Series>,
     /// The measurements of contacts, if the plan has `touch`.
     pub touch: Option<ContactStatistics>,
 }
@@ -201,8 +203,7 @@ impl<'a> CurrentRun<'a> {
         }
         if !is_last {
             let view = View::new(&self.simulation.state, &self.past);
-            self.measures
-                .observe(self.plan, &view, &self.simulation.state);
+            self.measures.observe(self.plan, &view);
         }
         Ok(Boundary::Continue)
     }
@@ -222,24 +223,30 @@ impl<'a> CurrentRun<'a> {
         Ok(())
     }
 
-    fn finish(self, boundary: Boundary, fault: Option<String>) -> FinishedRun {
+    fn finish(mut self, boundary: Boundary, fault: Option<String>) -> FinishedRun {
         let is_stopped = boundary == Boundary::Stop;
         let fault = match self.steps() {
             0 if is_stopped => Some("step 0: the condition of [stop] holds: give from".to_owned()),
             _ => fault,
         };
-        let finished = self
+        // A command may have changed the state, or the size of the group.
+        self.past.observe(&self.simulation.state);
+        let view = View::new(&self.simulation.state, &self.past);
+        self.measures.record_last(self.plan, &view);
+        let dt = self.simulation.state.parameters.dt;
+        let series = self.measures.take_series(self.plan, self.run, dt);
+        let (row, order) = self
             .measures
             .finish(self.plan, self.run, &self.simulation, is_stopped);
-        let (row, series) = finished;
         let touch = row.as_ref().zip(self.meter);
         let touch = touch.and_then(|(row, meter)| {
             meter.finish(&self.run.name, &row.contacts, &self.simulation.state)
         });
         FinishedRun {
-            row,
             fault,
-            series,
+            series: series.filter(|_| row.is_some()),
+            row,
+            order,
             touch,
         }
     }
@@ -321,7 +328,7 @@ mod tests {
         let plan =
             plan("duration = 20\nspec = { n = 1, dt = 0.01 }\nmeasure = { order_every = 500 }");
         let FinishedRun {
-            row, fault, series, ..
+            row, fault, order, ..
         } = finished_run(&plan);
         let row = row.unwrap();
         assert_eq!((fault, row.steps, row.time), (None, 2000, 20.0));
@@ -341,7 +348,7 @@ mod tests {
             assert_eq!(row.value(measure), expected, "{measure:?}");
         }
         assert_eq!(row.state_hash.len(), 64);
-        let series = series.unwrap();
+        let series = order.unwrap();
         assert_eq!(series.steps, [0, 500, 1000, 1500, 2000]);
         assert_eq!(series.times, [0.0, 5.0, 10.0, 15.0, 20.0]);
         assert!(
@@ -439,7 +446,7 @@ mod tests {
             finished.flatten().next()
         });
         let finished = crowded.unwrap();
-        assert_eq!((finished.row, finished.series), (None, None));
+        assert_eq!((finished.row, finished.order), (None, None));
         assert!(finished.fault.unwrap().contains("fit in a disc"));
     }
 }

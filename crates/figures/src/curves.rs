@@ -32,6 +32,7 @@ pub fn panels(summaries: &[Summary], curves: impl Fn(&[Summary]) -> Vec<Curve>) 
                 title,
                 remark: crossed(summaries),
                 curves: curves(summaries),
+                bands: Vec::new(),
                 marks: Vec::new(),
             }
         })

@@ -1,7 +1,7 @@
 //! One panel: its axes, its curves, and the labels at their ends.
 
 use crate::axis::tick_label;
-use crate::plot::{CELL, Curve, Mark, Panel, Plot, Point, Style, draw_mark};
+use crate::plot::{Band, CELL, Curve, Mark, Panel, Plot, Point, Style, draw_mark};
 use crate::svg::{Anchor, Canvas, FAINT, GREY, INK, Stroke};
 
 /// The left, top, right and bottom margins of the frame within its cell, in pixels.
@@ -66,6 +66,9 @@ impl<'a> Frame<'a> {
             let points = [(x + 2.0, y), (x + 12.0, y - 5.0), (x + 12.0, y + 5.0)];
             canvas.polygon(&points, colour);
         }
+        for band in &panel.bands {
+            self.draw_band(canvas, band);
+        }
         for curve in &panel.curves {
             self.draw_curve(canvas, curve);
         }
@@ -114,6 +117,15 @@ impl<'a> Frame<'a> {
         let at = (x, self.bottom + 44.0);
         canvas.text(at, Anchor::Middle, 15.0, INK, &self.plot.x.label);
         canvas.rising_text((self.left - 50.0, y), 15.0, INK, &self.plot.y.label);
+    }
+
+    fn draw_band(&self, canvas: &mut Canvas, band: &Band) {
+        let points = band.points.iter();
+        let upper = points
+            .clone()
+            .map(|&(x, _, high)| (self.x(x), self.y(high)));
+        let lower = points.rev().map(|&(x, low, _)| (self.x(x), self.y(low)));
+        canvas.band(&upper.chain(lower).collect::<Vec<_>>(), band.colour);
     }
 
     fn draw_curve(&self, canvas: &mut Canvas, curve: &Curve) {

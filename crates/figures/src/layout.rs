@@ -48,11 +48,7 @@ impl Plot {
 
 /// Draws a row of the key, centred at `middle`.
 fn draw_key(canvas: &mut Canvas, samples: &[Sample], middle: f64, y: f64) {
-    // The text is not measured: about 7 pixels a character is sufficiently accurate.
-    let widths: Vec<f64> = samples
-        .iter()
-        .map(|sample| 68.0 + 6.8 * sample.text.chars().count() as f64)
-        .collect();
+    let widths: Vec<f64> = samples.iter().map(Sample::width).collect();
     let mut x = middle - widths.iter().sum::<f64>() / 2.0;
     for (sample, width) in samples.iter().zip(widths) {
         let Style { colour, dash, mark } = sample.style;

@@ -3,6 +3,7 @@
 //! Each figure has one panel for each contact rule and time step in the table.
 
 mod axis;
+mod chart;
 mod clusters;
 mod curves;
 mod drift;
@@ -18,6 +19,7 @@ mod svg;
 use jostle_results::ResultRow;
 use jostle_results::statistics::summarise;
 
+pub use chart::{Labels, MAX_CURVES, TooManyCurves, draw_chart, remarks};
 pub use image::{SaveError, save};
 pub use snapshot::{Group, Member, snapshot};
 

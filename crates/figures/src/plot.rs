@@ -27,8 +27,18 @@ pub struct Panel {
     pub remark: String,
     /// The curves, later ones on top.
     pub curves: Vec<Curve>,
+    /// Areas below the curves.
+    pub bands: Vec<Band>,
     /// Values marked at the right edge, and the colour of each mark.
     pub marks: Vec<(f64, &'static str)>,
+}
+
+/// An area between two curves.
+pub struct Band {
+    /// Its colour.
+    pub colour: &'static str,
+    /// The horizontal value, the lower and the upper end, from left to right.
+    pub points: Vec<(f64, f64, f64)>,
 }
 
 /// Values joined by a line.
@@ -84,6 +94,14 @@ pub struct Sample {
     pub style: Style,
     /// The meaning of the style.
     pub text: String,
+}
+
+impl Sample {
+    /// Returns its approximate width in pixels. The text is not measured: about 7 pixels a character
+    /// is sufficiently accurate.
+    pub fn width(&self) -> f64 {
+        68.0 + 6.8 * self.text.chars().count() as f64
+    }
 }
 
 /// The width and height of a panel with its labels, in pixels.

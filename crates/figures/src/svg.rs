@@ -97,12 +97,21 @@ impl Canvas {
 
     /// Draws a filled polygon.
     pub fn polygon(&mut self, points: &[(f64, f64)], fill: &str) {
+        self.filled(points, fill, "");
+    }
+
+    /// Draws a polygon through which what is below it is seen.
+    pub fn band(&mut self, points: &[(f64, f64)], fill: &str) {
+        self.filled(points, fill, " fill-opacity=\"0.18\"");
+    }
+
+    fn filled(&mut self, points: &[(f64, f64)], fill: &str, opacity: &str) {
         let points: Vec<String> = points
             .iter()
             .map(|&(x, y)| format!("{},{}", number(x), number(y)))
             .collect();
         self.push(&format!(
-            "<polygon points=\"{}\" fill=\"{fill}\"/>",
+            "<polygon points=\"{}\" fill=\"{fill}\"{opacity}/>",
             points.join(" ")
         ));
     }
@@ -238,8 +247,17 @@ fn span(text: &str, raise: &str) -> String {
     }
 }
 
+/// Stands for an underscore in a text with subscripts.
+const UNDERSCORE: char = '\u{e000}';
+
+/// Returns a text whose underscores are no subscripts.
+pub fn literal(text: &str) -> String {
+    text.replace('_', UNDERSCORE.encode_utf8(&mut [0; 4]))
+}
+
 fn escape(text: &str) -> String {
-    text.replace('&', "&amp;")
+    text.replace(UNDERSCORE, "_")
+        .replace('&', "&amp;")
         .replace('<', "&lt;")
         .replace('>', "&gt;")
 }
@@ -257,6 +275,7 @@ mod tests {
     #[test]
     fn subscripts_are_lowered_and_text_is_escaped() {
         assert_eq!(with_subscripts("a < b", 10.0), "a &lt; b");
+        assert_eq!(with_subscripts(&literal("radius_of"), 10.0), "radius_of");
         assert_eq!(
             with_subscripts("v_{ind}(n)", 10.0),
             "v<tspan dy=\"2.2\" font-size=\"7.5\">ind</tspan><tspan dy=\"-2.2\">(n)</tspan>"

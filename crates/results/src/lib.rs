@@ -3,6 +3,7 @@
 //! Its inputs are rows and frames, its outputs files. It uses `jostle-proto` only for the definition
 //! of a row.
 
+pub mod chart;
 pub mod claims;
 pub mod contact_statistics;
 pub mod disorder;

@@ -160,8 +160,12 @@ fn compare_others(one: &str, two: &str) -> Ordering {
             .map(|(name, value)| (name.to_owned(), value.to_owned()))
             .collect()
     };
-    let (one, two) = (split(one), split(two));
-    let pairs = one.iter().zip(&two);
+    compare_values(&split(one), &split(two))
+}
+
+/// Compares varied values with their names, numbers by size.
+pub(crate) fn compare_values(one: &[(String, String)], two: &[(String, String)]) -> Ordering {
+    let pairs = one.iter().zip(two);
     let mut orders = pairs.map(|((name, value), (of, other))| {
         let by_value = match (value.parse::<f64>(), other.parse::<f64>()) {
             (Ok(value), Ok(other)) => value.total_cmp(&other),
@@ -189,7 +193,7 @@ pub fn summarise(runs: &[ResultRow]) -> Vec<Summary> {
 
 fn summarise_condition(condition: Condition, runs: &[&ResultRow]) -> Summary {
     let numbers = |measure| -> Vec<f64> { runs.iter().map(|run| run.number(measure)).collect() };
-    let v = spread(&numbers(Measure::V));
+    let v = mean_of(&numbers(Measure::V));
     let drifts = runs
         .iter()
         .filter_map(|run| run.optional_number(Measure::V_PD));
@@ -215,12 +219,12 @@ fn summarise_condition(condition: Condition, runs: &[&ResultRow]) -> Summary {
         [&ordered.0, &unordered.0].map(|it| it.iter().sum::<f64>());
     Summary {
         runs: runs.len(),
-        v_pd: (drifts.len() == runs.len()).then(|| spread(&drifts)),
+        v_pd: (drifts.len() == runs.len()).then(|| mean_of(&drifts)),
         build_up: interval(&unordered),
         breakdown: interval(&ordered),
         n_eff: n_eff(condition.n, v.mean),
         ordered_share: ordered_time / (ordered_time + unordered_time),
-        crossed_share: spread(&numbers(Measure::CROSSED_SHARE)).mean,
+        crossed_share: mean_of(&numbers(Measure::CROSSED_SHARE)).mean,
         extra: extra(&condition, runs),
         condition,
         v,
@@ -244,14 +248,64 @@ fn extra(condition: &Condition, runs: &[&ResultRow]) -> Vec<ExtraSummary> {
         ExtraSummary {
             name: name.to_owned(),
             runs: values.len(),
-            spread: (!values.is_empty()).then(|| spread(&values)),
+            spread: (!values.is_empty()).then(|| mean_of(&values)),
         }
     };
     names.into_iter().map(summary).collect()
 }
 
+impl Spread {
+    /// Returns half the length of the 95 % interval of the mean of `runs` runs, from Student's t
+    /// distribution; none for one run.
+    #[must_use]
+    pub fn half_width(&self, runs: usize) -> Option<f64> {
+        let freedom = runs.checked_sub(1)?;
+        self.error.map(|error| error * student_t(freedom as u64))
+    }
+}
+
+/// Returns the 97.5 % quantile of Student's t distribution with so many degrees of freedom, at least 1.
+///
+/// Abramowitz and Stegun: by bisection of the finite sums 26.7.3 and 26.7.4; beyond 200 degrees by
+/// the expansion 26.7.5, whose error is below 1e-8 there.
+fn student_t(freedom: u64) -> f64 {
+    const NORMAL: f64 = 1.959_963_984_540_054;
+    let count = freedom as f64;
+    if freedom > 200 {
+        let z = NORMAL;
+        let (three, five) = (z * z * z, z * z * z * z * z);
+        let second = (5.0 * five + 16.0 * three + 3.0 * z) / 96.0;
+        let third = (3.0 * five * z * z + 19.0 * five + 17.0 * three - 15.0 * z) / 384.0;
+        return z + ((three + z) / 4.0 + (second + third / count) / count) / count;
+    }
+    let within = |angle: f64| {
+        let (sine, cosine) = (libm::sin(angle), libm::cos(angle));
+        let is_odd = freedom % 2 == 1;
+        let (mut term, mut sum) = (if is_odd { cosine } else { 1.0 }, 0.0);
+        let mut degree = if is_odd { 1 } else { 0 };
+        while degree + 2 <= freedom {
+            sum += term;
+            term *= cosine * cosine * (degree + 1) as f64 / (degree + 2) as f64;
+            degree += 2;
+        }
+        match is_odd {
+            true => (angle + sine * sum) / std::f64::consts::FRAC_PI_2,
+            false => sine * sum,
+        }
+    };
+    let (mut low, mut high) = (0.0, std::f64::consts::FRAC_PI_2);
+    for _ in 0..60 {
+        let middle = f64::midpoint(low, high);
+        match within(middle) < 0.95 {
+            true => low = middle,
+            false => high = middle,
+        }
+    }
+    libm::tan(low) * count.sqrt()
+}
+
 /// Averages `values`, at least one.
-fn spread(values: &[f64]) -> Spread {
+pub(crate) fn mean_of(values: &[f64]) -> Spread {
     let count = values.len() as f64;
     let mean = values.iter().sum::<f64>() / count;
     let squares: f64 = values
@@ -295,6 +349,25 @@ fn mean_interval(runs: &[(f64, f64)]) -> Option<Interval> {
 mod tests {
     use super::*;
     use crate::samples::{sample, with};
+
+    #[test]
+    fn quantiles_of_student_t_are_those_of_tables() {
+        // scipy.stats.t.ppf(0.975, freedom)
+        for (freedom, expected) in [
+            (1, 12.706_204_736_174_694),
+            (2, 4.302_652_729_749_462),
+            (3, 3.182_446_305_283_708),
+            (4, 2.776_445_105_197_793),
+            (9, 2.262_157_162_798_205),
+            (30, 2.042_272_456_301_238),
+            (200, 1.971_896_224_154_653),
+            (201, 1.971_836_5),
+            (1000, 1.962_339_080_826_409),
+        ] {
+            let quantile = student_t(freedom);
+            assert!((quantile - expected).abs() < 1e-6, "{freedom}: {quantile}");
+        }
+    }
 
     #[test]
     fn runs_that_differ_in_any_parameter_are_of_two_conditions() {
@@ -405,11 +478,11 @@ mod tests {
     #[test]
     fn deviations_are_normalised_by_the_runs_minus_one() {
         let values = [1.0, 2.0, 3.0, 6.0];
-        let found = spread(&values);
+        let found = mean_of(&values);
         assert_eq!(found.mean, 3.0);
         assert_eq!(found.deviation, Some((14.0_f64 / 3.0).sqrt()));
         assert_eq!(found.error, Some((14.0_f64 / 3.0).sqrt() / 2.0));
-        assert_eq!(spread(&[0.5]).deviation, None);
+        assert_eq!(mean_of(&[0.5]).deviation, None);
     }
 
     #[test]

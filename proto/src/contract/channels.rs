@@ -33,6 +33,20 @@ pub enum ChannelKind {
     Command(&'static str, &'static str),
 }
 
+/// The parameters of a page of a run's time series.
+const PAGE_OF_RUN: &[(&str, &str)] = &[
+    ("run", "the name of the run, as in the results"),
+    (
+        "after",
+        "a whole number, 0 by default: the reply has only entries with higher numbers; the first \
+         entry is number 1",
+    ),
+    (
+        "limit",
+        "a whole number from 1 to 40000, the default: the reply has at most this number of entries",
+    ),
+];
+
 const PAGE: &[(&str, &str)] = &[
     (
         "after",
@@ -371,20 +385,15 @@ pub const CHANNELS: &[Channel] = &{
         Channel {
             key: "@node/{node}/experiment/{experiment}/order",
             kind: Get("experiment.order"),
-            parameters: &[
-                ("run", "the name of the run, as in the results"),
-                (
-                    "after",
-                    "a whole number, 0 by default: the reply has only entries with higher \
-                     numbers; the first entry is number 1",
-                ),
-                (
-                    "limit",
-                    "a whole number from 1 to 40000, the default: the reply has at most this \
-                     number of entries",
-                ),
-            ],
+            parameters: PAGE_OF_RUN,
             doc: "The order of one run over time, if the experiment measures it, as CBOR.",
+        },
+        Channel {
+            key: "@node/{node}/experiment/{experiment}/series",
+            kind: Get("experiment.series"),
+            parameters: PAGE_OF_RUN,
+            doc: "The chosen measures of one run over time, if the experiment has `series_every`, as \
+                  CBOR.",
         },
     ]
 };

@@ -12,7 +12,7 @@ use jostle_proto::{
     ExperimentResult, Experiments, Hello, Journal, Lenient, Measures, Metrics, NodeReply,
     NodeStatus, OrderPage, OrderSample, Parameters, Progress, RecordArgs, Recording,
     RecordingPiece, Recordings, ReplayArgs, ReplayResult, Reply, Request, ResultsPage, Schemas,
-    SeekArgs, Snapshot, Spec, State, Status, Swarms, Verified, WhoAmI,
+    SeekArgs, SeriesPage, Snapshot, Spec, State, Status, Swarms, Verified, WhoAmI,
 };
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -98,6 +98,7 @@ pub fn written_back_as_text(message: &str, text: &str) -> Result<String, String>
         "experiment.progress" => received::<Progress>(text),
         "experiment.results" => received::<ResultsPage>(text),
         "experiment.order" => received::<OrderPage>(text),
+        "experiment.series" => received::<SeriesPage>(text),
         other => panic!("{other} has no type here"),
     }
 }

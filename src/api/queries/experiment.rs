@@ -1,4 +1,4 @@
-//! `progress`, `results` and `order` of experiments.
+//! `progress`, `results`, `order` and `series` of experiments.
 
 use jostle_proto::{Experiments, keys};
 
@@ -12,8 +12,11 @@ use crate::experiments::Report;
 /// The most bytes of the rows of a page, so that a reply fits one message.
 const MAX_PAGE_BYTES: usize = 768 * 1024;
 
-/// The default and the most entries of a page of an order over time.
+/// The default and the most entries of a page of a time series.
 const MAX_ENTRIES: usize = 40_000;
+
+/// The most numbers of a page of measures over time, so that a reply fits one message.
+const MAX_VALUES: usize = 100_000;
 
 impl Context {
     /// All experiments and their progress.
@@ -51,6 +54,7 @@ impl Context {
             },
             "results" => self.results(incoming, &responder, name),
             "order" => self.order(incoming, &responder, name),
+            "series" => self.series(incoming, &responder, name),
             _ => Err(CommandError::UnknownNoun {
                 noun: truncate(noun),
                 known: &keys::EXPERIMENT_GETS,
@@ -95,6 +99,23 @@ impl Context {
         self.experiment_files.submit(move |experiments| {
             responder.finish(experiments.order(&name, &run), move |series| {
                 Payload::cbor(&convert::order_page(name, &series, after, limit))
+            });
+        });
+        Ok(())
+    }
+
+    fn series(
+        &self,
+        incoming: &Incoming,
+        responder: &Responder,
+        name: &str,
+    ) -> Result<(), CommandError> {
+        let (run, after, limit) = page_of_run(incoming.parameters(), MAX_ENTRIES)?;
+        let (name, run, responder) = (name.to_owned(), run.to_owned(), responder.clone());
+        self.experiment_files.submit(move |experiments| {
+            responder.finish(experiments.series(&name, &run), move |series| {
+                let page = convert::series_page(name, &series, after, limit, MAX_VALUES);
+                Payload::cbor(&page)
             });
         });
         Ok(())

@@ -14,6 +14,7 @@ impl WireCode for ExperimentError {
         match self {
             ExperimentError::Plan { .. }
             | ExperimentError::Name(_)
+            | ExperimentError::NoOrder(_)
             | ExperimentError::NoSeries(_) => ErrorCode::InvalidArgument,
             ExperimentError::Unknown(_) | ExperimentError::UnknownRun { .. } => ErrorCode::NotFound,
             ExperimentError::Exists(_) => ErrorCode::AlreadyExists,

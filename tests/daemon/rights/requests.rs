@@ -16,8 +16,7 @@ pub const SWARM: &str = "source";
 pub const RECORDING: &str = "film";
 const EXPERIMENT: &str = "small";
 
-const TOML: &str =
-    "name = \"small\"\nduration = 1\n[[grid]]\nn = [2]\n[measure]\norder_every = 10\n";
+const TOML: &str = "name = \"small\"\nduration = 1\n[[grid]]\nn = [2]\n[measure]\norder_every = 10\nseries_every = 10\ncolumns = [\"order\"]\n";
 
 /// A request that succeeds once, unless the sender is not permitted to send it.
 pub struct Request {
@@ -89,7 +88,7 @@ impl Request {
         let (selector, http) = match row.rsplit_once('/').unwrap().1 {
             "wait" => ("?step=0", "?step=0"),
             "recording" => ("?name=film", "?name=film"),
-            "order" => ("?run=n=2 #0", "?run=n%3D2%20%230"),
+            "order" | "series" => ("?run=n=2 #0", "?run=n%3D2%20%230"),
             _ => ("", ""),
         };
         let key = row.replace("{swarm}", SWARM);

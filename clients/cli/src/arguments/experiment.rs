@@ -1,4 +1,4 @@
-//! The arguments of `experiment` and `figure`.
+//! The arguments of `experiment` and `plot`.
 
 use std::path::PathBuf;
 
@@ -132,8 +132,8 @@ pub struct ResultsArguments {
     /// The experiment
     #[arg(value_parser = values::name, add = ArgValueCompleter::new(completion::experiments))]
     pub name: String,
-    /// Write results.parquet and results.csv into this folder, or one table to FILE.parquet or
-    /// FILE.csv
+    /// Write results.parquet and results.csv into this folder, and series.parquet if the experiment
+    /// has `series_every`; or one table to FILE.parquet or FILE.csv
     #[arg(short, long, value_name = "FOLDER|FILE", value_hint = ValueHint::AnyPath)]
     pub out: Option<PathBuf>,
     /// Replace tables of another experiment, or with runs that these results do not have
@@ -145,16 +145,54 @@ pub struct ResultsArguments {
     /// Print the order of this run over time as CSV, if the experiment measures it
     #[arg(long, value_name = "RUN", conflicts_with_all = ["out", "csv"])]
     pub order: Option<String>,
+    /// Print the chosen measures of this run over time as CSV, or those of all runs, if the
+    /// experiment has `series_every`
+    #[arg(long, value_name = "RUN", num_args = 0..=1, conflicts_with_all = ["out", "csv", "order"])]
+    #[expect(
+        clippy::option_option,
+        reason = "the option without a value means all runs"
+    )]
+    pub series: Option<Option<String>>,
 }
 
+/// Examples of charts, for the help text.
+const PLOTS: &str = "\
+Pictures of results:
+  jostle plot order --y v --x n -o v.svg                 # of an experiment of the daemon
+  jostle plot results --y stopped_at -o stopped.png      # of a folder with results
+  jostle plot results --y milling --over-time -o m.svg   # needs series_every in [measure]
+  jostle plot 2 results -o figure-2.svg                  # the paper's figure 2, 4, 5 or 6
+  jostle plot snapshot demo -o now.png                   # the current state of swarms
+
+Points are means over the runs of a condition, bars and bands the 95 % interval of the mean
+(Student's t). There is a curve for each combination of the other values that vary. Runs without a
+value are left out, and the picture says how many.";
+
 #[derive(Debug, Args)]
-pub struct FigureArguments {
-    /// The figure of the paper, 2, 4, 5 or 6, or `snapshot` for the current state of swarms
-    #[arg(value_parser = values::figure, add = ArgValueCompleter::new(completion::figures))]
-    pub kind: values::Figure,
-    /// A folder with results, results.parquet or results.csv; for `snapshot` names of swarms
-    #[arg(required = true, value_name = "RESULTS|SWARM", value_hint = ValueHint::AnyPath, add = ArgValueCompleter::new(completion::swarms))]
+#[command(after_help = PLOTS)]
+pub struct PlotArguments {
+    /// With `--y` an experiment, or a folder or file with results; otherwise a figure of the paper,
+    /// 2, 4, 5 or 6, or `snapshot`
+    #[arg(value_name = "EXPERIMENT|FOLDER|FIGURE", value_hint = ValueHint::AnyPath, add = ArgValueCompleter::new(completion::plots))]
+    pub what: String,
+    /// For a figure a folder with results, results.parquet or results.csv; for `snapshot` names of
+    /// swarms
+    #[arg(value_name = "RESULTS|SWARM", value_hint = ValueHint::AnyPath, add = ArgValueCompleter::new(completion::swarms))]
     pub of: Vec<String>,
+    /// The column of the results that is drawn, such as v, stopped_at or milling
+    #[arg(long, value_name = "COLUMN")]
+    pub y: Option<String>,
+    /// The value over which it is drawn [default: the only number that varies]
+    #[arg(
+        long,
+        value_name = "VARIABLE",
+        requires = "y",
+        conflicts_with = "over_time"
+    )]
+    pub x: Option<String>,
+    /// Draw a measure over time, with a curve for each condition
+    #[arg(long, requires = "y")]
+    pub over_time: bool,
     /// The output, FILE.svg or FILE.png
     #[arg(short, long, value_name = "FILE", value_hint = ValueHint::FilePath)]
     pub out: PathBuf,

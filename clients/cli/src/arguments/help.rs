@@ -114,7 +114,7 @@ Examples:
   jostle snapshot demo -o demo.snapshot
   jostle experiment run order.toml
   jostle experiment results order -o results
-  jostle figure 2 results -o figure-2.svg
+  jostle plot results --y v --x n -o v.svg
   jostle doctor
 
 Lengths are in body sizes, speeds in free speeds, times in their quotient; angles are radians
@@ -198,7 +198,7 @@ pub const EXAMPLES: [(&str, &str); 55] = [
         "results merge",
         "results merge order-parts -o results --verify 1%",
     ),
-    ("figure", "figure 2 results -o figure-2.svg"),
+    ("plot", "plot order --y v --x n -o v.svg"),
     ("claims", "claims results --page claims.md"),
     ("doctor", "doctor"),
     ("schema", "schema step.args"),

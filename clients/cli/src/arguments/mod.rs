@@ -122,8 +122,9 @@ pub enum Verb {
     Experiment(ExperimentArguments),
     /// Merges results of experiments that several machines executed
     Results(ResultsVerbArguments),
-    /// Draws a figure of the paper from results, or a snapshot of swarms
-    Figure(FigureArguments),
+    /// Draws charts of results, figures of the paper, and snapshots of swarms
+    #[command(alias = "figure")]
+    Plot(PlotArguments),
     /// Compares results with the claims of the paper, or with bands of earlier results
     Claims(ClaimsArguments),
     /// Checks the connection to a daemon and suggests remedies
@@ -276,9 +277,10 @@ mod tests {
             "experiment run",
             "experiment pause a/b",
             "experiment results a -o b --csv",
-            "figure 3 results -o a.svg",
-            "figure 2 results",
-            "figure 2 -o a.svg",
+            "plot 2 results",
+            "plot a --x n -o a.svg",
+            "plot a --over-time -o a.svg",
+            "plot a --y v --x n --over-time -o a.svg",
         ] {
             assert!(read(line).is_err(), "{line}");
         }

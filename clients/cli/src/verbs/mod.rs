@@ -9,12 +9,12 @@ mod diff;
 mod doctor;
 mod events;
 mod experiment;
-mod figure;
 mod fork;
 mod help;
 mod individuals;
 mod inspect;
 mod outage;
+mod plot;
 mod record;
 mod replay;
 mod restore;
@@ -39,7 +39,6 @@ use crate::context::Context;
 use crate::failure::{Failure, Kind};
 use crate::interrupt;
 use crate::output::Output;
-use crate::values::Figure;
 pub use crate::verbs::watch::restore_terminal;
 
 /// Executes a verb.
@@ -67,9 +66,10 @@ pub async fn execute(arguments: Arguments, output: Output) -> Result<(), Failure
             force,
             ..
         }) => return record::recover(output, &file, force),
-        Verb::Figure(arguments) if arguments.kind != Figure::Snapshot => {
-            return figure::of_results(output, &arguments);
-        }
+        Verb::Plot(arguments) => match plot::without_daemon(output, &arguments)? {
+            true => return Ok(()),
+            false => Verb::Plot(arguments),
+        },
         verb => verb,
     };
     let records = records_to_file(&verb);
@@ -153,7 +153,7 @@ async fn interruptible(context: &Context, verb: Verb) -> Result<(), Failure> {
         Verb::Auth(arguments) => auth::auth(context, &arguments.what).await,
         Verb::Diff(arguments) => diff::diff(context, &arguments).await,
         Verb::Verify(arguments) => verify::verify(context, &arguments.name).await,
-        Verb::Figure(arguments) => figure::snapshot(context, &arguments).await,
+        Verb::Plot(arguments) => plot::of_daemon(context, &arguments).await,
         Verb::Schema(arguments) => schema::schema(context, &arguments).await,
         Verb::Run(_)
         | Verb::Step(_)

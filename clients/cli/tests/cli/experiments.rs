@@ -1,4 +1,4 @@
-//! `experiment` and `figure`.
+//! `experiment` and `plot`.
 
 use std::fs;
 use std::path::Path;
@@ -9,7 +9,8 @@ use serde_json::json;
 use crate::support::{Daemon, until};
 
 const SMALL: &str = "name = \"small\"\nseed = 3\nreplicates = 2\nduration = 20\n\
-                     grid = [{ n = [3, 8] }]\nmeasure = { order_every = 500 }\n";
+                     grid = [{ n = [3, 8] }]\nmeasure = { order_every = 500, series_every = 400, \
+                     columns = [\"order\", \"milling\"] }\n";
 const ENDLESS: &str = "name = \"endless\"\nreplicates = 4\nduration = 1e6\nspec = { n = 20 }\n";
 
 fn file(folder: &Path, name: &str, text: &str) -> String {
@@ -106,6 +107,61 @@ async fn an_experiment_is_run_listed_and_its_tables_are_those_of_the_daemon() {
     let lines: Vec<&str> = order.lines().collect();
     assert_eq!((lines.len(), lines[0]), (4, "time,order,drift"), "{order}");
     assert!(lines[2].starts_with("10,"), "{order}");
+
+    let series = daemon.said("experiment results small --series").await;
+    let lines: Vec<&str> = series.lines().collect();
+    assert_eq!(lines[0], "run,step,time,order,milling");
+    assert!(lines[1].starts_with("n=3 #0,0,0,"), "{series}");
+    // 1000 steps: 0, 400, 800 and the last one, of each of four runs.
+    assert_eq!(lines.len(), 1 + 4 * 4, "{series}");
+    assert!(out.join("series.parquet").exists());
+    for (line, picture) in [
+        (format!("plot {} --y milling", out.display()), "milling.svg"),
+        (
+            format!("plot {} --y milling --over-time", out.display()),
+            "over.png",
+        ),
+        ("plot small --y v --x n".to_owned(), "v.svg"),
+        ("plot small --y order --over-time".to_owned(), "order.svg"),
+    ] {
+        let picture = folder.path().join(picture);
+        daemon
+            .said(&format!("{line} -o {}", picture.display()))
+            .await;
+        assert!(fs::metadata(&picture).unwrap().len() > 1000, "{line}");
+    }
+    let picture = fs::read_to_string(folder.path().join("v.svg")).unwrap();
+    assert!(
+        picture.contains("95 % interval") && picture.contains("2 runs each"),
+        "{picture}"
+    );
+    for (line, part) in [
+        (
+            format!("plot {} --y miling -o a.svg", out.display()),
+            "did you mean `milling`?",
+        ),
+        (
+            format!("plot {} -o a.svg", out.display()),
+            "name a column, one of ",
+        ),
+        (
+            "plot small --y v --x m -o a.svg".to_owned(),
+            "use one of n, ",
+        ),
+        (
+            "plot small --y drift --over-time -o a.svg".to_owned(),
+            "use one of order, milling",
+        ),
+        (
+            format!("plot {} --y v -o a.gif", out.display()),
+            "neither .svg nor .png",
+        ),
+    ] {
+        let refused = daemon.refusal(&line).await;
+        assert_eq!(refused["code"], "invalid_argument", "{line}");
+        let message = refused["message"].as_str().unwrap();
+        assert!(message.contains(part), "{line}: {message}");
+    }
 
     for picture in ["figure.svg", "figure.png"] {
         let picture = folder.path().join(picture);

@@ -39,7 +39,7 @@ const LINES: [&str; 53] = [
     "experiment resume nothing",
     "experiment run {}/order.toml --detach",
     "experiment status nothing",
-    "figure snapshot demo -o {}/demo.svg",
+    "plot snapshot demo -o {}/demo.svg",
     "fork demo copy",
     "inform demo --count 1 --direction 0",
     "inject demo --count 1",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import time
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Self
 
@@ -28,7 +28,16 @@ from ._errors import (
 )
 from ._progress import Bar
 from ._repr import HtmlList, error_html
-from ._results import ExperimentResult, OrderSeries, Progress, ResultRow, ResultsPage, of_rows
+from ._results import (
+    ExperimentResult,
+    OrderSeries,
+    Progress,
+    ResultRow,
+    ResultsPage,
+    SeriesColumns,
+    of_rows,
+    of_series,
+)
 from ._session import Session
 
 if TYPE_CHECKING:
@@ -185,15 +194,51 @@ class Experiment:
             NotFound: There is no such run.
             IncorrectState: The run is not finished.
         """
+        pages = [
+            [_column(fields, name) for name in ("time", "order", "drift")]
+            for fields in self._pages("order", run)
+        ]
+        return OrderSeries(run, *map(np.concatenate, zip(*pages, strict=True)))
+
+    def series(self, run: str | None = None) -> pandas.DataFrame:
+        """The measures over time as a table of pandas, if the experiment has `series_every`.
+
+        The columns are `run`, the values that vary in the names of the runs (numbers, or text),
+        `step`, `time` (body sizes over free speed), and a column for each measure in its unit, NaN
+        where it is undefined. The rows are in the order of the plan and of time.
+
+        Args:
+            run: The name of a run, as in `rows`; None is every finished run.
+
+        Raises:
+            ImportError: pandas is missing: `pip install jostle[pandas]`.
+            InvalidArgument: The experiment does not record measures over time.
+            NotFound: There is no such run.
+            IncorrectState: The run is not finished.
+        """
+        runs = [row.run for row in self.rows()] if run is None else [run]
+        return of_series([(name, self._series(name)) for name in runs])
+
+    def _series(self, run: str) -> SeriesColumns:
+        """The columns of one run over time, by name."""
+        parts: dict[str, list[NDArray[np.float64]]] = {}
+        for fields in self._pages("series", run):
+            columns = {name: _column(fields, name) for name in ("step", "time")}
+            for measure in fields.get("measures", []):
+                columns[str(measure.get("name"))] = _column(measure, "value")
+            for name, values in columns.items():
+                parts.setdefault(name, []).append(values)
+        return {name: np.concatenate(values) for name, values in parts.items()}
+
+    def _pages(self, noun: str, run: str) -> Iterator[Mapping[str, Any]]:
+        """The pages of a run's time series."""
         if ";" in run:
             raise invalid("run", f"invalid name of a run {run!r}: `rows` has the names")
-        pages: list[list[NDArray[np.float64]]] = []
         after: int | None = 0
         while after is not None:
-            fields = read_map(self._get(f"order?run={run};after={after}"))
+            fields = read_map(self._get(f"{noun}?run={run};after={after}"))
             after = fields.get("next")
-            pages.append([_column(fields, name) for name in ("time", "order", "drift")])
-        return OrderSeries(run, *map(np.concatenate, zip(*pages, strict=True)))
+            yield fields
 
     def _command(self, what: Literal["pause", "resume", "cancel", "delete"]) -> Progress:
         args: dict[str, Any] = {what: {"name": self._name}}
@@ -338,5 +383,5 @@ def _column(fields: Mapping[str, Any], name: str) -> NDArray[np.float64]:
     column = fields.get(name)
     data = getattr(column, "value", None)
     if not isinstance(data, bytes):
-        raise Internal(f"the daemon sent an order whose {name} is not a column")
+        raise Internal(f"the daemon sent a time series whose {name} is not a column")
     return np.frombuffer(data, "<f8")

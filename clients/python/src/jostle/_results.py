@@ -191,6 +191,40 @@ def of_rows(rows: Sequence[ResultRow]) -> pandas.DataFrame:
     return table.astype(dict.fromkeys(["v_pd", *extra], "float64"))
 
 
+SeriesColumns = dict[str, NDArray[np.float64]]
+"""The step, the time and the measures of a run, each of shape (m,)."""
+
+
+def of_series(runs: Sequence[tuple[str, SeriesColumns]]) -> pandas.DataFrame:
+    """Measures over time, by the names of the runs, as a table of pandas.
+
+    Raises:
+        ImportError: pandas is missing; `pip install jostle[pandas]` installs it.
+    """
+    pd = import_extra("pandas", "pandas")
+    tables = []
+    for run, columns in runs:
+        table: pandas.DataFrame = pd.DataFrame(columns).astype({"step": "int64"})
+        pairs = [pair.partition("=") for pair in run.split(" ") if "=" in pair]
+        values = [(name, _number_or_text(value)) for name, _, value in pairs]
+        for place, (name, value) in enumerate([("run", run), *values]):
+            # A variable may have the name of a column.
+            table.insert(place, f"{name}_of_run" if name in columns else name, value)
+        tables.append(table)
+    empty: pandas.DataFrame = pd.DataFrame({"run": [], "step": [], "time": []})
+    joined: pandas.DataFrame = pd.concat(tables, ignore_index=True) if tables else empty
+    return joined
+
+
+def _number_or_text(text: str) -> float | int | str:
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            pass
+    return text
+
+
 class ResultsPage(msgspec.Struct, frozen=True, kw_only=True):
     """A page of rows; `next` is the number to request the next page after."""
 

@@ -181,6 +181,7 @@ class Experiment(_Wrapper[jostle.Experiment]):
     rows = _awaited(jostle.Experiment.rows)
     frame = _awaited(jostle.Experiment.frame)
     order = _awaited(jostle.Experiment.order)
+    series = _awaited(jostle.Experiment.series)
 
 
 class Controller(_Context[jostle.Controller]):

@@ -1,15 +1,15 @@
 //! The list of finished runs, `runs.jsonl`: a header and a line for each run.
 
 use std::collections::BTreeMap;
-use std::fs;
-use std::io;
+use std::fs::{self, File};
+use std::io::{self, Read as _, Seek as _, SeekFrom};
 use std::ops::Range;
 use std::path::Path;
 
 use jostle_physics::model::MODEL_VERSION;
 use jostle_results::ResultRow;
 use jostle_results::contact_statistics::ContactStatistics;
-use jostle_results::table::OrderSeries;
+use jostle_results::table::{MeasureSeries, OrderSeries, Series};
 use serde::{Deserialize, Serialize};
 
 use super::error::{FolderError, io_error};
@@ -46,24 +46,27 @@ pub struct Line<'a> {
     #[serde(flatten)]
     pub record: &'a Record,
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub order: Option<Series>,
+    pub order: Option<StoredOrder>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub series: Option<StoredSeries>,
 }
 
-/// The order over time of a line; other fields are skipped.
-#[derive(Deserialize)]
-pub struct OrderOfLine {
-    pub order: Option<Series>,
+/// The time series of a line; other fields are skipped.
+#[derive(Default, Deserialize)]
+struct SeriesOfLine {
+    order: Option<StoredOrder>,
+    series: Option<StoredSeries>,
 }
 
 /// The order parameter every `order_every` steps, and the drift if individuals are informed.
 #[derive(Deserialize, Serialize)]
-pub struct Series {
+pub struct StoredOrder {
     pub order: Vec<f64>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub drift: Vec<Option<f64>>,
 }
 
-impl From<OrderSeries> for Series {
+impl From<OrderSeries> for StoredOrder {
     fn from(series: OrderSeries) -> Self {
         let drifts = series.drifts.into_iter();
         Self {
@@ -72,6 +75,23 @@ impl From<OrderSeries> for Series {
             drift: drifts
                 .map(|drift| (!drift.is_nan()).then_some(drift))
                 .collect(),
+        }
+    }
+}
+
+/// The chosen measures every `series_every` steps and at the last step, in the order of the plan.
+#[derive(Deserialize, Serialize)]
+pub struct StoredSeries {
+    pub step: Vec<u64>,
+    pub values: Vec<Vec<Option<f64>>>,
+}
+
+impl From<Series> for StoredSeries {
+    fn from(series: Series) -> Self {
+        let measures = series.measures.into_iter();
+        Self {
+            step: series.steps,
+            values: measures.map(|measure| measure.values).collect(),
         }
     }
 }
@@ -89,9 +109,63 @@ pub fn to_range(line: &Range<u64>) -> Range<usize> {
     index(line.start)..index(line.end)
 }
 
+/// Reads a line of the list of a folder.
+pub fn read_line(folder: &Path, line: &Range<u64>) -> Result<Vec<u8>, FolderError> {
+    let path = folder.join(RUNS);
+    let mut bytes = vec![0; to_range(line).len()];
+    let mut read = || {
+        let mut runs = File::open(&path)?;
+        runs.seek(SeekFrom::Start(line.start))?;
+        runs.read_exact(&mut bytes)
+    };
+    read().map_err(|source| io_error(&path, source))?;
+    Ok(bytes)
+}
+
+/// Returns whether a line contains the order over time.
+pub fn has_order(line: &[u8]) -> bool {
+    series_of(line).order.is_some()
+}
+
+fn series_of(line: &[u8]) -> SeriesOfLine {
+    serde_json::from_slice(line).unwrap_or_default()
+}
+
+/// Reads the chosen measures over time of a run from its line of the list.
+pub fn read_series(
+    folder: &Path,
+    plan: &Plan,
+    index: usize,
+    line: &[u8],
+) -> Result<Series, FolderError> {
+    let run = &plan.runs()[index];
+    let names = plan.columns.measures.iter().map(ToString::to_string);
+    let stored = series_of(line).series.filter(|it| {
+        let is_whole = |values: &Vec<_>| values.len() == it.step.len();
+        it.values.len() == plan.columns.measures.len() && it.values.iter().all(is_whole)
+    });
+    let Some(stored) = stored else {
+        let reason = format!("run {:?} has no time series of the measures", run.name);
+        return Err(io_error(
+            &folder.join(RUNS),
+            io::Error::new(io::ErrorKind::InvalidData, reason),
+        ));
+    };
+    let dt = plan.point(run).spec.parameters.dt;
+    Ok(Series {
+        run: run.name.clone(),
+        times: stored.step.iter().map(|&step| step as f64 * dt).collect(),
+        steps: stored.step,
+        measures: names
+            .zip(stored.values)
+            .map(|(name, values)| MeasureSeries { name, values })
+            .collect(),
+    })
+}
+
 /// Reads the order over time of a run from its line of the list, or from the file in which earlier
 /// versions stored it.
-pub fn read_series(
+pub fn read_order(
     folder: &Path,
     plan: &Plan,
     index: usize,
@@ -100,10 +174,9 @@ pub fn read_series(
     let run = &plan.runs()[index];
     let point = plan.point(run);
     let every = plan.order_every.unwrap_or(1);
-    let of_line = serde_json::from_slice(line).ok();
-    let series = match of_line.and_then(|it: OrderOfLine| it.order) {
+    let series = match series_of(line).order {
         Some(series) => series,
-        None => read_series_file(folder, index, point.informed > 0)?,
+        None => read_order_file(folder, index, point.informed > 0)?,
     };
     let orders = series.order;
     let drifts = series.drift.into_iter();
@@ -120,13 +193,13 @@ pub fn read_series(
     })
 }
 
-/// Reads the file of a run's series: the orders and then the drifts, if the series has drifts, as
+/// Reads the file of a run's order over time: the orders and then the drifts, if the series has drifts, as
 /// little-endian doubles without a header.
-pub fn read_series_file(
+pub fn read_order_file(
     folder: &Path,
     index: usize,
     has_drift: bool,
-) -> Result<Series, FolderError> {
+) -> Result<StoredOrder, FolderError> {
     let path = folder.join(SERIES).join(format!("{index:06}"));
     let bytes = fs::read(&path).map_err(|source| io_error(&path, source))?;
     let (numbers, _) = bytes.as_chunks();
@@ -136,7 +209,7 @@ pub fn read_series_file(
         false => Vec::new(),
     };
     let drift = drift.into_iter().map(Some).collect();
-    Ok(Series { order, drift })
+    Ok(StoredOrder { order, drift })
 }
 
 /// Parses the list of runs. Returns the finished runs by their index in the plan, and the number of bytes in complete

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::fs::{self, File};
-use std::io::{self, Read as _, Seek as _, SeekFrom};
+use std::io;
 use std::path::{Path, PathBuf};
 
 use rustix::fs::{FlockOperation, flock};
@@ -10,7 +10,10 @@ use rustix::io::Errno;
 
 use super::LOCK;
 use super::error::{FolderError, io_error};
-use super::list::{Entry, Line, RUNS, parse_runs, read_or_empty, read_series, to_line, to_range};
+use super::list::{
+    Entry, Line, RUNS, has_order, parse_runs, read_line, read_or_empty, read_order, read_series,
+    to_line,
+};
 use crate::files::{EXPERIMENT, Files};
 use crate::plan::Plan;
 use crate::run::FinishedRun;
@@ -78,41 +81,41 @@ impl Part {
     pub fn result(&self, plan: &Plan, index: usize) -> Result<FinishedRun, FolderError> {
         let line = self.line(plan, index)?;
         let record = self.finished[&index].record.clone();
-        let has_series = plan.order_every.is_some() && record.row.is_some();
+        let has_row = record.row.is_some();
+        let has_order = plan.order_every.is_some() && has_row;
+        let order = has_order.then(|| read_order(&self.path, plan, index, &line));
+        let has_series = plan.columns.series_every.is_some() && has_row;
         let series = has_series.then(|| read_series(&self.path, plan, index, &line));
         Ok(FinishedRun {
             row: record.row,
             fault: record.fault,
+            order: order.transpose()?,
             series: series.transpose()?,
             touch: record.touch,
         })
     }
 
-    /// Reads the line of a finished run, with its order over time. Earlier versions stored that in a
-    /// separate file.
+    /// Reads the line of a finished run, with its time series. Earlier versions stored the order
+    /// over time in a separate file.
     ///
     /// # Errors
     ///
     /// [`FolderError`]; also if the run is not finished.
     pub fn line(&self, plan: &Plan, index: usize) -> Result<Vec<u8>, FolderError> {
-        let path = self.path.join(RUNS);
         let Some(entry) = self.finished.get(&index) else {
+            let path = self.path.join(RUNS);
             return Err(io_error(&path, io::ErrorKind::NotFound.into()));
         };
-        let mut line = vec![0; to_range(&entry.line).len()];
-        let mut read = || {
-            let mut runs = File::open(&path)?;
-            runs.seek(SeekFrom::Start(entry.line.start))?;
-            runs.read_exact(&mut line)
-        };
-        read().map_err(|source| io_error(&path, source))?;
-        if plan.order_every.is_none() || entry.record.row.is_none() {
+        let line = read_line(&self.path, &entry.line)?;
+        if plan.order_every.is_none() || entry.record.row.is_none() || has_order(&line) {
             return Ok(line);
         }
-        let series = read_series(&self.path, plan, index, &line)?;
+        let order = read_order(&self.path, plan, index, &line)?;
         Ok(to_line(&Line {
             record: &entry.record,
-            order: Some(series.into()),
+            order: Some(order.into()),
+            // Earlier versions had no other series.
+            series: None,
         }))
     }
 }

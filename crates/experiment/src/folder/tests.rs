@@ -37,6 +37,18 @@ impl Fixture {
         rows.map(|row| row.run).collect()
     }
 
+    fn read(&self) -> FinishedRuns {
+        Folder::read(self.path(), &self.plan).unwrap()
+    }
+
+    fn order(&self, index: usize) -> Result<OrderSeries, FolderError> {
+        Folder::read_order(self.path(), &self.plan, &self.read(), index)
+    }
+
+    fn series(&self, index: usize) -> Result<Series, FolderError> {
+        Folder::read_series(self.path(), &self.plan, &self.read(), index)
+    }
+
     /// Applies `change` to the bytes of the list of finished runs.
     fn edit(&self, change: impl FnOnce(&mut Vec<u8>)) {
         let path = self.path().join(RUNS);
@@ -58,25 +70,67 @@ fn a_reopened_folder_returns_rows_in_plan_order_with_their_series() {
     drop(folder);
     let folder = fixture.open().unwrap();
     assert_eq!(folder.rows(), rows);
-    assert_eq!(Folder::read(fixture.path(), &fixture.plan).unwrap(), rows);
+    assert_eq!(fixture.read().rows, rows);
     let finished = (0..4).map(|index| folder.is_finished(index));
     assert_eq!(finished.collect::<Vec<_>>(), [true, false, true, false]);
     folder.write_tables(&fixture.plan).unwrap();
     assert_eq!(table::read(fixture.path()).unwrap(), rows);
-    let series = table::order::read(&fixture.path().join(ORDER_NAME)).unwrap();
+    let series = table::series::read(&fixture.path().join(ORDER_NAME)).unwrap();
     let expected = [0, 2].map(|index| {
+        let run = &fixture.plan.runs()[index];
+        execute_run(&fixture.plan, run, |_| true)
+            .unwrap()
+            .order
+            .unwrap()
+    });
+    assert_eq!(series, expected.clone().map(Series::from));
+    for (index, expected) in [0, 2].into_iter().zip(expected) {
+        let order = fixture.order(index).unwrap();
+        assert_eq!(order, expected);
+    }
+    assert!(fixture.order(1).is_err());
+}
+
+#[test]
+fn measures_over_time_are_read_back_and_written_as_a_table() {
+    let columns = "columns = [\"order\", \"drift\", \"msd(0.2)\"], series_every = 20, from = 0.5";
+    let fixture = Fixture {
+        plan: Plan::parse(&FILE.replace("order_every = 10", columns)).unwrap(),
+        ..Fixture::new()
+    };
+    let mut folder = fixture.open().unwrap();
+    for index in [3, 1] {
+        fixture.append(&mut folder, index);
+    }
+    let expected = [1, 3].map(|index| {
         let run = &fixture.plan.runs()[index];
         execute_run(&fixture.plan, run, |_| true)
             .unwrap()
             .series
             .unwrap()
     });
-    assert_eq!(series, expected);
-    for (index, expected) in [0, 2].into_iter().zip(expected) {
-        let order = Folder::read_order(fixture.path(), &fixture.plan, index).unwrap();
-        assert_eq!(order, expected);
+    // 50 steps: the last state is not of a multiple of 20.
+    assert_eq!(expected[0].steps, [0, 20, 40, 50]);
+    let names: Vec<&str> = expected[0]
+        .measures
+        .iter()
+        .map(|it| it.name.as_str())
+        .collect();
+    assert_eq!(names, ["order", "drift", "msd(0.2)"]);
+    assert_eq!(
+        expected[0].measures[1].values, [None; 4],
+        "no individual is informed"
+    );
+    assert_eq!(expected[0].measures[2].values[0], None, "no earlier state");
+    assert!(expected[0].measures[2].values[1].unwrap() > 0.0);
+    for (index, expected) in [1, 3].into_iter().zip(&expected) {
+        assert_eq!(fixture.series(index).unwrap(), *expected);
     }
-    assert!(Folder::read_order(fixture.path(), &fixture.plan, 1).is_err());
+    assert!(fixture.series(0).is_err() && fixture.order(1).is_err());
+    folder.write_tables(&fixture.plan).unwrap();
+    let table = table::series::read(&fixture.path().join(SERIES_NAME)).unwrap();
+    assert_eq!(table, expected);
+    assert!(!fixture.path().join(ORDER_NAME).exists());
 }
 
 #[test]
@@ -94,7 +148,7 @@ fn read_stored_series(plan: &str, has_drift: bool) {
     let mut folder = fixture.open().unwrap();
     fixture.append(&mut folder, 1);
     drop(folder);
-    let order = Folder::read_order(fixture.path(), &fixture.plan, 1).unwrap();
+    let order = fixture.order(1).unwrap();
     assert_eq!(
         (order.orders.len(), order.drifts.is_empty()),
         (6, !has_drift)
@@ -109,17 +163,17 @@ fn read_stored_series(plan: &str, has_drift: bool) {
         });
         *bytes = lines.collect::<String>().into_bytes();
     });
-    assert!(Folder::read_order(fixture.path(), &fixture.plan, 1).is_err());
+    assert!(fixture.order(1).is_err());
     fs::create_dir(fixture.path().join(SERIES)).unwrap();
     let numbers = order.orders.iter().chain(&order.drifts);
     let bytes: Vec<u8> = numbers.flat_map(|number| number.to_le_bytes()).collect();
     fs::write(fixture.path().join("order/000001"), bytes).unwrap();
-    let stored = Folder::read_order(fixture.path(), &fixture.plan, 1).unwrap();
+    let stored = fixture.order(1).unwrap();
     assert_eq!(stored, order);
     let folder = fixture.open().unwrap();
     folder.write_tables(&fixture.plan).unwrap();
-    let table = table::order::read(&fixture.path().join(ORDER_NAME)).unwrap();
-    assert_eq!(table, [order]);
+    let table = table::series::read(&fixture.path().join(ORDER_NAME)).unwrap();
+    assert_eq!(table, [Series::from(order)]);
 }
 
 #[test]
@@ -225,7 +279,7 @@ fn a_line_that_is_written_in_part_is_replaced_by_the_next_one() {
         let run = |index: usize| execute_run(&fixture.plan, &fixture.plan.runs()[index], |_| true);
         fixture.append(&mut folder, 0);
         let mut finished = run(1).unwrap();
-        if let Some(series) = &mut finished.series {
+        if let Some(series) = &mut finished.order {
             series.orders = vec![1.0 / 3.0; 10_000];
         }
         let failed = folder.append(&fixture.plan, vec![(1, finished)]);

@@ -76,9 +76,18 @@ pub fn columns(
         }
         measures.push(measure);
     }
+    let series_every = file.series_every.as_ref();
+    let series = source.whole("series_every", series_every, 0, [1, MAX_STEPS])?;
+    if let Some(given) = series_every
+        && measures.is_empty()
+    {
+        let reason = "series_every without columns: list the measures in columns of [measure]";
+        return Err(source.reject(&given.span(), reason));
+    }
     Ok(Columns {
         measures,
         from,
         every,
+        series_every: (series > 0).then_some(series),
     })
 }

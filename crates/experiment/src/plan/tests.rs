@@ -137,6 +137,8 @@ fn invalid_fields_and_values_are_rejected_with_their_line() {
         ("[[grid]]\nn = 3\nreplicates = 0\n", 5, "replicates = 0"),
         ("[measure]\norder_each = 3\n", 4, "order_each"),
         ("[measure]\norder_every = 0\n", 4, "order_every = 0"),
+        ("[measure]\nseries_every = 0\n", 4, "series_every = 0"),
+        ("[measure]\nseries_every = 5\n", 4, "without columns"),
         ("replicates = -1\n", 3, "-1"),
         ("seed = 9007199254740992\n", 3, "seed = 9007199254740992"),
         ("[spec\n", 3, ""),

@@ -465,8 +465,33 @@ fn a_series_with_an_undefined_drift_equals_itself() {
          = 0 }\n",
     );
     let finished = [0; 2].map(|run| finished(&plan, run));
-    assert!(finished[0].series.as_ref().unwrap().drifts[0].is_nan());
+    assert!(finished[0].order.as_ref().unwrap().drifts[0].is_nan());
     assert_eq!(finished[0], finished[1]);
+}
+
+#[test]
+fn the_series_of_a_stopped_run_ends_with_the_state_that_stopped_it() {
+    let plan = plan(
+        "[measure]\nfrom = 9\ncolumns = [\"order\", \"drift\"]\nseries_every = 10\norder_every = \
+         10\n[[at]]\ntime = 3\ninform = { select = { count = 3 }, direction = 0 }\n[stop]\nwhen = \
+         \"drift > -2 for 1\"\n",
+    );
+    let finished = finished(&plan, 0);
+    let (row, series) = (finished.row.unwrap(), finished.series.unwrap());
+    assert_eq!(series.times.last().copied(), Some(row.time));
+    assert_eq!((series.steps[0], series.steps[1]), (0, 10));
+    assert_eq!(series.steps.last().copied(), Some(row.steps));
+    // The state at t = 3 is measured after the command.
+    for (time, value) in series.times.iter().zip(&series.measures[1].values) {
+        assert_eq!(value.is_some(), *time >= 2.999, "t = {time}");
+    }
+    let orders: Vec<f64> = series.measures[0]
+        .values
+        .iter()
+        .map(|it| it.unwrap())
+        .collect();
+    let expected = finished.order.unwrap();
+    assert_eq!(orders[..expected.orders.len()], expected.orders);
 }
 
 mod checks;

@@ -85,7 +85,8 @@ mod tests {
 
     fn plan(seed: u64, more: &str) -> Plan {
         let text = format!(
-            "name = \"a\"\nseed = {seed}\nduration = 6\n[measure]\norder_every = 7\n{more}\n[spec]\n\
+            "name = \"a\"\nseed = {seed}\nduration = 6\n[measure]\norder_every = 7\nseries_every = 9\ncolumns = \
+             [\"drift\", \"msd(0.5)\"]\n{more}\n[spec]\n\
              n = 12\nnoise = 0.1\nrelinearise = 1\n[[grid]]\ninformed = 3\nreplicates = 2\n"
         );
         Plan::parse(&text).unwrap()
@@ -106,7 +107,7 @@ mod tests {
         let plan = plan(1, "touch = true");
         let run = &plan.runs()[0];
         let expected = execute_run(&plan, run, |_| true).unwrap();
-        assert!(expected.touch.is_some() && expected.series.is_some());
+        assert!(expected.touch.is_some() && expected.order.is_some() && expected.series.is_some());
         for steps in [1, 150, 299, 300] {
             let checkpoint = RunCheckpoint::from_bytes(&checkpoint(&plan, 0, steps)).unwrap();
             let mut first = None;

@@ -7,7 +7,7 @@ use jostle_physics::observables::intervals::Intervals;
 use jostle_physics::observables::{self, Order};
 use jostle_physics::simulation::{Simulation, steps_in};
 use jostle_physics::stepper::StepReport;
-use jostle_results::table::OrderSeries;
+use jostle_results::table::{MeasureSeries, OrderSeries, Series};
 use jostle_results::{ExtraValue, Measure, ResultRow};
 use serde::{Deserialize, Serialize};
 
@@ -33,6 +33,12 @@ pub struct Measures {
     /// The sum and the number of values of each chosen measure.
     #[serde(default)]
     columns: Vec<(f64, u64)>,
+    /// The steps of the time series of the chosen measures.
+    #[serde(default)]
+    series_steps: Vec<u64>,
+    /// The values of each chosen measure at these steps.
+    #[serde(default)]
+    series: Vec<Vec<Option<f64>>>,
 }
 
 /// The form of [`Intervals`] in a checkpoint.
@@ -51,35 +57,78 @@ impl Measures {
         Self {
             order_every: plan.order_every,
             columns: vec![(0.0, 0); plan.columns.measures.len()],
+            series: vec![Vec::new(); series_columns(plan)],
             ..Self::default()
         }
     }
 
     /// Returns whether a checkpoint's measures are those of a plan.
     pub fn is_of(&self, plan: &Plan) -> bool {
+        let steps = self.series_steps.len();
         self.columns.len() == plan.columns.measures.len()
+            && self.series.len() == series_columns(plan)
+            && self.series.iter().all(|values| values.len() == steps)
     }
 
     /// Measures the chosen columns of the state before a step.
-    pub fn observe(&mut self, plan: &Plan, view: &View<'_>, state: &State) {
+    pub fn observe(&mut self, plan: &Plan, view: &View<'_>) {
         let Columns {
             measures,
             from,
             every,
+            series_every,
         } = &plan.columns;
-        if measures.is_empty() {
-            return;
-        }
+        let state = view.state();
         let first = steps_in(*from, state.parameters.dt);
-        if state.step < first || !(state.step - first).is_multiple_of(*every) {
+        let is_mean = state.step >= first && (state.step - first).is_multiple_of(*every);
+        let is_entry = series_every.is_some_and(|every| state.step.is_multiple_of(every));
+        if measures.is_empty() || !(is_mean || is_entry) {
             return;
         }
-        for (measure, (sum, count)) in measures.iter().zip(&mut self.columns) {
-            if let Some(value) = measure.evaluate(view) {
-                *sum += value;
-                *count += 1;
+        let values = evaluate(plan, view);
+        if is_mean {
+            for (value, (sum, count)) in values.iter().zip(&mut self.columns) {
+                if let Some(value) = value {
+                    *sum += value;
+                    *count += 1;
+                }
             }
         }
+        if is_entry {
+            self.record_series(state.step, values);
+        }
+    }
+
+    /// Adds the last state to the time series of the chosen measures.
+    pub fn record_last(&mut self, plan: &Plan, view: &View<'_>) {
+        let step = view.state().step;
+        if plan.columns.series_every.is_some() && self.series_steps.last() != Some(&step) {
+            self.record_series(step, evaluate(plan, view));
+        }
+    }
+
+    fn record_series(&mut self, step: u64, values: Vec<Option<f64>>) {
+        self.series_steps.push(step);
+        for (series, value) in self.series.iter_mut().zip(values) {
+            // Stored text has no infinite numbers.
+            series.push(value.filter(|value| value.is_finite()));
+        }
+    }
+
+    /// Takes the time series of the chosen measures; none unless the plan has `series_every`.
+    pub fn take_series(&mut self, plan: &Plan, run: &PlannedRun, dt: f64) -> Option<Series> {
+        plan.columns.series_every?;
+        let steps = std::mem::take(&mut self.series_steps);
+        let names = plan.columns.measures.iter().map(ToString::to_string);
+        let measures = names.zip(std::mem::take(&mut self.series));
+        Some(Series {
+            run: run.name.clone(),
+            times: steps.iter().map(|&step| step as f64 * dt).collect(),
+            steps,
+            measures: measures
+                .map(|(name, values)| MeasureSeries { name, values })
+                .collect(),
+        })
     }
 
     /// Adds step number `count`; `order` is that of the state before it.
@@ -221,4 +270,20 @@ impl Measures {
             .map(|(name, value)| ExtraValue { name, value })
             .collect()
     }
+}
+
+/// Returns the values of the chosen measures.
+fn evaluate(plan: &Plan, view: &View<'_>) -> Vec<Option<f64>> {
+    let measures = plan.columns.measures.iter();
+    measures.map(|measure| measure.evaluate(view)).collect()
+}
+
+/// Returns the number of measures that are recorded over time.
+fn series_columns(plan: &Plan) -> usize {
+    let Columns {
+        measures,
+        series_every,
+        ..
+    } = &plan.columns;
+    series_every.map_or(0, |_| measures.len())
 }

@@ -4,6 +4,7 @@
 //! versions of pandas do only with `read_csv(..., float_precision="round_trip")`.
 
 pub mod order;
+pub mod series;
 
 pub(crate) mod column;
 mod csv;
@@ -15,6 +16,7 @@ use std::path::{Path, PathBuf};
 use crate::ResultRow;
 
 pub use order::{OrderSeries, OrderWriter};
+pub use series::{MeasureSeries, Series, SeriesWriter};
 
 /// The file name of a Parquet table within its directory.
 pub const PARQUET_NAME: &str = "results.parquet";

@@ -1,15 +1,13 @@
-//! The order over time, run by run. It has far more rows than runs, so they are written in groups.
+//! The order over time, run by run.
 
-use std::path::{Path, PathBuf};
-
-use parquet::errors::ParquetError;
-use parquet::file::writer::SerializedFileWriter;
-use parquet::schema::types::Type;
-use tempfile::NamedTempFile;
+use std::path::Path;
 
 use super::TableError;
-use super::column::{ParquetValue, failed};
-use super::parquet::{begin, finish, for_each_group, group, read_column, write_column};
+use super::series::{MeasureSeries, Series, SeriesWriter, ValueColumn};
+
+/// The names of the measures.
+const ORDER: &str = "order";
+const DRIFT: &str = "drift";
 
 /// The file name of the table within its directory.
 pub const ORDER_NAME: &str = "order.parquet";
@@ -42,29 +40,11 @@ impl PartialEq for OrderSeries {
     }
 }
 
-/// Number of rows after which a row group is written. The metadata of a row group takes 540 bytes: with
-/// a group for each of 100,000 short runs, `order.parquet` had 130 MB, 54 of them metadata.
-const ROWS_OF_GROUP: usize = 1 << 16;
-
 /// Writes a file of rows `run, step, time, order, drift`. All rows of a run are in one row group.
 ///
 /// [`OrderWriter::finish`] gives the file its name; if the writer is dropped before, the file is
 /// deleted.
-pub struct OrderWriter {
-    path: PathBuf,
-    writer: SerializedFileWriter<NamedTempFile>,
-    group: Columns,
-}
-
-/// The rows of the next row group.
-#[derive(Default)]
-struct Columns {
-    runs: Vec<String>,
-    steps: Vec<u64>,
-    times: Vec<f64>,
-    orders: Vec<f64>,
-    drifts: Vec<Option<f64>>,
-}
+pub struct OrderWriter(SeriesWriter);
 
 impl OrderWriter {
     /// Begins the file.
@@ -73,11 +53,12 @@ impl OrderWriter {
     ///
     /// [`TableError::Io`].
     pub fn begin(path: &Path) -> Result<Self, TableError> {
-        Ok(Self {
-            path: path.to_owned(),
-            writer: begin(path, schema())?,
-            group: Columns::default(),
-        })
+        let column = |name: &str, is_optional| ValueColumn {
+            name: name.to_owned(),
+            is_optional,
+        };
+        let columns = vec![column(ORDER, false), column(DRIFT, true)];
+        SeriesWriter::begin_columns(path, "order", columns).map(Self)
     }
 
     /// Adds one run, and writes a row group if there are enough rows.
@@ -90,47 +71,7 @@ impl OrderWriter {
     ///
     /// If the columns differ in length.
     pub fn append(&mut self, series: &OrderSeries) -> Result<(), TableError> {
-        let rows = series.steps.len();
-        assert_eq!((rows, rows), (series.times.len(), series.orders.len()));
-        assert!(series.drifts.is_empty() || series.drifts.len() == rows);
-        let group = &mut self.group;
-        group.runs.extend(vec![series.run.clone(); rows]);
-        group.steps.extend(&series.steps);
-        group.times.extend(&series.times);
-        group.orders.extend(&series.orders);
-        match series.drifts.len() {
-            0 => group.drifts.extend(vec![None; rows]),
-            _ => {
-                let drifts = series.drifts.iter().copied();
-                group
-                    .drifts
-                    .extend(drifts.map(|it| (!it.is_nan()).then_some(it)));
-            }
-        }
-        match group.runs.len() {
-            ROWS_OF_GROUP.. => self.write_group(),
-            _ => Ok(()),
-        }
-    }
-
-    fn write_group(&mut self) -> Result<(), TableError> {
-        let Columns {
-            runs,
-            steps,
-            times,
-            orders,
-            drifts,
-        } = std::mem::take(&mut self.group);
-        let malformed = |error| failed(&self.path, &error, "");
-        let mut group = self.writer.next_row_group().map_err(malformed)?;
-        let path = &self.path;
-        write_column(path, &mut group, "run", &runs)?;
-        write_column(path, &mut group, "step", &steps)?;
-        write_column(path, &mut group, "time", &times)?;
-        write_column(path, &mut group, "order", &orders)?;
-        write_column(path, &mut group, "drift", &drifts)?;
-        group.close().map_err(malformed)?;
-        Ok(())
+        self.0.append(&series.clone().into())
     }
 
     /// Ends the file and gives it its name.
@@ -138,70 +79,43 @@ impl OrderWriter {
     /// # Errors
     ///
     /// [`TableError::Io`].
-    pub fn finish(mut self) -> Result<(), TableError> {
-        if !self.group.runs.is_empty() {
-            self.write_group()?;
-        }
-        finish(&self.path, self.writer)
+    pub fn finish(self) -> Result<(), TableError> {
+        self.0.finish()
     }
 }
 
-/// Reads a file of an [`OrderWriter`]. Consecutive row groups of one run are joined.
-///
-/// # Errors
-///
-/// [`TableError`] with the file and, if applicable, the column and the row.
-pub fn read(path: &Path) -> Result<Vec<OrderSeries>, TableError> {
-    let mut all: Vec<OrderSeries> = Vec::new();
-    let mut first = 0;
-    for_each_group(path, |group| {
-        let runs: Vec<String> = read_column(path, group, "run", first)?;
-        let steps: Vec<u64> = read_column(path, group, "step", first)?;
-        let times: Vec<f64> = read_column(path, group, "time", first)?;
-        let orders: Vec<f64> = read_column(path, group, "order", first)?;
-        let drifts: Vec<Option<f64>> = read_column(path, group, "drift", first)?;
-        first += runs.len();
-        for (row, run) in runs.into_iter().enumerate() {
-            if all.last().is_none_or(|series| series.run != run) {
-                all.push(OrderSeries {
-                    run,
-                    ..OrderSeries::default()
-                });
-            }
-            if let Some(series) = all.last_mut() {
-                series.steps.push(steps[row]);
-                series.times.push(times[row]);
-                series.orders.push(orders[row]);
-                series.drifts.push(drifts[row].unwrap_or(f64::NAN));
-            }
-        }
-        Ok(())
-    })?;
-    for series in &mut all {
-        if series.drifts.iter().all(|drift| drift.is_nan()) {
-            series.drifts.clear();
+impl From<OrderSeries> for Series {
+    fn from(series: OrderSeries) -> Self {
+        let drifts = match series.drifts.is_empty() {
+            true => vec![None; series.steps.len()],
+            false => series
+                .drifts
+                .into_iter()
+                .map(|drift| (!drift.is_nan()).then_some(drift))
+                .collect(),
+        };
+        let measure = |name: &str, values| MeasureSeries {
+            name: name.to_owned(),
+            values,
+        };
+        Self {
+            run: series.run,
+            steps: series.steps,
+            times: series.times,
+            measures: vec![
+                measure(ORDER, series.orders.into_iter().map(Some).collect()),
+                measure(DRIFT, drifts),
+            ],
         }
     }
-    Ok(all)
-}
-
-fn schema() -> Result<Type, ParquetError> {
-    group(
-        "order",
-        vec![
-            String::schema("run"),
-            u64::schema("step"),
-            f64::schema("time"),
-            f64::schema("order"),
-            Option::<f64>::schema("drift"),
-        ],
-    )
 }
 
 #[cfg(test)]
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
+    use crate::table::parquet::for_each_group;
+    use crate::table::series::{self, ROWS_OF_GROUP};
 
     fn groups(path: &Path) -> usize {
         let mut groups = 0;
@@ -244,6 +158,7 @@ mod tests {
         assert!(!path.exists(), "the file has its name before it is whole");
         writer.finish().unwrap();
         assert_eq!(groups(&path), 2);
-        assert_eq!(read(&path).unwrap(), [quiet, long, led]);
+        let expected = [quiet, long, led].map(Series::from);
+        assert_eq!(series::read(&path).unwrap(), expected);
     }
 }

@@ -60,7 +60,8 @@ pub fn read(path: &Path) -> Result<Vec<ResultRow>, TableError> {
             let row = ResultRow::from_cells(cells);
             runs.push(row.expect("`read_cells` returns a value of its kind for each row"));
         }
-        for name in extra_numbers(group) {
+        let is_fixed = |name: &str| COLUMNS.iter().any(|column| column.name == name);
+        for name in extra_numbers(group, is_fixed) {
             let values: Vec<Option<f64>> = read_column(path, group, &name, first)?;
             for (run, value) in runs[first..].iter_mut().zip(values) {
                 let name = name.clone();
@@ -73,12 +74,11 @@ pub fn read(path: &Path) -> Result<Vec<ResultRow>, TableError> {
 }
 
 /// Returns the names of the columns of numbers that only some experiments have.
-fn extra_numbers(group: &dyn RowGroupReader) -> Vec<String> {
+pub fn extra_numbers(group: &dyn RowGroupReader, is_fixed: impl Fn(&str) -> bool) -> Vec<String> {
     let columns = group.metadata().columns().iter();
     let numbers = columns.filter(|chunk| chunk.column_type() == Physical::DOUBLE);
     let names = numbers.map(|chunk| chunk.column_path().parts().join("."));
-    let is_extra = |name: &String| COLUMNS.iter().all(|column| column.name != *name);
-    names.filter(is_extra).collect()
+    names.filter(|name| !is_fixed(name)).collect()
 }
 
 /// Writes `column` of `runs` as the next column of a row group.

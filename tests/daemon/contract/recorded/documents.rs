@@ -7,7 +7,7 @@ use std::sync::Mutex;
 
 use jostle_proto::contract::schemas;
 use jostle_proto::verbs::{AdvanceResult, StepResult};
-use jostle_proto::{OrderPage, Reply, Snapshot, State, to_cbor};
+use jostle_proto::{OrderPage, Reply, SeriesPage, Snapshot, State, to_cbor};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::Value;
@@ -171,6 +171,7 @@ impl Recorded {
                 "advance.reply" => in_cbor::<Reply<AdvanceResult>>(bytes, fix),
                 "snapshot.reply" => in_cbor::<Reply<Snapshot>>(bytes, fix),
                 "experiment.order" => in_cbor::<OrderPage>(bytes, fix),
+                "experiment.series" => in_cbor::<SeriesPage>(bytes, fix),
                 _ => panic!("{name} came as CBOR"),
             };
             if IN_CBOR.contains(&name) {

@@ -27,6 +27,7 @@ informed = [1]
 [measure]
 order_every = 10
 columns = ["order", "drift"]
+series_every = 10
 "#;
 
 /// An experiment of one run that takes longer than the test.
@@ -89,6 +90,8 @@ pub async fn record_fixtures(recorded: &Recorded) {
         .await;
     let order = format!("{}?run=n=5 informed=1 #0;limit=3", key("order"));
     recorder.query("experiment.order", &order, None).await;
+    let series = format!("{}?run=n=5 informed=1 #0;limit=3", key("series"));
+    recorder.query("experiment.series", &series, None).await;
 
     for name in ["long", "next"] {
         recorder.node_cmd("", "experiment", endless(name)).await;

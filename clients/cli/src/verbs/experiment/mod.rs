@@ -3,7 +3,8 @@
 mod attach;
 mod plan;
 mod play;
-mod results;
+pub mod results;
+pub mod series;
 mod slurm;
 
 pub use self::plan::plan;

@@ -7,6 +7,8 @@ use std::path::Path;
 use jostle_client::Client;
 use jostle_proto::{OrderPage, Progress};
 use jostle_results::statistics::{Spread, Summary, summarise};
+use jostle_results::table::SeriesWriter;
+use jostle_results::table::series::SERIES_NAME;
 use jostle_results::{ResultRow, table as tables};
 use serde::Deserialize;
 use serde_json::json;
@@ -17,7 +19,7 @@ use crate::failure::Failure;
 use crate::format;
 use crate::output;
 use crate::table;
-use crate::verbs::experiment::phase;
+use crate::verbs::experiment::{phase, series};
 
 /// The most rows per query; a daemon returns as many as fit a message.
 const ROWS: usize = 1000;
@@ -38,9 +40,13 @@ pub async fn results(context: &Context, arguments: &ResultsArguments) -> Result<
         force,
         csv,
         order,
+        series,
     } = arguments;
     if let Some(run) = order {
         return print_order(context, name, run).await;
+    }
+    if let Some(run) = series {
+        return series::print(context, name, run.as_deref()).await;
     }
     let rows = fetch(client, name).await?;
     if let Some(out) = out {
@@ -48,9 +54,10 @@ pub async fn results(context: &Context, arguments: &ResultsArguments) -> Result<
             check_replaceable(out, &rows)?;
         }
         let progress: Progress = client.get_experiment(name, "progress").await?.read()?;
-        let written = write(out, &rows)?;
+        let mut written = write(out, &rows)?;
+        written.extend(write_series(client, name, out, &rows).await?);
         let document = json!({"experiment": name, "runs": rows.len(), "written": written});
-        let written = written.join(" and ");
+        let written = listed(&written);
         let text = match rows.len() as u64 {
             count if count < progress.runs => {
                 let (runs, phase) = (format::count(progress.runs, "run"), phase(progress.phase));
@@ -73,7 +80,7 @@ pub async fn results(context: &Context, arguments: &ResultsArguments) -> Result<
     output.data(&summary(&summarise(&rows)))
 }
 
-async fn fetch(client: &Client, name: &str) -> Result<Vec<ResultRow>, Failure> {
+pub async fn fetch(client: &Client, name: &str) -> Result<Vec<ResultRow>, Failure> {
     let (mut rows, mut after) = (Vec::new(), 0);
     loop {
         let noun = format!("results?after={after};limit={ROWS}");
@@ -88,12 +95,7 @@ async fn fetch(client: &Client, name: &str) -> Result<Vec<ResultRow>, Failure> {
 
 async fn print_order(context: &Context, name: &str, run: &str) -> Result<(), Failure> {
     let Context { client, output } = context;
-    if run.contains(';') {
-        return Err(Failure::argument(
-            "--order",
-            format!("invalid name of a run {run:?}: `--csv` lists the names"),
-        ));
-    }
+    series::check_run("--order", run)?;
     let mut series: Option<OrderPage> = None;
     let mut after = Some(0);
     while let Some(number) = after {
@@ -169,6 +171,38 @@ fn write(out: &Path, rows: &[ResultRow]) -> Result<Vec<String>, Failure> {
         }
     }
     Ok(vec![out.display().to_string()])
+}
+
+/// Writes the series of all runs into a folder, if the experiment has them; returns the path.
+async fn write_series(
+    client: &Client,
+    name: &str,
+    out: &Path,
+    rows: &[ResultRow],
+) -> Result<Option<String>, Failure> {
+    if !out.is_dir() {
+        return Ok(None);
+    }
+    let Some(all) = series::fetch_all(client, name, rows).await? else {
+        return Ok(None);
+    };
+    let path = out.join(SERIES_NAME);
+    let names = all.first().into_iter().flat_map(|it| &it.measures);
+    let names = names.map(|measure| measure.name.clone());
+    let mut writer = SeriesWriter::begin(&path, names).map_err(Failure::results)?;
+    for series in &all {
+        writer.append(series).map_err(Failure::results)?;
+    }
+    writer.finish().map_err(Failure::results)?;
+    Ok(Some(path.display().to_string()))
+}
+
+/// Joins texts as `a, b and c`.
+fn listed(texts: &[String]) -> String {
+    match texts {
+        [first @ .., last] if !first.is_empty() => format!("{} and {last}", first.join(", ")),
+        _ => texts.join(""),
+    }
 }
 
 fn summary(summaries: &[Summary]) -> String {

@@ -43,7 +43,7 @@ pub fn script(plan: &Plan, file: &str, parts: &[Part], of: usize, folder: &str) 
     let runs: usize = parts.iter().map(|part| part.runs.indices().len()).sum();
     let memory = plan.runs().iter().map(|run| {
         let point = plan.point(run);
-        let entries = plan.order_every.map_or(0, |every| point.steps / every);
+        let entries = plan.entries(run);
         MEMORY_OF_INDIVIDUAL * point.spec.n as f64 + MEMORY_OF_ENTRY * entries as f64
     });
     let most = parts.iter().map(|part| part.runs.indices().len()).max();

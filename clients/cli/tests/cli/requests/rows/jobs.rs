@@ -179,12 +179,22 @@ pub fn experiments() -> Vec<Row> {
         )
         .says("time,order,drift\n0,0.5821452720313459,-0.4931628207017643"),
         row(
-            "figure <kind>snapshot <of>demo --out {}/demo.svg",
+            "experiment results <name>small --series n=5",
+            &["@node/test/experiment/small/series?run=n=5;after=0"],
+        )
+        .says("run,step,time,order,drift\nn=5,0,0,0.5821452720313459,-0.4931628207017643"),
+        row(
+            "plot <what>small --y order --over-time --out {}/over.svg",
+            &[results],
+        )
+        .writes("over.svg"),
+        row(
+            "plot <what>snapshot <of>demo --out {}/demo.svg",
             &["demo/get/status", "demo/state"],
         )
         .writes("demo.svg"),
         row(
-            "figure <kind>snapshot <of>demo -o {}/demo.png",
+            "plot <what>snapshot <of>demo -o {}/demo.png",
             &["demo/get/status", "demo/state"],
         )
         .writes("demo.png"),
@@ -207,7 +217,12 @@ pub fn local() -> Vec<Row> {
         row("man", &[]).says(".TH jostle"),
         row("man --out {}/man", &[]).writes("man/jostle-run.1"),
         row("man -o {}/manual", &[]).writes("manual/jostle-run.1"),
-        row("figure <kind>2 <of>{}/results --out {}/two.svg", &[]).writes("two.svg"),
+        row("plot <what>2 <of>{}/results --out {}/two.svg", &[]).writes("two.svg"),
+        row(
+            "plot <what>{}/results --y v --x n --out {}/v.svg",
+            &[],
+        )
+        .writes("v.svg"),
         row("experiment plan <file>{}/grid.toml", &[]).says("1/1"),
         row("experiment run <file>{}/grid.toml --dry-run", &[]).says("1 condition, 2 runs"),
         row(

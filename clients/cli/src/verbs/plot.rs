@@ -1,0 +1,256 @@
+//! `plot`: charts of results, the paper's figures, and pictures of the current state of swarms.
+
+use std::path::Path;
+
+use jostle_client::Client;
+use jostle_figures::snapshot as draw_snapshot;
+use jostle_figures::{Group, Kind, Labels, Member, draw, draw_chart, remarks, save};
+use jostle_measures::Measure;
+use jostle_proto::State;
+use jostle_results::chart::{self, Chart, ChartError};
+use jostle_results::table::order::ORDER_NAME;
+use jostle_results::table::series::{self as series_table, SERIES_NAME};
+use jostle_results::table::{self, Series};
+use serde_json::json;
+
+use crate::arguments::PlotArguments;
+use crate::context::Context;
+use crate::failure::Failure;
+use crate::format;
+use crate::output::Output;
+use crate::suggest::did_you_mean;
+use crate::values::{self, Figure};
+use crate::verbs::experiment::{results, series};
+
+/// What an invocation draws.
+enum Subject<'a> {
+    /// A figure of the paper, from a table.
+    Paper(Kind, &'a str),
+    /// The current state of these swarms.
+    Swarms(&'a [String]),
+    /// A chart of a column of results.
+    Chart(Source<'a>, &'a str),
+}
+
+/// Where the results of a chart are.
+enum Source<'a> {
+    Files(&'a Path),
+    Experiment(&'a str),
+}
+
+/// Draws what needs no daemon; returns whether that is all.
+pub fn without_daemon(output: Output, arguments: &PlotArguments) -> Result<bool, Failure> {
+    match subject(arguments)? {
+        Subject::Paper(kind, results) => {
+            let runs = table::read(Path::new(results)).map_err(Failure::results)?;
+            let svg = draw(kind, &runs).map_err(Failure::results)?;
+            let count = format::count(runs.len() as u64, "run");
+            let what = format!("figure {} of {count}", kind.number());
+            write(output, &arguments.out, &svg, &what)?;
+        }
+        Subject::Chart(Source::Files(path), y) => {
+            let chart = match arguments.over_time {
+                true => over_time(&read_series(path, y)?, y),
+                false => {
+                    let rows = table::read(path).map_err(Failure::results)?;
+                    chart::over_value(&rows, y, arguments.x.as_deref()).map_err(rejected)
+                }
+            };
+            let name = path.file_stem().unwrap_or(path.as_os_str());
+            write_chart(output, arguments, &chart?, &name.to_string_lossy())?;
+        }
+        Subject::Swarms(_) | Subject::Chart(Source::Experiment(_), _) => return Ok(false),
+    }
+    Ok(true)
+}
+
+/// Draws the current state of swarms, or the results of an experiment of the daemon.
+pub async fn of_daemon(context: &Context, arguments: &PlotArguments) -> Result<(), Failure> {
+    let Context { client, output } = context;
+    match subject(arguments)? {
+        Subject::Swarms(swarms) => snapshot(context, swarms, &arguments.out).await,
+        Subject::Chart(Source::Experiment(name), y) => {
+            let rows = results::fetch(client, name).await?;
+            let chart = match arguments.over_time {
+                true => match series::fetch_all(client, name, &rows).await? {
+                    Some(all) => over_time(&all, y)?,
+                    None if rows.is_empty() => return Err(rejected(ChartError::Empty)),
+                    None => return Err(Failure::argument("--over-time", NO_SERIES)),
+                },
+                false => chart::over_value(&rows, y, arguments.x.as_deref()).map_err(rejected)?,
+            };
+            write_chart(*output, arguments, &chart, name)
+        }
+        Subject::Paper(..) | Subject::Chart(Source::Files(_), _) => {
+            Err(Failure::defect("drawn without a daemon"))
+        }
+    }
+}
+
+const NO_SERIES: &str = "the experiment records no measures over time: run it with series_every and \
+                         columns in [measure]";
+
+fn subject(arguments: &PlotArguments) -> Result<Subject<'_>, Failure> {
+    let PlotArguments { what, of, y, .. } = arguments;
+    let Some(y) = y else {
+        return match (values::figure(what), of.as_slice()) {
+            (Ok(Figure::Snapshot), []) => {
+                Err(Failure::argument("SWARM", "name one or more swarms"))
+            }
+            (Ok(Figure::Snapshot), swarms) => Ok(Subject::Swarms(swarms)),
+            (Ok(Figure::Of(kind)), [results]) => Ok(Subject::Paper(kind, results)),
+            (Ok(Figure::Of(_)), _) => Err(Failure::argument(
+                "RESULTS",
+                "a figure is drawn from one table: name one folder or file",
+            )),
+            (Err(problem), _) if of.is_empty() => {
+                Err(Failure::argument("--y", no_column(what, &problem)))
+            }
+            (Err(problem), _) => Err(Failure::argument("FIGURE", problem)),
+        };
+    };
+    if let Some(first) = of.first() {
+        let problem = "--y draws one experiment or folder: leave this out";
+        return Err(Failure::argument(first, problem));
+    }
+    let is_table = [".csv", ".parquet"].iter().any(|kind| what.ends_with(kind));
+    let path = Path::new(what);
+    let source = match path.exists() || is_table || what.contains('/') {
+        true => Source::Files(path),
+        false => Source::Experiment(what),
+    };
+    if let Source::Experiment(name) = source {
+        values::name(name).map_err(|problem| Failure::argument("EXPERIMENT", problem))?;
+    }
+    Ok(Subject::Chart(source, y))
+}
+
+/// Describes that no column is named, with those that exist if they are known.
+fn no_column(what: &str, problem: &str) -> String {
+    match table::read(Path::new(what)) {
+        Ok(rows) => format!("name a column, one of {}", chart::columns(&rows).join(", ")),
+        Err(_) => format!("name a column of the results, such as v; or a figure: {problem}"),
+    }
+}
+
+/// Reads the series of a folder or a file that have the measure `y`, if any has.
+fn read_series(path: &Path, y: &str) -> Result<Vec<Series>, Failure> {
+    if !path.is_dir() {
+        return series_table::read(path).map_err(Failure::results);
+    }
+    let found = [SERIES_NAME, ORDER_NAME].map(|name| path.join(name));
+    let mut first = None;
+    for path in found.iter().filter(|path| path.exists()) {
+        let all = series_table::read(path).map_err(Failure::results)?;
+        let measures = all.iter().flat_map(|series| &series.measures);
+        if measures.clone().any(|measure| measure.name == y) {
+            return Ok(all);
+        }
+        first.get_or_insert(all);
+    }
+    first.ok_or_else(|| {
+        let problem = format!(
+            "{} has neither {SERIES_NAME} nor {ORDER_NAME}: ",
+            path.display()
+        );
+        Failure::argument("--over-time", problem + NO_SERIES)
+    })
+}
+
+fn over_time(all: &[Series], y: &str) -> Result<Chart, Failure> {
+    chart::over_time(all, y).map_err(rejected)
+}
+
+/// Adds a suggestion for a name with a typing error.
+fn rejected(error: ChartError) -> Failure {
+    match &error {
+        ChartError::Unknown {
+            option,
+            name,
+            available,
+            kind,
+        } => {
+            let question = did_you_mean(name, available).map_or_else(String::new, |it| it + " ");
+            let names = available.join(", ");
+            let problem = format!("no {kind} {name}: {question}use one of {names}");
+            Failure::argument(option, problem)
+        }
+        _ => Failure::results(error),
+    }
+}
+
+fn write_chart(
+    output: Output,
+    arguments: &PlotArguments,
+    chart: &Chart,
+    title: &str,
+) -> Result<(), Failure> {
+    let labels = Labels {
+        title: title.to_owned(),
+        unit: unit(&chart.y),
+    };
+    let svg = draw_chart(chart, &labels).map_err(Failure::results)?;
+    save(&svg, &arguments.out).map_err(Failure::results)?;
+    let out = arguments.out.display().to_string();
+    let count = format::count(chart.runs as u64, "run");
+    let mut text = format!("drew {} over {} of {count} to {out}", chart.y, chart.x);
+    for remark in remarks(chart) {
+        text.push_str(&format!("\n{remark}"));
+    }
+    let document = json!({
+        "file": out,
+        "runs": chart.runs,
+        "left_out": chart.left_out,
+        "ended_early": chart.ended_early,
+    });
+    output.print(&document, &text)
+}
+
+/// Returns the unit of a column; empty if it has none.
+fn unit(column: &str) -> String {
+    let unit = match column {
+        "v" | "v_pd" => "v0",
+        "time" | "stopped_at" | "ordered_time" | "unordered_time" => "time units",
+        "worst_overlap" | "worst_residual" => "body sizes",
+        _ => match column.parse::<Measure>() {
+            Ok(measure) => measure.definition().unit,
+            Err(_) => "",
+        },
+    };
+    // Measures without a unit have the unit 1.
+    if unit == "1" { "" } else { unit }.to_owned()
+}
+
+async fn snapshot(context: &Context, swarms: &[String], out: &Path) -> Result<(), Failure> {
+    let mut groups = Vec::new();
+    for swarm in swarms {
+        values::name(swarm).map_err(|problem| Failure::argument("SWARM", problem))?;
+        groups.push(group(&context.client, swarm).await?);
+    }
+    let svg = draw_snapshot(&groups).map_err(Failure::results)?;
+    let what = format!("a snapshot of {}", swarms.join(", "));
+    write(context.output, out, &svg, &what)
+}
+
+async fn group(client: &Client, swarm: &str) -> Result<Group, Failure> {
+    let status = client.status(swarm).await?;
+    let state: State = client.state(swarm).await?.read()?;
+    let members = (0..state.id.len()).map(|i| Member {
+        x: state.x[i],
+        y: state.y[i],
+        alpha: state.alpha[i],
+        weight: state.weight[i],
+        direction: state.direction[i],
+    });
+    Ok(Group {
+        title: format!("{swarm}, time {}", format::time(state.time)),
+        pi1: status.result.parameters.pi1,
+        members: members.collect(),
+    })
+}
+
+fn write(output: Output, out: &Path, svg: &str, what: &str) -> Result<(), Failure> {
+    save(svg, out).map_err(Failure::results)?;
+    let out = out.display().to_string();
+    output.print(&json!({"file": out}), &format!("drew {what} to {out}"))
+}

@@ -1,0 +1,408 @@
+//! Charts of any column of results over a varied value, and of a measure over time.
+
+use jostle_results::chart::{Chart, Mean, MeanCurve};
+
+use crate::axis::Axis;
+use crate::plot::{Band, CELL, Curve, Mark, Panel, Plot, Point, Sample, Style};
+use crate::svg::{PALETTE, literal};
+
+/// The dashes of the curves: the first is of those that have the first colours, and so on.
+const DASHES: [&str; 3] = ["", "8 4", "2 3"];
+
+/// The most curves with a style of their own.
+pub const MAX_CURVES: usize = PALETTE.len() * DASHES.len();
+
+/// The most values of a horizontal axis that each have a tick.
+const MAX_TICKS: usize = 8;
+
+/// The ratio of the largest to the smallest value above which a horizontal axis is logarithmic.
+const LOGARITHMIC_FROM: f64 = 20.0;
+
+/// The horizontal distance of neighbouring curves in pixels, so that their bars do not cover each
+/// other.
+const ASIDE: f64 = 3.0;
+
+/// An error of drawing a chart.
+#[derive(Debug, thiserror::Error)]
+#[error(
+    "draw a chart: {curves} curves, the limit is {MAX_CURVES}: choose as --x the value that varies most, \
+     or draw results with fewer varied values"
+)]
+pub struct TooManyCurves {
+    /// The number of curves.
+    pub curves: usize,
+}
+
+/// What a chart says in addition to its data.
+#[derive(Clone, Debug, Default)]
+pub struct Labels {
+    /// The title, such as the name of the experiment.
+    pub title: String,
+    /// The unit of the vertical axis; empty if it has none.
+    pub unit: String,
+}
+
+/// Draws a chart as SVG.
+///
+/// # Errors
+///
+/// [`TooManyCurves`].
+pub fn draw_chart(chart: &Chart, labels: &Labels) -> Result<String, TooManyCurves> {
+    if chart.curves.len() > MAX_CURVES {
+        let curves = chart.curves.len();
+        return Err(TooManyCurves { curves });
+    }
+    let is_time = chart.x == "time";
+    let scale = scale(chart);
+    let curves = chart.curves.iter().enumerate();
+    let panel = Panel {
+        title: String::new(),
+        remark: explanation(chart),
+        curves: curves
+            .clone()
+            .map(|(index, curve)| Curve {
+                label: None,
+                style: style(index, is_time),
+                points: points(curve, scale, !is_time),
+                aside: match is_time {
+                    true => 0.0,
+                    false => ASIDE * (index as f64 - (chart.curves.len() - 1) as f64 / 2.0),
+                },
+                measured: true,
+            })
+            .collect(),
+        bands: match is_time {
+            true => curves
+                .map(|(index, curve)| band(index, curve, scale))
+                .collect(),
+            false => Vec::new(),
+        },
+        marks: Vec::new(),
+    };
+    let plot = Plot {
+        title: literal(&title(chart, labels)),
+        x: x_axis(chart),
+        y: y_axis(chart, &labels.unit, scale),
+        panels: vec![panel],
+        key: key(chart),
+        note: literal(&note(chart)),
+    };
+    Ok(plot.draw())
+}
+
+fn title(chart: &Chart, labels: &Labels) -> String {
+    let x = if chart.x == "time" { "time" } else { &chart.x };
+    match labels.title.as_str() {
+        "" => format!("{} over {x}", chart.y),
+        title => format!("{title}: {} over {x}", chart.y),
+    }
+}
+
+/// Describes what points and bars are.
+fn explanation(chart: &Chart) -> String {
+    let shown = match chart.x.as_str() {
+        "time" => "means over runs; bands: 95 % interval of the mean (Student’s t)",
+        _ => "means over runs; bars: 95 % interval of the mean (Student’s t)",
+    };
+    let points = chart.curves.iter().flat_map(|curve| &curve.points);
+    let counts = points.map(|point| point.runs);
+    let (least, most) = (counts.clone().min().unwrap_or(0), counts.max().unwrap_or(0));
+    let runs = match least == most {
+        true => format!("{most} runs each"),
+        false => format!("{least} to {most} runs each"),
+    };
+    let runs = if most == 1 {
+        "1 run each".to_owned()
+    } else {
+        runs
+    };
+    format!("{shown}; {runs}")
+}
+
+/// Describes what is left out.
+fn note(chart: &Chart) -> String {
+    let remarks = remarks(chart).into_iter();
+    let sentences: Vec<String> = remarks.map(|remark| remark + ".").collect();
+    sentences.join(" ")
+}
+
+/// Returns the remarks on the runs that a chart does not show, or not to the end.
+#[must_use]
+pub fn remarks(chart: &Chart) -> Vec<String> {
+    let mut remarks = Vec::new();
+    if chart.left_out > 0 {
+        remarks.push(format!(
+            "{} of {} runs without {} are left out",
+            chart.left_out, chart.runs, chart.y
+        ));
+    }
+    if chart.ended_early > 0 {
+        remarks.push(format!(
+            "{} of {} runs end before others",
+            chart.ended_early, chart.runs
+        ));
+    }
+    remarks
+}
+
+fn style(index: usize, is_time: bool) -> Style {
+    Style {
+        colour: PALETTE[colour(index)],
+        dash: DASHES[index / PALETTE.len() % DASHES.len()],
+        mark: if is_time { Mark::None } else { Mark::Filled },
+    }
+}
+
+/// Returns the index of a curve's colour: neighbouring curves have colours that differ clearly.
+fn colour(index: usize) -> usize {
+    const ORDER: [usize; 7] = [4, 0, 2, 5, 1, 3, 6];
+    ORDER[index % PALETTE.len()]
+}
+
+fn points(curve: &MeanCurve, scale: f64, has_bars: bool) -> Vec<Option<Point>> {
+    let points = curve.points.iter().map(|mean| {
+        Some(Point {
+            x: mean.x,
+            y: mean.spread.mean / scale,
+            bar: mean.half_width().filter(|_| has_bars).map(|it| it / scale),
+        })
+    });
+    points.collect()
+}
+
+fn band(index: usize, curve: &MeanCurve, scale: f64) -> Band {
+    let bounds = |mean: &Mean| {
+        let half = mean.half_width().unwrap_or(0.0);
+        let [low, high] = [-half, half].map(|by| (mean.spread.mean + by) / scale);
+        (mean.x, low, high)
+    };
+    Band {
+        colour: PALETTE[colour(index)],
+        points: curve.points.iter().map(bounds).collect(),
+    }
+}
+
+/// Returns the power of ten by which the values of the vertical axis are divided: 1 for values that
+/// tick labels show well.
+fn scale(chart: &Chart) -> f64 {
+    let points = chart.curves.iter().flat_map(|curve| &curve.points);
+    let largest = points.fold(0.0_f64, |largest, mean| largest.max(mean.spread.mean.abs()));
+    match largest {
+        0.0 => 1.0,
+        1e-3..1e5 => 1.0,
+        _ => libm::pow(10.0, libm::floor(libm::log10(largest))),
+    }
+}
+
+fn y_axis(chart: &Chart, unit: &str, scale: f64) -> Axis {
+    let mut label = literal(&chart.y);
+    let factor = match scale {
+        1.0 => String::new(),
+        _ => format!("{scale:e} "),
+    };
+    let unit = format!("{factor}{unit}");
+    if !unit.trim().is_empty() {
+        label.push_str(&literal(&format!(" ({})", unit.trim())));
+    }
+    let means = chart.curves.iter().flat_map(|curve| &curve.points);
+    let ends = means.flat_map(|mean| {
+        let half = mean.half_width().unwrap_or(0.0);
+        [-half, half].map(|by| (mean.spread.mean + by) / scale)
+    });
+    linear(&label, ends)
+}
+
+/// Creates a linear axis around values, also around a single one.
+fn linear(label: &str, values: impl Iterator<Item = f64>) -> Axis {
+    let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
+    for value in values {
+        (low, high) = (low.min(value), high.max(value));
+    }
+    let length = high - low;
+    let room = match length > 1e-9 * low.abs().max(high.abs()) {
+        true => 0.05 * length,
+        false => (0.1 * low.abs()).max(0.01),
+    };
+    Axis {
+        label: label.to_owned(),
+        logarithmic: false,
+        ends: (low - room, high + room),
+        values: Vec::new(),
+    }
+}
+
+fn x_axis(chart: &Chart) -> Axis {
+    let points = chart.curves.iter().flat_map(|curve| &curve.points);
+    let mut values: Vec<f64> = points.map(|mean| mean.x).collect();
+    values.sort_by(f64::total_cmp);
+    values.dedup();
+    if chart.x == "time" {
+        let ends = (values[0], values[values.len() - 1]);
+        let mut axis = linear("time (body sizes over free speed)", values.into_iter());
+        if ends.0 < ends.1 {
+            axis.ends = ends;
+        }
+        return axis;
+    }
+    let (first, last) = (values[0], values[values.len() - 1]);
+    let is_logarithmic = values.len() > 2 && first > 0.0 && last / first >= LOGARITHMIC_FROM;
+    let label = literal(&chart.x);
+    let mut axis = match is_logarithmic {
+        true => Axis::around(
+            &format!("{label} (logarithmic)"),
+            true,
+            values.iter().copied(),
+        ),
+        false => linear(&label, values.iter().copied()),
+    };
+    if values.len() <= MAX_TICKS {
+        axis.values = values;
+    }
+    axis
+}
+
+/// Returns the key, in rows that are no wider than a panel; empty for a single curve without a label.
+fn key(chart: &Chart) -> Vec<Vec<Sample>> {
+    let is_time = chart.x == "time";
+    let mut rows: Vec<Vec<Sample>> = Vec::new();
+    let mut width = f64::INFINITY;
+    for (index, curve) in chart.curves.iter().enumerate() {
+        if curve.label.is_empty() {
+            continue;
+        }
+        let text = curve.label.replace(' ', ", ").replace('=', " = ");
+        let sample = Sample {
+            style: style(index, is_time),
+            text: literal(&text),
+        };
+        let more = sample.width();
+        if width + more > CELL.0 {
+            rows.push(Vec::new());
+            width = 0.0;
+        }
+        width += more;
+        if let Some(row) = rows.last_mut() {
+            row.push(sample);
+        }
+    }
+    rows
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+    use jostle_results::statistics::Spread;
+
+    fn mean(x: f64, mean: f64, error: Option<f64>, runs: usize) -> Mean {
+        let deviation = error.map(|error| error * (runs as f64).sqrt());
+        let spread = Spread {
+            mean,
+            deviation,
+            error,
+        };
+        Mean { x, spread, runs }
+    }
+
+    fn chart(x: &str, y: &str, curves: Vec<(&str, Vec<Mean>)>) -> Chart {
+        Chart {
+            x: x.to_owned(),
+            y: y.to_owned(),
+            curves: curves
+                .into_iter()
+                .map(|(label, points)| MeanCurve {
+                    label: label.to_owned(),
+                    points,
+                })
+                .collect(),
+            runs: 9,
+            left_out: 0,
+            ended_early: 0,
+        }
+    }
+
+    fn svg(chart: &Chart) -> String {
+        let svg = draw_chart(chart, &Labels::default()).unwrap();
+        assert!(!svg.contains("NaN") && !svg.contains("inf\""), "{svg}");
+        svg
+    }
+
+    #[test]
+    fn points_and_bars_are_where_their_values_are_on_the_axes() {
+        let points = vec![mean(0.0, 1.0, None, 1), mean(10.0, 3.0, None, 1)];
+        let svg_of_two = svg(&chart("share", "v", vec![("", points)]));
+        // The frame is from (152, 102) to (644, 456); the axes are from -0.5 to 10.5 and 0.9 to 3.1.
+        for place in ["cx=\"174.36\" cy=\"439.91\"", "cx=\"621.64\" cy=\"118.09\""] {
+            assert!(svg_of_two.contains(place), "{place}: {svg_of_two}");
+        }
+        assert!(svg_of_two.contains("1 run each"), "{svg_of_two}");
+        // t(0.975, 1) = 12.706205: a bar of 2 · 12.706205, and axes of 1.1 times that.
+        let one = svg(&chart(
+            "share",
+            "v",
+            vec![("", vec![mean(1.0, 5.0, Some(1.0), 2)])],
+        ));
+        let (middle, half) = (279.0, 177.0 / 1.1);
+        let bar = format!("398,{:.2} 398,{:.2}", middle + half, middle - half);
+        assert!(one.contains(&bar), "{bar}: {one}");
+    }
+
+    #[test]
+    fn a_chart_names_its_curves_its_interval_and_what_is_left_out() {
+        let points = || {
+            vec![
+                mean(2.0, 3e-12, Some(1e-12), 4),
+                mean(300.0, 4e-12, None, 1),
+            ]
+        };
+        let mut data = chart(
+            "n",
+            "worst_residual",
+            vec![("pi1=4 share=0.1", points()), ("pi1=8 share=0.1", points())],
+        );
+        (data.left_out, data.ended_early) = (3, 2);
+        let labels = Labels {
+            title: "my_runs".to_owned(),
+            unit: "body sizes".to_owned(),
+        };
+        let svg = draw_chart(&data, &labels).unwrap();
+        for text in [
+            ">my_runs: worst_residual over n<",
+            ">worst_residual (1e-12 body sizes)<",
+            "95 % interval of the mean",
+            "1 to 4 runs each",
+            "3 of 9 runs without worst_residual are left out. 2 of 9 runs end before others.",
+            "pi1 = 4, share = 0.1",
+            "pi1 = 8, share = 0.1",
+        ] {
+            assert!(svg.contains(text), "{text}: {svg}");
+        }
+    }
+
+    #[test]
+    fn over_time_the_interval_is_a_band() {
+        let points = vec![mean(0.0, 0.0, Some(1.0), 2), mean(5.0, 1.0, Some(0.0), 2)];
+        let svg = svg(&chart("time", "order", vec![("", points)]));
+        assert!(svg.contains("fill-opacity"), "{svg}");
+        assert!(!svg.contains("<circle"), "{svg}");
+        // The time axis has no margin.
+        assert!(svg.contains("points=\"152,"), "{svg}");
+    }
+
+    #[test]
+    fn more_curves_than_styles_are_rejected() {
+        let curves = |count: usize| {
+            let curve = |_| ("a=1", vec![mean(1.0, 1.0, None, 1)]);
+            chart("n", "v", (0..count).map(curve).collect())
+        };
+        svg(&curves(MAX_CURVES));
+        let rejected = draw_chart(&curves(MAX_CURVES + 1), &Labels::default()).unwrap_err();
+        assert_eq!(rejected.curves, 22);
+        let styles = (0..MAX_CURVES).map(|index| {
+            let style = style(index, false);
+            (style.colour, style.dash)
+        });
+        let distinct: std::collections::BTreeSet<_> = styles.collect();
+        assert_eq!(distinct.len(), MAX_CURVES);
+    }
+}

@@ -1,0 +1,516 @@
+//! Means of a column of results over a varied value, and of a measure over time, for charts.
+
+use std::collections::BTreeMap;
+
+use crate::statistics::{Spread, compare_values, mean_of};
+use crate::table::Series;
+use crate::{COLUMNS, Cell, CellKind, ResultRow};
+
+/// The mean of one point of a curve.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Mean {
+    /// The varied value, or the time.
+    pub x: f64,
+    /// The mean over the runs that have a value, with its standard error.
+    pub spread: Spread,
+    /// The number of these runs.
+    pub runs: usize,
+}
+
+impl Mean {
+    /// Returns half the length of the 95 % interval of the mean; none for one run.
+    #[must_use]
+    pub fn half_width(&self) -> Option<f64> {
+        self.spread.half_width(self.runs)
+    }
+}
+
+/// The means of one combination of the other varied values.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MeanCurve {
+    /// These values, as in the names of the runs: `pi1=4 share=0.1`; empty if no other value varies.
+    pub label: String,
+    /// Its points, ascending by `x`.
+    pub points: Vec<Mean>,
+}
+
+/// The data of a chart.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Chart {
+    /// The name of the horizontal axis: a varied value, or `time`.
+    pub x: String,
+    /// The name of the column or measure.
+    pub y: String,
+    /// The curves, ordered by their values.
+    pub curves: Vec<MeanCurve>,
+    /// The number of runs.
+    pub runs: usize,
+    /// The number of runs that have no value, which are left out.
+    pub left_out: usize,
+    /// The number of runs that end before others of their condition; 0 unless over time.
+    pub ended_early: usize,
+}
+
+/// An error of choosing what a chart shows.
+#[derive(Debug, thiserror::Error)]
+pub enum ChartError {
+    /// There are no runs.
+    #[error("the results have no runs: draw them when a run is finished")]
+    Empty,
+    /// A name is unknown.
+    #[error("{option} {name}: no such {kind}, use one of {}", available.join(", "))]
+    Unknown {
+        /// The option that has the name.
+        option: &'static str,
+        /// What the name should be.
+        kind: &'static str,
+        /// The name.
+        name: String,
+        /// The names that exist.
+        available: Vec<String>,
+    },
+    /// No value varies.
+    #[error("no number varies in these results: draw a measure with --over-time")]
+    NothingVaries,
+    /// Several values vary.
+    #[error("several values vary, {}: choose one with --x", varied.join(", "))]
+    Ambiguous {
+        /// The varied values that are numbers.
+        varied: Vec<String>,
+    },
+    /// A varied value is not a number.
+    #[error("--x {name}: {value:?} is no number, choose a value with numbers")]
+    NotANumber {
+        /// The varied value.
+        name: String,
+        /// One of its values.
+        value: String,
+    },
+    /// No run has a value.
+    #[error("none of the {runs} runs has a value of {name}")]
+    Undefined {
+        /// The column.
+        name: String,
+        /// Number of runs.
+        runs: usize,
+    },
+}
+
+/// Values with their names, as in the name of a run.
+type Values = Vec<(String, String)>;
+
+/// Returns the values in the name of a run.
+fn values_of(run: &str) -> Values {
+    let pairs = run.split(' ').filter_map(|pair| pair.split_once('='));
+    pairs
+        .map(|(name, value)| (name.to_owned(), value.to_owned()))
+        .collect()
+}
+
+/// Returns the names of the values that differ between runs, in the order of the first run's name.
+fn varied(runs: &[Values]) -> Vec<String> {
+    let mut all: Vec<(&str, Vec<Option<&str>>)> = Vec::new();
+    for (name, _) in runs.iter().flatten() {
+        if all.iter().all(|(it, _)| it != name) {
+            let of = |run: &Values| run.iter().position(|(it, _)| it == name);
+            let values = runs.iter().map(|run| of(run).map(|at| run[at].1.as_str()));
+            all.push((name, values.collect()));
+        }
+    }
+    let varies = |values: &[Option<&str>]| values.iter().any(|value| *value != values[0]);
+    let varied = all.into_iter().filter(|(_, values)| varies(values));
+    varied.map(|(name, _)| name.to_owned()).collect()
+}
+
+/// Returns the columns that a chart can show: measures of every table, then those of this one.
+#[must_use]
+pub fn columns(rows: &[ResultRow]) -> Vec<String> {
+    let is_number = |kind| matches!(kind, CellKind::Number | CellKind::OptionalNumber);
+    let fixed = COLUMNS
+        .iter()
+        .filter(|column| is_number(column.kind) || column.kind == CellKind::Count)
+        .map(|column| column.name.to_owned());
+    let mut names: Vec<String> = fixed.filter(|name| name != "seed").collect();
+    for extra in rows.iter().flat_map(|row| &row.extra) {
+        if !names.contains(&extra.name) {
+            names.push(extra.name.clone());
+        }
+    }
+    names
+}
+
+/// Returns a number of a row.
+fn number(row: &ResultRow, name: &str) -> Option<f64> {
+    let value = match COLUMNS.iter().find(|column| column.name == name) {
+        None => row.extra(name),
+        Some(column) => match column.get(row) {
+            Cell::Count(count) => Some(count as f64),
+            Cell::Number(number) => Some(number),
+            Cell::Absent | Cell::Text(_) => None,
+        },
+    };
+    value.filter(|value| value.is_finite())
+}
+
+/// Returns the mean of column `y` over `x`, a varied value or a column of numbers; none is the only
+/// number that varies. There is a curve for each combination of the other varied values.
+///
+/// # Errors
+///
+/// [`ChartError`].
+pub fn over_value(rows: &[ResultRow], y: &str, x: Option<&str>) -> Result<Chart, ChartError> {
+    if rows.is_empty() {
+        return Err(ChartError::Empty);
+    }
+    let available = columns(rows);
+    if !available.iter().any(|name| name == y) {
+        return Err(ChartError::Unknown {
+            option: "--y",
+            kind: "column",
+            name: y.to_owned(),
+            available,
+        });
+    }
+    let names: Vec<Values> = rows.iter().map(|row| values_of(&row.run)).collect();
+    let varied = varied(&names);
+    let x = choose(&names, &varied, available, x)?;
+    let mut curves: Vec<(Values, BTreeMap<Ordered, Vec<f64>>)> = Vec::new();
+    let mut left_out = 0;
+    for (row, values) in rows.iter().zip(names) {
+        let at = match values.iter().find(|(name, _)| *name == x) {
+            Some((_, value)) => Some(parse(&x, value)?),
+            None => number(row, &x),
+        };
+        let (Some(at), Some(value)) = (at, number(row, y)) else {
+            left_out += 1;
+            continue;
+        };
+        let others = values.into_iter().filter(|(name, _)| *name != x);
+        let others: Values = others.filter(|(name, _)| varied.contains(name)).collect();
+        let found = curves.iter().position(|(it, _)| *it == others);
+        let index = found.unwrap_or_else(|| {
+            curves.push((others, BTreeMap::new()));
+            curves.len() - 1
+        });
+        curves[index].1.entry(Ordered(at)).or_default().push(value);
+    }
+    let curves = curves.into_iter().map(|(others, points)| {
+        let points = points.into_iter().map(|(x, values)| mean(x.0, &values));
+        (others, points.collect())
+    });
+    finish(Chart {
+        x,
+        y: y.to_owned(),
+        curves: sorted(curves.collect()),
+        runs: rows.len(),
+        left_out,
+        ended_early: 0,
+    })
+}
+
+/// Chooses the horizontal axis.
+fn choose(
+    names: &[Values],
+    varied: &[String],
+    columns: Vec<String>,
+    x: Option<&str>,
+) -> Result<String, ChartError> {
+    let has = |name: &str| names.iter().flatten().any(|(it, _)| it == name);
+    if let Some(x) = x {
+        return match has(x) || columns.iter().any(|name| name == x) {
+            true => Ok(x.to_owned()),
+            false => Err(ChartError::Unknown {
+                option: "--x",
+                kind: "varied value or column",
+                name: x.to_owned(),
+                available: varied
+                    .iter()
+                    .cloned()
+                    .chain(columns.into_iter().filter(|name| !varied.contains(name)))
+                    .collect(),
+            }),
+        };
+    }
+    let is_number = |name: &&String| {
+        let mut values = names.iter().flatten().filter(|(it, _)| it == *name);
+        values.all(|(_, value)| parse(name, value).is_ok())
+    };
+    match varied.iter().filter(is_number).collect::<Vec<_>>()[..] {
+        [] => Err(ChartError::NothingVaries),
+        [one] => Ok(one.clone()),
+        ref several => Err(ChartError::Ambiguous {
+            varied: several.iter().copied().cloned().collect(),
+        }),
+    }
+}
+
+fn parse(name: &str, value: &str) -> Result<f64, ChartError> {
+    let number = value.parse().ok().filter(|number: &f64| number.is_finite());
+    number.ok_or_else(|| ChartError::NotANumber {
+        name: name.to_owned(),
+        value: value.to_owned(),
+    })
+}
+
+/// Returns the mean of measure `y` over time, with a curve for each condition.
+///
+/// A time is shown if every run of the condition has an entry there, or if it is one of the regular
+/// entries: the last entry of a run that ended early is not.
+///
+/// # Errors
+///
+/// [`ChartError`].
+pub fn over_time(all: &[Series], y: &str) -> Result<Chart, ChartError> {
+    let Some(first) = all.first() else {
+        return Err(ChartError::Empty);
+    };
+    if first.measures.iter().all(|measure| measure.name != y) {
+        let measures = first.measures.iter();
+        return Err(ChartError::Unknown {
+            option: "--y",
+            kind: "measure over time",
+            name: y.to_owned(),
+            available: measures.map(|measure| measure.name.clone()).collect(),
+        });
+    }
+    let names: Vec<Values> = all.iter().map(|series| values_of(&series.run)).collect();
+    let varied = varied(&names);
+    let mut conditions: Vec<(Values, Vec<&Series>)> = Vec::new();
+    for (series, values) in all.iter().zip(names) {
+        let values = values.into_iter();
+        let values: Values = values.filter(|(name, _)| varied.contains(name)).collect();
+        match conditions.iter_mut().find(|(it, _)| *it == values) {
+            Some((_, series_of)) => series_of.push(series),
+            None => conditions.push((values, vec![series])),
+        }
+    }
+    let (mut curves, mut left_out, mut ended_early) = (Vec::new(), 0, 0);
+    for (values, series) in conditions {
+        let last = |series: &&Series| series.steps.last().copied();
+        let longest = series.iter().filter_map(last).max();
+        ended_early += series.iter().filter(|it| last(it) < longest).count();
+        let has_value = |series: &&&Series| values_over_time(series, y).next().is_some();
+        left_out += series.len() - series.iter().filter(has_value).count();
+        curves.push((values, means_over_time(&series, y)));
+    }
+    finish(Chart {
+        x: "time".to_owned(),
+        y: y.to_owned(),
+        curves: sorted(curves),
+        runs: all.len(),
+        left_out,
+        ended_early,
+    })
+}
+
+/// The step, the time and the value of the entries that have a value.
+fn values_over_time<'a>(series: &'a Series, y: &str) -> impl Iterator<Item = (u64, f64, f64)> + 'a {
+    let measure = series.measures.iter().find(|measure| measure.name == y);
+    let values = measure.into_iter().flat_map(|measure| &measure.values);
+    let entries = series.steps.iter().zip(&series.times).zip(values);
+    entries.filter_map(|((&step, &time), value)| Some((step, time, (*value)?)))
+}
+
+fn means_over_time(series: &[&Series], y: &str) -> Vec<Mean> {
+    let mut values: BTreeMap<u64, (f64, Vec<f64>)> = BTreeMap::new();
+    let mut entries: BTreeMap<u64, usize> = BTreeMap::new();
+    for series in series {
+        for &step in &series.steps {
+            *entries.entry(step).or_default() += 1;
+        }
+        for (step, time, value) in values_over_time(series, y) {
+            values
+                .entry(step)
+                .or_insert((time, Vec::new()))
+                .1
+                .push(value);
+        }
+    }
+    let every = series
+        .iter()
+        .filter_map(|it| Some(it.steps.get(1)? - it.steps[0]));
+    let every = every.max().unwrap_or(1).max(1);
+    values.retain(|step, _| step.is_multiple_of(every) || entries[step] == series.len());
+    let points = values.into_values();
+    points.map(|(time, values)| mean(time, &values)).collect()
+}
+
+fn mean(x: f64, values: &[f64]) -> Mean {
+    Mean {
+        x,
+        spread: mean_of(values),
+        runs: values.len(),
+    }
+}
+
+/// Orders curves by their values, numbers by size.
+fn sorted(mut curves: Vec<(Values, Vec<Mean>)>) -> Vec<MeanCurve> {
+    curves.sort_by(|(one, _), (two, _)| compare_values(one, two));
+    let label = |values: Values| {
+        let pairs = values
+            .into_iter()
+            .map(|(name, value)| format!("{name}={value}"));
+        pairs.collect::<Vec<_>>().join(" ")
+    };
+    curves
+        .into_iter()
+        .map(|(values, points)| MeanCurve {
+            label: label(values),
+            points,
+        })
+        .collect()
+}
+
+fn finish(chart: Chart) -> Result<Chart, ChartError> {
+    match chart.curves.iter().all(|curve| curve.points.is_empty()) {
+        true => Err(ChartError::Undefined {
+            name: chart.y,
+            runs: chart.runs,
+        }),
+        false => Ok(chart),
+    }
+}
+
+/// A finite number as a key.
+#[derive(PartialEq)]
+struct Ordered(f64);
+
+impl Eq for Ordered {}
+
+impl PartialOrd for Ordered {
+    fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+impl Ord for Ordered {
+    fn cmp(&self, other: &Self) -> std::cmp::Ordering {
+        self.0.total_cmp(&other.0)
+    }
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+    use crate::ExtraValue;
+    use crate::samples::sample;
+    use crate::table::MeasureSeries;
+
+    fn row(run: &str, milling: Option<f64>) -> ResultRow {
+        let name = "milling".to_owned();
+        ResultRow {
+            run: run.to_owned(),
+            extra: vec![ExtraValue {
+                name,
+                value: milling,
+            }],
+            ..sample()
+        }
+    }
+
+    fn rows() -> Vec<ResultRow> {
+        vec![
+            row("pi1=4 share=0.1 #0", Some(1.0)),
+            row("pi1=4 share=0.1 #1", Some(2.0)),
+            row("pi1=4 share=0.1 #2", Some(6.0)),
+            row("pi1=4 share=0.05 #0", Some(5.0)),
+            row("pi1=4 share=0.05 #1", None),
+            row("pi1=10 share=0.1 #0", Some(-1.0)),
+            row("pi1=2 share=0.1 #0", None),
+        ]
+    }
+
+    #[test]
+    fn means_and_intervals_are_those_computed_by_hand() {
+        let chart = over_value(&rows(), "milling", Some("share")).unwrap();
+        let labels: Vec<&str> = chart.curves.iter().map(|it| it.label.as_str()).collect();
+        assert_eq!(labels, ["pi1=4", "pi1=10"]);
+        assert_eq!((chart.runs, chart.left_out), (7, 2));
+        let [low, high] = chart.curves[0].points[..] else {
+            panic!("{chart:?}")
+        };
+        assert_eq!((low.x, low.spread.mean, low.runs), (0.05, 5.0, 1));
+        assert_eq!(low.half_width(), None);
+        // 1, 2 and 6: s² = (4 + 1 + 9) / 2, and t(0.975, 2) = 4.302653.
+        assert_eq!((high.x, high.spread.mean, high.runs), (0.1, 3.0, 3));
+        let expected = 4.302_652_73 * (7.0_f64 / 3.0).sqrt();
+        assert!((high.half_width().unwrap() - expected).abs() < 1e-7);
+    }
+
+    #[test]
+    fn the_only_number_that_varies_is_the_horizontal_axis() {
+        let rows = [
+            row("n=3 contacts=closest #0", Some(1.0)),
+            row("n=20 contacts=endpoints #0", Some(2.0)),
+            row("n=10 contacts=endpoints #0", Some(3.0)),
+        ];
+        let chart = over_value(&rows, "milling", None).unwrap();
+        assert_eq!(chart.x, "n");
+        assert_eq!(chart.curves[1].label, "contacts=endpoints");
+        let points: Vec<f64> = chart.curves[1].points.iter().map(|it| it.x).collect();
+        assert_eq!(points, [10.0, 20.0]);
+        // A column that does not vary is a chart of one point.
+        let chart = over_value(&rows[..1], "v", Some("pi3")).unwrap();
+        assert_eq!(chart.curves[0].points.len(), 1);
+    }
+
+    #[test]
+    fn names_that_do_not_fit_are_rejected_with_those_that_do() {
+        let message = |rows: &[ResultRow], y, x| over_value(rows, y, x).unwrap_err().to_string();
+        let unknown = message(&rows(), "mill", None);
+        assert!(unknown.starts_with("--y mill: no such column"), "{unknown}");
+        assert!(
+            unknown.contains("v_pd") && unknown.contains("milling"),
+            "{unknown}"
+        );
+        let unknown = message(&rows(), "v", Some("shar"));
+        assert!(unknown.contains("use one of pi1, share, n,"), "{unknown}");
+        let several = message(&rows(), "v", None);
+        assert!(
+            several.contains("pi1, share: choose one with --x"),
+            "{several}"
+        );
+        let text = [row("contacts=closest #0", None), row("contacts=a #0", None)];
+        assert!(message(&text, "v", None).contains("--over-time"));
+        assert!(message(&text, "v", Some("contacts")).contains("no number"));
+        assert!(message(&rows()[6..], "milling", Some("n")).contains("none of the 1 runs"));
+        assert!(message(&[], "v", None).contains("no runs"));
+    }
+
+    fn series(run: &str, steps: &[u64], values: &[Option<f64>]) -> Series {
+        Series {
+            run: run.to_owned(),
+            steps: steps.to_vec(),
+            times: steps.iter().map(|step| *step as f64 * 0.5).collect(),
+            measures: vec![MeasureSeries {
+                name: "order".to_owned(),
+                values: values.to_vec(),
+            }],
+        }
+    }
+
+    #[test]
+    fn means_over_time_leave_out_the_last_entries_of_runs_that_end_early() {
+        let all = [
+            series("n=3 #0", &[0, 10, 20, 25], &[1.0, 2.0, 3.0, 4.0].map(Some)),
+            series("n=3 #1", &[0, 10, 13], &[Some(3.0), None, Some(100.0)]),
+            series("n=5 #0", &[0, 10, 20, 25], &[None; 4]),
+        ];
+        let chart = over_time(&all, "order").unwrap();
+        assert_eq!((chart.runs, chart.left_out, chart.ended_early), (3, 1, 1));
+        assert_eq!(chart.curves[0].label, "n=3");
+        let points = chart.curves[0].points.iter();
+        let points: Vec<_> = points.map(|it| (it.x, it.spread.mean, it.runs)).collect();
+        assert_eq!(points, [(0.0, 2.0, 2), (5.0, 2.0, 1), (10.0, 3.0, 1)]);
+        // Both runs of n=3 end at step 25: the last state is shown.
+        let both = [
+            all[0].clone(),
+            series("n=3 #1", &[0, 10, 20, 25], &[Some(0.0); 4]),
+        ];
+        let chart = over_time(&both, "order").unwrap();
+        assert_eq!(chart.curves[0].points.last().unwrap().x, 12.5);
+        let unknown = over_time(&all, "ordr").unwrap_err().to_string();
+        assert!(unknown.contains("use one of order"), "{unknown}");
+    }
+}
