@@ -274,6 +274,8 @@ class Recorder:
                 names = parameters["names"].split(",")
                 values = [{"name": it, "value": 0.5, "unit": "1"} for it in names]
                 return {**reply, "result": {"measures": values}}
+            case ["get", "experiment"]:
+                return fixture("experiment.file.reply")
             case ["get", noun]:
                 return fixture(f"{noun}.reply")
         raise AssertionError(rest)

@@ -9,7 +9,7 @@ import numpy as np
 
 import jostle
 from recorder import SNAPSHOT, Sent
-from rows import LONG, PLAN, TAPE, File, Row, call, node_cmd, node_get
+from rows import FILES, LONG, PLAN, TAPE, File, Row, call, node_cmd, node_get
 from rows_of_swarms import ATTRACTIONS
 
 DEFAULTS: dict[str, Any] = {
@@ -200,6 +200,16 @@ CLIENTS = [
         "Client.submit",
         call(source=File("plan.toml"), name="other"),
         [node_cmd("experiment", {"submit": {"toml": PLAN, "name": "other"}})],
+    ),
+    Row(
+        "Client.submit",
+        call(File("points.toml")),
+        [
+            node_cmd(
+                "experiment",
+                {"submit": {"toml": FILES, "points": "n\n3\n", "start": "c25hcHNob3Q="}},
+            )
+        ],
     ),
     *(
         Row(f"Client.{noun}", call(), [node_get(f"get/{noun}")])

@@ -153,6 +153,7 @@ QUESTIONS = [
     Row("Swarm.controllers", call(), [get("get/controllers")]),
     Row("Swarm.snapshot", call(), [get("get/snapshot")]),
     Row("Swarm.verify", call(), [get("get/verify")]),
+    Row("Swarm.as_experiment", call(), [get("get/experiment")]),
     # A page has two events, of the numbers 3 to 7, or two entries, 1 to 3.
     Row(
         "Swarm.history",
@@ -336,6 +337,11 @@ COMMANDS = [
         "Swarm.batch",
         call([{"verb": "set", "args": {"pi3": 2.0}}]),
         [cmd("batch", {"commands": [{"verb": "set", "args": {"pi3": 2.0}}]})],
+    ),
+    Row(
+        "Swarm.batch",
+        call([{"verb": "set", "args": {"pi3": 2.0}}], draw=np.int64(7)),
+        [cmd("batch", {"commands": [{"verb": "set", "args": {"pi3": 2.0}}], "draw": 7})],
     ),
     Row("Swarm.delete", call(), [cmd("delete", {})]),
     Row("Swarm.fork", call("twin"), [cmd("fork", {"name": "twin"})]),

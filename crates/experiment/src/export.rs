@@ -97,6 +97,11 @@ pub fn experiment_file(history: &SwarmHistory) -> Result<String, ExportError> {
         }
     }
     for AppliedChange { step, draw, change } in changes {
+        let time = *step as f64 * spec.dt;
+        let _ = write!(file, "\n[[at]]\nstep = {step}    # t = {time}\n");
+        if has_draws(change) {
+            let _ = writeln!(file, "draw = {draw}");
+        }
         let mut change = table(change);
         let verb = change.remove("verb").unwrap_or_else(|| Value::from(""));
         let mut args = change
@@ -106,15 +111,22 @@ pub fn experiment_file(history: &SwarmHistory) -> Result<String, ExportError> {
             // `false` is the default, also where the field has no meaning.
             args.retain(|_, value| *value != Value::Boolean(false));
         }
-        let verb = verb.as_str().unwrap_or_default();
-        let time = *step as f64 * spec.dt;
-        let _ = write!(
-            file,
-            "\n[[at]]\nstep = {step}    # t = {time}\ndraw = {draw}\n{verb} = {args}\n"
-        );
+        let _ = writeln!(file, "{} = {args}", verb.as_str().unwrap_or_default());
     }
     Plan::parse(&file)?;
     Ok(file)
+}
+
+/// Whether a change draws individuals or places.
+fn has_draws(change: &verbs::Change) -> bool {
+    let select = match change {
+        verbs::Change::Set(_) => return false,
+        verbs::Change::Inject(args) => return args.at.is_none(),
+        verbs::Change::Inform(args) => &args.select,
+        verbs::Change::Uninform(args) => &args.select,
+        verbs::Change::Remove(args) => &args.select,
+    };
+    matches!(select, verbs::Select::Count(_) | verbs::Select::Fraction(_))
 }
 
 /// Returns a duration that is `steps` steps.

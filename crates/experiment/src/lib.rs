@@ -20,6 +20,7 @@ mod play;
 mod points;
 mod progress;
 mod protocol;
+mod row_grids;
 mod run;
 pub mod shell;
 mod start;

@@ -15,6 +15,7 @@ use crate::grid::{self, AXES, Choice, Grid};
 use crate::limits::{MAX_BLOCKS_OF_PLAN, MAX_ENTRIES, MAX_INDIVIDUALS, MAX_RUNS, MAX_STEPS};
 use crate::points::Points;
 use crate::protocol::{Block, Protocol, Setting, Variables, first_span, templates, used};
+use crate::row_grids;
 use crate::start::Base;
 use jostle_convert::spec;
 use jostle_convert::value::count;
@@ -159,7 +160,7 @@ impl Plan {
         let common = grid::common(source, &file.spec, base.as_ref())?;
         let used = used(file.at.iter().map(Spanned::get_ref).chain([&file.stop]));
         let grids = match &points {
-            Some(points) => points.grids(source, &used, replicates)?,
+            Some(points) => row_grids::grids(points, source, &used, replicates)?,
             None => grid::grids(source, &file.grid, &used, replicates, MAX_RUNS)?,
         };
         if base.is_some() {

@@ -1,17 +1,10 @@
-//! The conditions of a plan from a CSV: a row for each condition, a column for each axis or variable.
+//! A CSV with the conditions of a plan: a row for each condition, a column for each axis or variable.
 
-use std::collections::BTreeSet;
 use std::ops::Range;
 
 use csv::{ReaderBuilder, StringRecord, Trim};
-use toml::{Spanned, Value};
 
 use crate::error::PlanError;
-use crate::file::Source;
-use crate::grid::{AXES, Grid, check_axis};
-
-/// The largest distance from 0 of whole numbers that a double represents.
-const MAX_WHOLE: f64 = 9_007_199_254_740_992.0;
 
 /// The cells of a CSV. Each has a span after the end of the TOML, from which errors get its place.
 pub struct Points {
@@ -89,64 +82,18 @@ impl Points {
         Some((*line, cell % self.header.len() + 1))
     }
 
-    /// Returns a grid for each row, with one value on each axis.
-    ///
-    /// # Errors
-    ///
-    /// [`PlanError::Points`] with the first cell that is wrong.
-    pub fn grids(
-        &self,
-        source: Source<'_>,
-        used: &BTreeSet<String>,
-        replicates: u64,
-    ) -> Result<Vec<Grid>, PlanError> {
-        let columns = self.header.len();
-        for (column, name) in self.header.iter().enumerate() {
-            let span = self.span(column);
-            if name.is_empty() {
-                let reason = "the column has no name: name it, or write the file without an index";
-                return Err(source.reject(&span, reason));
-            }
-            if self.header[..column].contains(name) {
-                let reason = format!("duplicate column {name:?}: leave out one of them");
-                return Err(source.reject(&span, reason));
-            }
-            if !AXES.contains(&name.as_str()) && !used.contains(name) {
-                let separated = match name.contains([';', '\t']) {
-                    true => "separate columns by commas, and ",
-                    false => "",
-                };
-                let axes = AXES.join(", ");
-                let reason = format!(
-                    "unknown column {name:?}: {separated}use {axes}, or a variable that an [[at]] or \
-                     [stop] uses as \"$name\""
-                );
-                return Err(source.reject(&span, reason));
-            }
-            check_axis(source, name, &span, used)?;
-        }
-        let rows = self.rows.iter().enumerate();
-        rows.map(|(row, cells)| {
-            let mut grid = Grid {
-                axes: Vec::with_capacity(columns),
-                replicates,
-                span: self.span((row + 1) * columns),
-            };
-            for (column, text) in cells.iter().enumerate() {
-                let span = self.span((row + 1) * columns + column);
-                let value = value(text).map_err(|reason| source.reject(&span, reason))?;
-                grid.add(
-                    source,
-                    &self.header[column],
-                    vec![Spanned::new(span, value)],
-                )?;
-            }
-            grid.finished(source)
-        })
-        .collect()
+    /// Returns the names in the header.
+    pub fn header(&self) -> &[String] {
+        &self.header
     }
 
-    fn span(&self, cell: usize) -> Range<usize> {
+    /// Returns the rows after the header, each with a cell for each name.
+    pub fn rows(&self) -> &[Vec<String>] {
+        &self.rows
+    }
+
+    /// Returns the span of a cell, counted by rows from the first one of the header.
+    pub fn span(&self, cell: usize) -> Range<usize> {
         self.first + cell..self.first + cell + 1
     }
 }
@@ -167,34 +114,6 @@ impl Lines {
         self.at = start + blank;
         self.number
     }
-}
-
-/// Returns the value of a cell: a number, a table as in a TOML, or a text.
-fn value(text: &str) -> Result<Value, String> {
-    if text.is_empty() {
-        return Err("the cell is empty: give a value".to_owned());
-    }
-    if let Ok(number) = text.parse() {
-        return Ok(Value::Integer(number));
-    }
-    if let Ok(number) = text.parse::<f64>() {
-        let is_whole = number.fract() == 0.0 && number.abs() < MAX_WHOLE;
-        #[expect(clippy::cast_possible_truncation, reason = "whole and in range")]
-        return match number.is_finite() {
-            // Programs write whole numbers as 5.0 or 5e0, too.
-            true if is_whole => Ok(Value::Integer(number as i64)),
-            true => Ok(Value::Float(number)),
-            false => Err(format!("{text} is not a finite number: give one")),
-        };
-    }
-    if text.starts_with('{') {
-        let parsed = toml::from_str::<toml::Table>(&format!("value = {text}"));
-        return match parsed.ok().and_then(|mut it| it.remove("value")) {
-            Some(table) => Ok(table),
-            None => Err(format!("{text} is no table of TOML")),
-        };
-    }
-    Ok(Value::String(text.to_owned()))
 }
 
 #[cfg(test)]

@@ -67,7 +67,7 @@ impl Axis {
             return (self.values.iter().copied().filter(within).collect(), vec![]);
         }
         if !self.logarithmic {
-            let step = round_step((self.ends.1 - self.ends.0) / 5.0);
+            let step = round_step((self.ends.1 - self.ends.0) / 7.0);
             let first = (self.ends.0 / step).ceil();
             let ticks = (0..).map(|index| (first + f64::from(index)) * step);
             return (ticks.take_while(within).collect(), vec![]);
@@ -149,7 +149,7 @@ mod tests {
         let mut axis = Axis::around("", false, [0.0, 1.0]);
         axis.ends = (-0.05, 1.0);
         let labels: Vec<String> = axis.ticks().0.into_iter().map(tick_label).collect();
-        assert_eq!(labels, ["0", "0.5", "1"]);
+        assert_eq!(labels, ["0", "0.2", "0.4", "0.6", "0.8", "1"]);
         axis.ends = (-0.3, 0.7);
         let labels: Vec<String> = axis.ticks().0.into_iter().map(tick_label).collect();
         assert_eq!(labels, ["-0.2", "0", "0.2", "0.4", "0.6"]);

@@ -21,7 +21,7 @@ const EVERYBODY: [&str; 3] = ["yes", "yes", "yes"];
 
 /// Every request, and whether a viewer, a controller and an operator may send it; `own`
 /// is for controllers named after the person alone.
-pub const TABLE: [(&str, [&str; 3]); 49] = [
+pub const TABLE: [(&str, [&str; 3]); 50] = [
     ("{swarm}/cmd/delete", NOBODY_BUT_OPERATORS),
     ("{swarm}/cmd/run", NOBODY_BUT_OPERATORS),
     ("{swarm}/cmd/pause", NOBODY_BUT_OPERATORS),
@@ -71,6 +71,7 @@ pub const TABLE: [(&str, [&str; 3]); 49] = [
     ("@node/{node}/experiment/{experiment}/progress", EVERYBODY),
     ("@node/{node}/experiment/{experiment}/results", EVERYBODY),
     ("@node/{node}/experiment/{experiment}/order", EVERYBODY),
+    ("@node/{node}/experiment/{experiment}/series", EVERYBODY),
 ];
 
 /// Whether the person of a column, or a client without a token, may send a request; as themselves

@@ -20,7 +20,7 @@ use crate::format;
 use crate::output::Output;
 use crate::suggest::did_you_mean;
 use crate::values::{self, Figure};
-use crate::verbs::experiment::{results, series};
+use crate::verbs::experiment::{rows, series};
 
 /// What an invocation draws.
 enum Subject<'a> {
@@ -70,7 +70,7 @@ pub async fn of_daemon(context: &Context, arguments: &PlotArguments) -> Result<(
     match subject(arguments)? {
         Subject::Swarms(swarms) => snapshot(context, swarms, &arguments.out).await,
         Subject::Chart(Source::Experiment(name), y) => {
-            let rows = results::fetch(client, name).await?;
+            let rows = rows::fetch(client, name).await?;
             let chart = match arguments.over_time {
                 true => match series::fetch_all(client, name, &rows).await? {
                     Some(all) => over_time(&all, y)?,

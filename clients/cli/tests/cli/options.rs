@@ -15,7 +15,7 @@ use tokio::task::JoinSet;
 use crate::support::{Daemon, Ended, Running};
 
 /// A command line for each verb and nested verb. `{}` is a folder.
-const LINES: [&str; 53] = [
+const LINES: [&str; 54] = [
     "annotate demo note",
     "auth can pause",
     "auth link",
@@ -35,6 +35,7 @@ const LINES: [&str; 53] = [
     "experiment list",
     "experiment pause nothing",
     "experiment plan {}/order.toml",
+    "experiment play {}/order.toml",
     "experiment results nothing",
     "experiment resume nothing",
     "experiment run {}/order.toml --detach",

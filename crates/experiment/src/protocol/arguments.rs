@@ -5,8 +5,10 @@ use jostle_physics::simulation::Change;
 use jostle_proto::verbs;
 use toml::Value;
 
-use super::block::ROUNDING;
 use crate::file::in_words;
+
+/// A part of the time of a block that counts as rounding.
+pub(super) const ROUNDING: f64 = 1e-9;
 
 /// Converts a verb with its arguments.
 pub fn to_change(verb: &str, args: &Value) -> Result<Change, String> {

@@ -5,10 +5,7 @@ use jostle_measures::View;
 use jostle_physics::simulation::{Change, steps_in};
 use toml::Value;
 
-use super::arguments::{at_share, has_ramp, to_change};
-
-/// A part of the time of a block that counts as rounding.
-pub(super) const ROUNDING: f64 = 1e-9;
+use super::arguments::{ROUNDING, at_share, has_ramp, to_change};
 
 /// A block of a protocol.
 #[derive(Clone, Debug, PartialEq)]

@@ -3,7 +3,8 @@
 mod attach;
 mod plan;
 mod play;
-pub mod results;
+mod results;
+pub mod rows;
 pub mod series;
 mod slurm;
 

@@ -29,11 +29,10 @@ pub async fn play(context: &Context, arguments: &PlayArguments) -> Result<(), Fa
     };
     let options = |k: usize| CommandOptions {
         // A retry with the same id executes nothing twice.
-        request_id: arguments
-            .sender
-            .request_id
-            .as_ref()
-            .map(|id| format!("{id}-{k}")),
+        request_id: arguments.sender.request_id.as_ref().map(|id| match k {
+            0 => id.clone(),
+            k => format!("{id}-{k}"),
+        }),
         ..(&arguments.sender).into()
     };
     let created = client.command_node("create", &create, options(0)).await;

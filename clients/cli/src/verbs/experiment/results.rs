@@ -10,7 +10,6 @@ use jostle_results::statistics::{Spread, Summary, summarise};
 use jostle_results::table::SeriesWriter;
 use jostle_results::table::series::SERIES_NAME;
 use jostle_results::{ResultRow, table as tables};
-use serde::Deserialize;
 use serde_json::json;
 
 use crate::arguments::ResultsArguments;
@@ -19,17 +18,7 @@ use crate::failure::Failure;
 use crate::format;
 use crate::output;
 use crate::table;
-use crate::verbs::experiment::{phase, series};
-
-/// The most rows per query; a daemon returns as many as fit a message.
-const ROWS: usize = 1000;
-
-/// Rows of finished runs.
-#[derive(Deserialize)]
-struct Page {
-    rows: Vec<ResultRow>,
-    next: Option<u64>,
-}
+use crate::verbs::experiment::{phase, rows, series};
 
 /// Shows or writes the results of an experiment.
 pub async fn results(context: &Context, arguments: &ResultsArguments) -> Result<(), Failure> {
@@ -48,7 +37,7 @@ pub async fn results(context: &Context, arguments: &ResultsArguments) -> Result<
     if let Some(run) = series {
         return series::print(context, name, run.as_deref()).await;
     }
-    let rows = fetch(client, name).await?;
+    let rows = rows::fetch(client, name).await?;
     if let Some(out) = out {
         if !force {
             check_replaceable(out, &rows)?;
@@ -78,19 +67,6 @@ pub async fn results(context: &Context, arguments: &ResultsArguments) -> Result<
         return Ok(());
     }
     output.data(&summary(&summarise(&rows)))
-}
-
-pub async fn fetch(client: &Client, name: &str) -> Result<Vec<ResultRow>, Failure> {
-    let (mut rows, mut after) = (Vec::new(), 0);
-    loop {
-        let noun = format!("results?after={after};limit={ROWS}");
-        let page: Page = client.get_experiment(name, &noun).await?.read()?;
-        rows.extend(page.rows);
-        match page.next {
-            Some(next) if next > after => after = next,
-            _ => return Ok(rows),
-        }
-    }
 }
 
 async fn print_order(context: &Context, name: &str, run: &str) -> Result<(), Failure> {

@@ -8,7 +8,7 @@ use jostle_results::table::{MeasureSeries, Series, series};
 use crate::context::Context;
 use crate::failure::Failure;
 use crate::output;
-use crate::verbs::experiment::results;
+use crate::verbs::experiment::rows;
 
 /// Prints the measures of a run over time, or those of all finished runs.
 pub async fn print(context: &Context, name: &str, run: Option<&str>) -> Result<(), Failure> {
@@ -19,7 +19,7 @@ pub async fn print(context: &Context, name: &str, run: Option<&str>) -> Result<(
             vec![fetch(client, name, run).await?]
         }
         None => {
-            let rows = results::fetch(client, name).await?;
+            let rows = rows::fetch(client, name).await?;
             let mut all = Vec::with_capacity(rows.len());
             for row in &rows {
                 all.push(fetch(client, name, &row.run).await?);

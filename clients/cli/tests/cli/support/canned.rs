@@ -240,6 +240,7 @@ fn fixture(key: &str, sent: &Sent, changes: &[Change]) -> Reply {
         ["@node", _, "get", noun] => format!("node.{noun}.reply"),
         ["@node", _, "experiment", _, noun] => format!("experiment.{noun}"),
         ["@node", _, "cmd", verb] | [_, "cmd", verb] => format!("{verb}.reply"),
+        [_, "get", "experiment"] => "experiment.file.reply".to_owned(),
         [_, "get", noun] => format!("{noun}.reply"),
         _ => panic!("{key} is no key of the contract"),
     };

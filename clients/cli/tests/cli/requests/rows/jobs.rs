@@ -128,6 +128,12 @@ pub fn experiments() -> Vec<Row> {
     let submit = r#"@node/test/cmd/experiment {"submit": {"toml": "name = \"order\"\n"}}"#;
     let progress = "@node/test/experiment/small/progress";
     let results = "@node/test/experiment/small/results?after=0;limit=1000";
+    let series = [
+        "@node/test/experiment/small/series?run=n=2 #0;after=0",
+        "@node/test/experiment/small/series?run=n=2 #1;after=0",
+        "@node/test/experiment/small/series?run=n=5 informed=1 #0;after=0",
+        "@node/test/experiment/small/series?run=n=5 informed=1 #1;after=0",
+    ];
     vec![
         row("experiment run <file>{}/order.toml --detach", &[submit]).says("submitted small"),
         row("experiment run <file>{}/order.toml", &[submit, progress]).says("; took 3"),
@@ -138,6 +144,17 @@ pub fn experiments() -> Vec<Row> {
                 "name": "night"}}"#,
             ],
         ),
+        row(
+            "experiment play <file>{}/grid.toml --run 2 --as live",
+            &[
+                r#"@node/test/cmd/create {"name": "live", "exist_ok": false, "spec": {
+                "n": 3, "pi1": 4.0, "pi2": 0.5, "pi3": 1.0, "pi4": 10.0, "dt": 0.02,
+                "contacts": "endpoints", "stepping": "position", "relinearise": 0,
+                "seed": 5266246562987251, "start": {"kind": "disc"},
+                "attraction": {"kind": "all"}, "noise": 0.0, "publish_every": 5, "rate": 1.0}}"#,
+            ],
+        )
+        .says("created live, the swarm of run \"#1\", and scheduled 0 commands"),
         row("experiment list", &["@node/test/get/experiments"]).says("small"),
         row("experiment status <name>small", &[progress]).says("small is finished, 4 of 4"),
         row("experiment attach <name>small", &[progress]).says("; took 3"),
@@ -164,7 +181,9 @@ pub fn experiments() -> Vec<Row> {
         row("experiment results <name>small --csv", &[results]).says("n=5 informed=1 #0,"),
         row(
             "experiment results <name>small --out {}/tables --force",
-            &[results, progress],
+            &[
+                results, progress, series[0], series[1], series[2], series[3],
+            ],
         )
         .writes("tables/results.csv")
         .writes("tables/results.parquet"),
@@ -185,7 +204,7 @@ pub fn experiments() -> Vec<Row> {
         .says("run,step,time,order,drift\nn=5,0,0,0.5821452720313459,-0.4931628207017643"),
         row(
             "plot <what>small --y order --over-time --out {}/over.svg",
-            &[results],
+            &[results, series[0], series[1], series[2], series[3]],
         )
         .writes("over.svg"),
         row(

@@ -25,6 +25,11 @@ pub fn inspecting() -> Vec<Row> {
         .says("steps=50")
         .says("inform"),
         row(
+            "journal <name>demo --as-experiment",
+            &["demo/get/experiment"],
+        )
+        .says("[spec]"),
+        row(
             "journal <name>demo --after 1 --limit 1",
             &["demo/get/journal?after=1;limit=1000"],
         )
