@@ -16,7 +16,7 @@ use crate::verbs::{
     CreateResult, DeleteArgs, DiscardArgs, EmptyResult, ForkArgs, IdsResult, InformArgs,
     InjectArgs, JoinArgs, JoinResult, LeaveArgs, PauseArgs, RemoveArgs, ResetArgs, ResetResult,
     RestoreArgs, RunArgs, RunResult, Scheduled, SetArgs, SetResult, StepArgs, StepResult,
-    UninformArgs,
+    UninformArgs, WhenArgs,
 };
 use crate::{
     ControllerList, Error, Event, Events, ExperimentArgs, ExperimentFile, ExperimentResult,
@@ -82,6 +82,8 @@ pub fn schemas() -> BTreeMap<&'static str, Schema> {
         ("control.args", received::<Control>()),
         ("seek.args", received::<SeekArgs>()),
         ("seek.reply", sent::<Reply<EmptyResult>>()),
+        ("when.args", received::<WhenArgs>()),
+        ("when.reply", sent::<Reply<EmptyResult>>()),
         ("fork.args", received::<ForkArgs>()),
         ("fork.reply", sent::<Reply<CreateResult>>()),
         ("restore.args", received::<RestoreArgs>()),

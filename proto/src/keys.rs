@@ -21,14 +21,14 @@ pub const SWARM_GETS: [&str; 11] = [
 ];
 
 /// The verbs that `{prefix}/{swarm}/cmd/` executes.
-pub const SWARM_VERBS: [&str; 17] = [
+pub const SWARM_VERBS: [&str; 18] = [
     "delete", "run", "pause", "step", "reset", "set", "inform", "uninform", "inject", "remove",
-    "batch", "fork", "join", "advance", "leave", "annotate", "seek",
+    "batch", "fork", "join", "advance", "leave", "annotate", "seek", "when",
 ];
 
-/// Commands that a swarm gives itself because of its controllers, in its journal and its events. No
-/// client can send them.
-pub const OWN_VERBS: [&str; 3] = ["deadline", "lost", "control"];
+/// Commands that a swarm gives itself because of its controllers and conditions, in its journal and its
+/// events. No client can send them.
+pub const OWN_VERBS: [&str; 4] = ["deadline", "lost", "control", "fired"];
 
 /// The nouns that `{prefix}/@node/{node}/get/` answers.
 pub const NODE_GETS: [&str; 9] = [

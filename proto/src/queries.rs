@@ -33,6 +33,9 @@ pub struct Status {
     pub parameters: ParameterValues,
     /// Commands that wait for their step.
     pub scheduled: u64,
+    /// The conditions that it waits for, in the order of their commands; left out without any.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub when: Option<Vec<String>>,
     /// How many controllers have joined.
     #[serde(default)]
     pub controllers: u64,

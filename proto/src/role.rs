@@ -156,7 +156,7 @@ mod tests {
 
     /// Every verb of the contract, and the least role that may have it executed. `docs/security.md`
     /// has the same table.
-    const LEAST: [(&str, Role); 23] = [
+    const LEAST: [(&str, Role); 24] = [
         ("delete", Role::Operator),
         ("run", Role::Operator),
         ("pause", Role::Operator),
@@ -174,6 +174,7 @@ mod tests {
         ("leave", Role::Controller),
         ("annotate", Role::Controller),
         ("seek", Role::Operator),
+        ("when", Role::Operator),
         ("create", Role::Operator),
         ("restore", Role::Operator),
         ("discard", Role::Operator),

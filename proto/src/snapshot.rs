@@ -86,6 +86,9 @@ pub struct Snapshot {
     pub exactness: Exactness,
     /// The commands that wait for their step, in the order they come due.
     pub scheduled: Vec<Waiting>,
+    /// The conditions that it waits for, in the order of their commands.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub when: Vec<WaitingCondition>,
     /// A `step` that is being executed.
     #[serde(default)]
     pub pending: Option<Pending>,
@@ -303,6 +306,16 @@ pub struct Waiting {
     /// The number of its entry in the journal.
     pub line: u64,
     /// The command.
+    pub sent: Sent,
+}
+
+/// A condition for which the swarm waits.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct WaitingCondition {
+    /// The step since which each comparison of the condition has held, in the order of the text;
+    /// `null` for one that does not hold.
+    pub since: Vec<Option<u64>>,
+    /// The command `when`.
     pub sent: Sent,
 }
 

@@ -2,6 +2,7 @@
 
 mod changes;
 mod controllers;
+mod when;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -19,6 +20,7 @@ pub use controllers::{
     AdvanceArgs, AdvanceResult, Control, Departed, Departure, JoinArgs, JoinResult, LeaveArgs,
     Miss, Mode, News, OnTimeout, SetPoints,
 };
+pub use when::WhenArgs;
 
 /// Creates a swarm; sent to a node. The swarm is created paused.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use jostle_convert::SnapshotError;
 use jostle_proto as proto;
 use jostle_proto::keys;
-use jostle_proto::snapshot::{Member, Pending, Sent, SnapshotPhase, Waiting};
+use jostle_proto::snapshot::{Member, Pending, Sent, SnapshotPhase, Waiting, WaitingCondition};
 use serde::Deserialize as _;
 use serde::de::IntoDeserializer as _;
 use serde::de::value::Error as ValueError;
@@ -17,6 +17,7 @@ use crate::swarm::membership::{self, ControllerSettings, ControllerState};
 use crate::swarm::phase::{PauseReason, Phase};
 use crate::swarm::schedule::Scheduled;
 use crate::swarm::sender::Sender;
+use crate::swarm::watch;
 
 /// Returns the snapshot of a checkpoint.
 pub fn snapshot(swarm: &str, checkpoint: &Checkpoint) -> proto::Snapshot {
@@ -25,6 +26,7 @@ pub fn snapshot(swarm: &str, checkpoint: &Checkpoint) -> proto::Snapshot {
         phase,
         rate,
         scheduled,
+        watches,
         pending,
         controllers,
         annotations,
@@ -49,6 +51,13 @@ pub fn snapshot(swarm: &str, checkpoint: &Checkpoint) -> proto::Snapshot {
             .map(|(at_step, waiting)| Waiting {
                 at_step: *at_step,
                 line: waiting.input,
+                sent: sent(&waiting.sender),
+            })
+            .collect(),
+        when: watches
+            .iter()
+            .map(|waiting| WaitingCondition {
+                since: waiting.held.steps().to_vec(),
                 sent: sent(&waiting.sender),
             })
             .collect(),
@@ -81,6 +90,19 @@ pub fn checkpoint(
         };
         Ok((waiting.at_step, scheduled))
     });
+    let watches = snapshot.when.iter().map(|waiting| {
+        let sender = sender(&waiting.sent)?;
+        match read(&sender).map_err(SnapshotError::Unreadable)? {
+            Command::Watch(watch) => {
+                let held = waiting.since.clone().into();
+                Ok(watch::Waiting::new(*watch, held, sender))
+            }
+            _ => {
+                let problem = format!("{} is no condition", sender.verb);
+                Err(SnapshotError::Unreadable(problem))
+            }
+        }
+    });
     let pending = snapshot.pending.as_ref();
     Ok(Checkpoint {
         simulation,
@@ -92,6 +114,7 @@ pub fn checkpoint(
         },
         rate: snapshot.rate,
         scheduled: scheduled.collect::<Result<_, _>>()?,
+        watches: watches.collect::<Result<_, _>>()?,
         pending: pending
             .map(|pending| Ok((pending.from, sender(&pending.sent)?)))
             .transpose()?,

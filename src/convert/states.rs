@@ -62,6 +62,8 @@ pub fn status(seen: &Frame, history_from: Option<proto::HistoryFrom>) -> proto::
         dt: seen.parameters.dt,
         parameters: parameter_values(seen.parameters, seen.publish_every),
         scheduled: seen.scheduled as u64,
+        when: (!seen.conditions.is_empty())
+            .then(|| seen.conditions.iter().map(ToString::to_string).collect()),
         controllers: seen.controllers.len() as u64,
         waiting_for: waiting_for(seen),
         state_hash: hash(seen),

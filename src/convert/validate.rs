@@ -10,6 +10,7 @@ use jostle_convert::value::rate;
 use jostle_proto::LARGEST_WHOLE;
 
 use crate::swarm::checkpoint::Checkpoint;
+use crate::swarm::watch::{MAX_WATCHES, Waiting};
 
 /// Checks that a swarm can be in this state.
 ///
@@ -31,6 +32,14 @@ pub fn check(checkpoint: &Checkpoint) -> Result<(), SnapshotError> {
     }
     if at_steps().any(|at_step| at_step < checkpoint.simulation.state.step) {
         return impossible("a command waits for a step that is past".to_owned());
+    }
+    let step = checkpoint.simulation.state.step;
+    let since = |it: &Waiting| it.held.steps().iter().flatten().any(|since| *since > step);
+    if checkpoint.watches.iter().any(since) {
+        return impossible("a condition holds since a step that is not reached".to_owned());
+    }
+    if checkpoint.watches.len() > MAX_WATCHES {
+        return impossible(format!("more than {MAX_WATCHES} conditions wait"));
     }
     Ok(())
 }

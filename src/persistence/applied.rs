@@ -2,7 +2,7 @@
 
 use jostle_experiment::AppliedChange;
 use jostle_physics::simulation::{self, Spec};
-use jostle_proto::verbs::{BatchArgs, Change};
+use jostle_proto::verbs::{BatchArgs, Change, WhenArgs};
 use serde_json::{Value, json};
 
 use crate::convert::commands::CommandError;
@@ -87,11 +87,11 @@ impl History {
             }
             Command::Batch { .. } => {
                 let BatchArgs { commands, draw } = read(&input.sender.args)?;
-                let last = input.seq.saturating_sub(self.annotations);
-                let first = draw.unwrap_or((last + 1).saturating_sub(commands.len() as u64));
-                for (change, draw) in commands.into_iter().zip(first..) {
-                    self.push(step, draw, change);
-                }
+                self.push_batch(input, commands, draw);
+            }
+            Command::Fired(_) => {
+                let WhenArgs { commands, .. } = read(&input.sender.args)?;
+                self.push_batch(input, commands.unwrap_or_default(), None);
             }
             Command::Advance { set: Some(_), .. } | Command::Control { .. } => {
                 self.steered(&format!("a controller steered it at step {step}"));
@@ -107,9 +107,20 @@ impl History {
             | Command::Join(_)
             | Command::Advance { set: None, .. }
             | Command::Leave(_)
+            | Command::Watch(_)
+            | Command::Unwatch
             | Command::Delete => {}
         }
         Ok(())
+    }
+
+    /// Adds the changes of a batch, whose draws have the numbers from `draw` on, or up to its `seq`.
+    fn push_batch(&mut self, input: &AppliedInput, changes: Vec<Change>, draw: Option<u64>) {
+        let last = input.seq.saturating_sub(self.annotations);
+        let first = draw.unwrap_or((last + 1).saturating_sub(changes.len() as u64));
+        for (change, draw) in changes.into_iter().zip(first..) {
+            self.push(input.step, draw, change);
+        }
     }
 
     fn push(&mut self, step: u64, draw: u64, change: Change) {

@@ -325,6 +325,7 @@ impl Player {
             publish_every: self.spec.publish_every,
             seed: self.spec.seed,
             scheduled: 0,
+            conditions: Vec::new(),
             configuration: recorded.configuration,
             order: recorded.order,
             means: recorded.means,

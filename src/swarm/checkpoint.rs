@@ -8,6 +8,7 @@ use crate::swarm::membership::ControllerState;
 use crate::swarm::phase::{PauseReason, Phase};
 use crate::swarm::schedule::Scheduled;
 use crate::swarm::sender::Sender;
+use crate::swarm::watch;
 
 /// The whole state of a swarm: swarms with equal checkpoints evolve equally. On disk it is called a
 /// checkpoint, on the wire a snapshot.
@@ -21,6 +22,8 @@ pub struct Checkpoint {
     pub rate: Rate,
     /// Scheduled commands, each with its step, in the order of execution.
     pub scheduled: Vec<(u64, Scheduled)>,
+    /// The conditions that wait, in the order of arrival.
+    pub watches: Vec<watch::Waiting>,
     /// The `step` that is being executed: where it began, and its client.
     pub pending: Option<(u64, Arc<Sender>)>,
     /// The controllers that have joined.
@@ -44,6 +47,7 @@ impl Checkpoint {
             rate: simulation.spec.rate,
             simulation,
             scheduled: Vec::new(),
+            watches: Vec::new(),
             pending: None,
             controllers: Vec::new(),
             annotations: 0,
@@ -69,6 +73,7 @@ impl Checkpoint {
             phase,
             rate: self.rate,
             scheduled: self.scheduled,
+            watches: self.watches,
             annotations: self.annotations,
             ..Checkpoint::start(simulation::Checkpoint {
                 epoch: 1,

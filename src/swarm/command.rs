@@ -4,6 +4,7 @@ use jostle_physics::simulation::{Change, Rate, SetPoints};
 
 use crate::swarm::error::SwarmError;
 use crate::swarm::membership::JoinOptions;
+use crate::swarm::watch::Watch;
 
 /// A command.
 #[derive(Clone, Debug, PartialEq)]
@@ -59,6 +60,12 @@ pub enum Command {
     },
     /// Write a note into the journal and the events. Its text is in the arguments of its sender.
     Annotate,
+    /// Execute an action once a condition holds.
+    Watch(Box<Watch>),
+    /// Remove all waiting conditions.
+    Unwatch,
+    /// This condition holds: execute its action.
+    Fired(Box<Watch>),
     /// Delete the swarm.
     Delete,
 }

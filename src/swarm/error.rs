@@ -23,6 +23,8 @@ pub enum SwarmError {
     Late { at_step: u64, step: u64 },
     #[error("{0} commands are scheduled already: send this one later, or reset")]
     TooManyScheduled(usize),
+    #[error("{0} conditions wait already: remove them with `cancel`, or reset")]
+    TooManyWatches(usize),
     #[error("the swarm was reset before step {0} came: send it again with another request_id")]
     Overtaken(u64),
     #[error("commands[{index}]: {error}; none was applied")]

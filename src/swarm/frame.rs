@@ -42,6 +42,8 @@ pub struct Frame {
     pub seed: u64,
     /// The number of scheduled commands.
     pub scheduled: usize,
+    /// The conditions that it waits for.
+    pub conditions: Vec<Arc<str>>,
     /// The individuals.
     pub configuration: Configuration,
     /// Order and drift now.

@@ -12,6 +12,7 @@ use parking_lot::Mutex;
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::error::WriteFault;
 use crate::swarm::frame::Stamp;
+use crate::swarm::schedule::Scheduled;
 use crate::swarm::sender::Sender;
 
 /// Commands that may be executed before they are durable. The next one waits for the disk, and is
@@ -120,6 +121,8 @@ pub struct Replayed {
     outcomes: BTreeMap<u64, (Option<u64>, Option<f64>)>,
     /// The hashes by epoch and step, and their lines.
     hashes: BTreeMap<(u64, u64), (u64, [u8; 32])>,
+    /// The commands `fired` by epoch and step.
+    fired: BTreeMap<(u64, u64), Vec<Scheduled>>,
     on_progress: Option<OnProgress>,
     /// Outcomes that the replay produced before it read them, each with its epoch and step.
     unsettled: Vec<((u64, u64), Record)>,
@@ -241,6 +244,25 @@ impl Journal {
     /// that has been read.
     pub fn outcome(&self, input: u64) -> Option<(Option<u64>, Option<f64>)> {
         self.replay.as_ref()?.outcomes.get(&input).copied()
+    }
+
+    /// During a replay: stores a command `fired`, which is executed on reaching its step.
+    pub fn read_fired(&mut self, at: (u64, u64), fired: Scheduled) {
+        if let Some(replay) = &mut self.replay {
+            replay.fired.entry(at).or_default().push(fired);
+        }
+    }
+
+    /// During a replay: the commands `fired` at a step that have not been executed.
+    pub fn take_fired(&mut self, at: (u64, u64)) -> Vec<Scheduled> {
+        let fired = self.replay.as_mut().and_then(|it| it.fired.remove(&at));
+        fired.unwrap_or_default()
+    }
+
+    /// During a replay: whether the outcomes of the commands `fired` at a step have been read.
+    pub fn has_outcomes_of_fired(&self, at: (u64, u64)) -> bool {
+        let fired = self.replay.as_ref().and_then(|it| it.fired.get(&at));
+        fired.is_none_or(|all| all.iter().all(|it| self.outcome(it.input).is_some()))
     }
 
     /// During a replay: whether a step has the journaled hash; `None` if there is none.

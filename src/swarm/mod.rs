@@ -19,4 +19,5 @@ pub(crate) mod schedule;
 pub mod scheduler;
 pub mod sender;
 pub(crate) mod waiters;
+pub mod watch;
 pub(crate) mod worker;

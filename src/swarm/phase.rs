@@ -44,6 +44,8 @@ pub enum PauseReason {
     Lockstep,
     /// A controller that joined with `on_timeout: pause` missed its deadline.
     Deadline,
+    /// A condition of `when` holds.
+    Condition,
 }
 
 impl fmt::Display for PauseReason {

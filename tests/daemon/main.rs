@@ -47,3 +47,4 @@ mod support;
 mod targets;
 mod verify;
 mod wall_clock;
+mod when;

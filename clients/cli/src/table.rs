@@ -103,6 +103,7 @@ pub fn status(reply: &Reply<Status>) -> String {
         dt,
         parameters,
         scheduled,
+        when,
         controllers,
         waiting_for,
         state_hash,
@@ -156,6 +157,9 @@ pub fn status(reply: &Reply<Status>) -> String {
     if *scheduled > 0 {
         let commands = format::count(*scheduled, "command");
         lines.push(("scheduled", format!("{commands} for a step to come")));
+    }
+    if let Some(conditions) = when {
+        lines.push(("when", conditions.join("; ")));
     }
     if *controllers > 0 {
         let joined = format::count(*controllers, "controller");

@@ -117,6 +117,25 @@ pub fn number(text: &str) -> Result<f64, String> {
     }
 }
 
+/// The end of a run.
+#[derive(Clone, Debug, PartialEq)]
+pub enum End {
+    /// The first step at or after this time.
+    Time(f64),
+    /// The first step after which this condition holds. The daemon parses it.
+    Condition(String),
+}
+
+/// Parses a time, or a text with a comparison.
+pub fn end(text: &str) -> Result<End, String> {
+    match text.contains(['<', '>']) {
+        true => Ok(End::Condition(text.to_owned())),
+        false => number(text).map(End::Time).map_err(|_| {
+            format!("`{text}` is neither a finite number nor a condition such as 'order > 0.9'")
+        }),
+    }
+}
+
 /// Parses a share above 0 and at most 1.
 pub fn percentage(text: &str) -> Result<f64, String> {
     match share(text)? {

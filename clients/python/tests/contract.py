@@ -26,6 +26,7 @@ PROTO = Path(__file__).resolve().parents[3] / "proto"
 READ: dict[str, type[Any]] = {
     "advance.reply": jostle.Advanced,
     "annotate.reply": jostle.Reply,
+    "when.reply": jostle.Reply,
     "batch.reply": jostle.BatchResult,
     "controllers.reply": Controllers,
     "create.reply": CreateResult,

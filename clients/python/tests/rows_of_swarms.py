@@ -246,6 +246,25 @@ COMMANDS = [
         [cmd("run", {"until_time": 3.0}), get("get/wait?step=151;timeout_secs=0.250")],
     ),
     Row("Swarm.pause", call(), [cmd("pause", {})]),
+    Row("Swarm.when", call(cancel=True), [cmd("when", {"cancel": True})]),
+    Row(
+        "Swarm.when",
+        call("order > 0.9", pause=True),
+        [cmd("when", {"condition": "order > 0.9", "pause": True})],
+    ),
+    Row(
+        "Swarm.when",
+        call("order > 0.9", commands=[jostle.Set(pi3=2.0)]),
+        [
+            cmd(
+                "when",
+                {
+                    "condition": "order > 0.9",
+                    "commands": [{"verb": "set", "args": {"pi3": 2.0}}],
+                },
+            )
+        ],
+    ),
     Row("Swarm.annotate", call("ready"), [cmd("annotate", {"text": "ready"})]),
     Row("Swarm.step", call(), [cmd("step", {"steps": 1}, **HOUR)]),
     Row("Swarm.step", call(np.int64(50)), [cmd("step", {"steps": 50}, **HOUR)]),

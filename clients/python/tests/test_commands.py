@@ -136,6 +136,35 @@ def test_a_note_is_in_journal_and_events_and_changes_nothing(create: Create) -> 
     assert swarm.status().seq == reply.seq
 
 
+def test_a_condition_pauses_or_changes_the_swarm_once(create: Create) -> None:
+    swarm = create(n=5)
+    assert swarm.status().when is None
+    # It holds at once: the swarm pauses after one step.
+    swarm.when("order>=0", pause=True)
+    assert swarm.status().when == ["order >= 0"]
+    assert swarm.step(7).steps == 1
+    assert (swarm.status().reason, swarm.status().when) == ("condition", None)
+    status = swarm.run(until="order >= 0", rate=None, wait=True)
+    assert (status.step, status.phase) == (2, "paused")
+    swarm.when("order >= 0", commands=[jostle.Set(pi3=2.0)])
+    assert swarm.step(7).steps == 7
+    assert swarm.status().parameters.pi3 == 2.0
+    fired = [entry.step for entry in swarm.journal() if entry.verb == "fired"]
+    assert fired == [1, 2, 3]
+    swarm.when("order > 2", pause=True)
+    swarm.when(cancel=True)
+    assert swarm.status().when is None
+    for wrong in ("", "ordr > 1", "msd(5) > 1", 7):
+        with pytest.raises(jostle.InvalidArgument) as caught:
+            swarm.when(wrong, pause=True)  # type: ignore[arg-type]
+        assert caught.value.details["field"] == "condition"
+    with pytest.raises(jostle.InvalidArgument, match="request_id"):
+        swarm.run(until="order > 2", request_id="one")
+    with pytest.raises(jostle.InvalidArgument, match="name one end"):
+        swarm.run(until="order > 2", until_step=9)
+    assert swarm.status().when is None
+
+
 def test_longer_bodies_need_make_room(create: Create) -> None:
     swarm = create(n=20, pi1=1.0)
     swarm.step(500)

@@ -25,7 +25,7 @@ OF_CONTROLLERS = ["join", "advance", "leave", "annotate"]
 
 SWARM_VERBS = [
     *("delete", "run", "pause", "step", "reset", "set", "inform", "uninform", "inject", "remove"),
-    *("batch", "fork", "join", "advance", "leave", "annotate", "seek"),
+    *("batch", "fork", "join", "advance", "leave", "annotate", "seek", "when"),
 ]
 """The verbs of swarms that operators may use."""
 

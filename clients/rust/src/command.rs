@@ -5,7 +5,7 @@ use jostle_proto::verbs::{
     AdvanceArgs, AdvanceResult, AnnotateArgs, BatchArgs, BatchResult, CreateResult, DeleteArgs,
     EmptyResult, ForkArgs, IdsResult, InformArgs, InjectArgs, JoinArgs, JoinResult, LeaveArgs,
     PauseArgs, RemoveArgs, ResetArgs, ResetResult, RunArgs, RunResult, SetArgs, SetResult,
-    StepArgs, StepResult, UninformArgs,
+    StepArgs, StepResult, UninformArgs, WhenArgs,
 };
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -41,6 +41,7 @@ commands! {
     "advance": AdvanceArgs => AdvanceResult,
     "leave": LeaveArgs => EmptyResult,
     "annotate": AnnotateArgs => EmptyResult,
+    "when": WhenArgs => EmptyResult,
     "reset": ResetArgs => ResetResult,
     "delete": DeleteArgs => EmptyResult,
     "fork": ForkArgs => CreateResult,

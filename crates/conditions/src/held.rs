@@ -10,7 +10,20 @@ use crate::condition::{Condition, Node};
 #[serde(transparent)]
 pub struct Held(Vec<Option<u64>>);
 
+impl From<Vec<Option<u64>>> for Held {
+    /// One step for each comparison, in the order of the text; `None` if it does not hold.
+    fn from(since: Vec<Option<u64>>) -> Self {
+        Held(since)
+    }
+}
+
 impl Held {
+    /// Returns the first of these steps for each observed comparison, in the order of the text.
+    #[must_use]
+    pub fn steps(&self) -> &[Option<u64>] {
+        &self.0
+    }
+
     /// Returns the first of these steps, by the index of the comparison; none if the comparison does
     /// not hold.
     #[must_use]

@@ -56,6 +56,13 @@ const DESCRIPTIONS: &[(&str, &str)] = &[
         "a list of 1 to 256 of {\"verb\": \"set\" | \"inform\" | \"uninform\" | \"inject\" | \
          \"remove\", \"args\": {…}}",
     ),
+    (
+        "condition",
+        "a comparison of a measure with a number, such as \"order > 0.9 for 20\"; several are joined \
+         by `and` and `or`",
+    ),
+    ("pause", "true"),
+    ("cancel", "true"),
     ("part", "a whole number, 0 or more"),
     ("phase", "paused, running or faulted"),
     ("begin.format", "\"mcap\""),

@@ -115,6 +115,7 @@ pub fn to_proto(swarm: &str, checkpoint: &Checkpoint, doing: SnapshotPhase) -> p
             iterations: exactness.iterations as u64,
         },
         scheduled: Vec::new(),
+        when: Vec::new(),
         pending: None,
         controllers: Vec::new(),
         events: 0,

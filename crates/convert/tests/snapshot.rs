@@ -24,6 +24,7 @@ fn a_snapshot_is_read_and_written_as_it_was() {
         doing,
         rate: snapshot.spec.rate,
         scheduled: Vec::new(),
+        when: Vec::new(),
         pending: None,
         controllers: Vec::new(),
         events: 0,

@@ -268,6 +268,11 @@ pub const CHANNELS: &[Channel] = &{
             "Moves a playback to another frame.",
         ),
         plain(
+            "{swarm}/cmd/when",
+            Command("when.args", "when.reply"),
+            "Pauses the swarm or changes it once a condition holds.",
+        ),
+        plain(
             "{swarm}/ctl/{controller}",
             Put("control.args"),
             "Set-points of a controller that joined in mode `free_running`; newer ones replace \

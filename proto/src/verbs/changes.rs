@@ -281,6 +281,16 @@ where
     deserializer.deserialize_seq(Changes)
 }
 
+/// As [`no_more_changes`], for a field that may be left out.
+pub(super) fn no_more_changes_if_given<'de, D>(
+    deserializer: D,
+) -> Result<Option<Vec<Change>>, D::Error>
+where
+    D: serde::Deserializer<'de>,
+{
+    no_more_changes(deserializer).map(Some)
+}
+
 #[cfg(test)]
 mod tests {
     #![expect(clippy::unwrap_used, reason = "tests")]

@@ -5,7 +5,7 @@ use jostle_proto::verbs::{
     CreateResult, DeleteArgs, DiscardArgs, EmptyResult, ForkArgs, IdsResult, InformArgs,
     InjectArgs, JoinArgs, JoinResult, LeaveArgs, PauseArgs, RemoveArgs, ResetArgs, ResetResult,
     RestoreArgs, RunArgs, RunResult, Scheduled, SetArgs, SetResult, StepArgs, StepResult,
-    UninformArgs,
+    UninformArgs, WhenArgs,
 };
 use jostle_proto::{
     Arguments, ControllerList, Error, Event, Events, ExperimentArgs, ExperimentFile,
@@ -60,10 +60,11 @@ pub fn written_back_as_text(message: &str, text: &str) -> Result<String, String>
         "annotate.args" => arguments::<AnnotateArgs>(text),
         "control.args" => arguments::<Control>(text),
         "seek.args" => arguments::<SeekArgs>(text),
+        "when.args" => arguments::<WhenArgs>(text),
         "replay.args" => arguments::<ReplayArgs>(text),
         "replay.reply" => received::<NodeReply<ReplayResult>>(text),
         "delete.reply" | "discard.reply" | "pause.reply" | "leave.reply" | "annotate.reply"
-        | "seek.reply" => received::<Reply<EmptyResult>>(text),
+        | "seek.reply" | "when.reply" => received::<Reply<EmptyResult>>(text),
         "run.args" => arguments::<RunArgs>(text),
         "run.reply" => received::<Reply<RunResult>>(text),
         "pause.args" => arguments::<PauseArgs>(text),

@@ -83,6 +83,7 @@ pub fn read(verb: &str, request: &Request) -> Result<(CommandMessage, bool), Com
             swarm::check_note(&request.args()?)?;
             Command::Annotate
         }
+        "when" => swarm::when(request.args()?)?,
         _ => unreachable!("every known verb is above"),
     };
     let at_step = request.at_step;
@@ -108,6 +109,7 @@ pub fn read_journaled(
     let command = match verb {
         "deadline" => Command::Deadline(controller(request)?),
         "lost" => Command::Lost(controller(request)?),
+        "fired" => swarm::fired(request.args()?)?,
         "control" => set_points::parse_journaled(request)?,
         verb => {
             let (message, returns_state) = read(verb, request)?;

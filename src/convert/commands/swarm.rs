@@ -1,14 +1,21 @@
 //! The arguments of commands to a swarm that need more than their types.
 
+use std::sync::Arc;
+
+use jostle_conditions::Condition;
 use jostle_convert::{WireError, change, value};
+use jostle_physics::simulation::Change;
 use jostle_proto::verbs::{
-    AdvanceArgs, AnnotateArgs, BatchArgs, JoinArgs, MAX_NOTE_CHARS, RunArgs,
+    self as proto, AdvanceArgs, AnnotateArgs, BatchArgs, JoinArgs, MAX_NOTE_CHARS, RunArgs,
+    WhenArgs,
 };
 use jostle_proto::{RequestError, SeekArgs};
 
 use crate::convert::commands::{CommandError, check_name, is_plain};
 use crate::swarm::command::{Command, Seek, Until};
 use crate::swarm::membership::{self, ControllerSettings, JoinOptions};
+use crate::swarm::sender::Sender;
+use crate::swarm::watch::{Action, Watch};
 
 /// Maximum steps of one command.
 const MAX_STEPS: u64 = 1_000_000_000;
@@ -55,21 +62,84 @@ pub fn count(steps: u64) -> Result<u64, CommandError> {
 
 /// `batch`: all of several changes at one step, or none.
 pub fn batch(args: BatchArgs) -> Result<Command, CommandError> {
-    // The parser rejects more than the maximum.
-    if args.commands.is_empty() {
-        let problem = "holds none: give at least one";
-        return Err(CommandError::field("commands", problem));
-    }
-    let mut changes = Vec::with_capacity(args.commands.len());
-    for (index, command) in args.commands.into_iter().enumerate() {
-        let within = |error| CommandError::from(error).within(format!("commands[{index}].args"));
-        changes.push(change::change(command).map_err(within)?);
-    }
+    let changes = changes(args.commands)?;
     let draw = args
         .draw
         .map(|draw| value::whole("draw", draw))
         .transpose()?;
     Ok(Command::Batch { changes, draw })
+}
+
+fn changes(commands: Vec<proto::Change>) -> Result<Vec<Change>, CommandError> {
+    // The parser rejects more than the maximum.
+    if commands.is_empty() {
+        let problem = "holds none: give at least one";
+        return Err(CommandError::field("commands", problem));
+    }
+    let mut changes = Vec::with_capacity(commands.len());
+    for (index, command) in commands.into_iter().enumerate() {
+        let within = |error| CommandError::from(error).within(format!("commands[{index}].args"));
+        changes.push(change::change(command).map_err(within)?);
+    }
+    Ok(changes)
+}
+
+/// `when`: an action once a condition holds, or the end of all that wait.
+pub fn when(args: WhenArgs) -> Result<Command, CommandError> {
+    let WhenArgs {
+        condition,
+        pause,
+        commands,
+        cancel,
+    } = args;
+    let Some(text) = condition else {
+        if cancel && !pause && commands.is_none() {
+            return Ok(Command::Unwatch);
+        }
+        let problem = "is missing: give a condition, such as \"order > 0.9\", or cancel alone";
+        return Err(CommandError::field("condition", problem));
+    };
+    if cancel {
+        let problem = "removes all waiting conditions: give it without condition";
+        return Err(CommandError::field("cancel", problem));
+    }
+    let condition = Condition::parse(&text)?;
+    if condition.lag(1.0) > 0 {
+        return Err(CommandError::ConditionOnPast);
+    }
+    let fired = WhenArgs {
+        condition: Some(condition.to_string()),
+        pause,
+        commands,
+        cancel: false,
+    };
+    // Arguments that were read can be written.
+    let text = serde_json::to_string(&fired).map_err(|_| CommandError::Internal)?;
+    let action = match (pause, fired.commands) {
+        (true, None) => Action::Pause,
+        (false, Some(commands)) => Action::Batch(changes(commands)?),
+        _ => {
+            let problem = "and commands are alternatives: give \"pause\": true, or commands";
+            return Err(CommandError::field("pause", problem));
+        }
+    };
+    Ok(Command::Watch(Box::new(Watch {
+        condition,
+        action,
+        fired: Arc::new(Sender {
+            verb: "fired",
+            args: text,
+            ..Sender::default()
+        }),
+    })))
+}
+
+/// `fired`, from the journal: the condition of a `when` holds.
+pub fn fired(args: WhenArgs) -> Result<Command, CommandError> {
+    match when(args)? {
+        Command::Watch(watch) => Ok(Command::Fired(watch)),
+        _ => Err(CommandError::field("condition", "is missing")),
+    }
 }
 
 /// `join`: registers a controller.

@@ -4,6 +4,7 @@ mod jobs;
 pub mod measures;
 mod swarm;
 
+use jostle_conditions::ConditionError;
 use jostle_convert::error::{named, object};
 use jostle_convert::range::range_of;
 use jostle_convert::{ArgsError, WireCode, WireError};
@@ -34,6 +35,13 @@ pub enum CommandError {
         field: &'static str,
         problem: &'static str,
     },
+    #[error("condition: {0}")]
+    Condition(#[from] ConditionError),
+    #[error(
+        "condition: a swarm stores no earlier states for msd and other measures of a past: leave them out, or \
+         use the condition in an experiment"
+    )]
+    ConditionOnPast,
     #[error("invalid {field} {name:?}")]
     Name {
         field: &'static str,
@@ -229,6 +237,8 @@ impl WireCode for CommandError {
             CommandError::Record(error) => error.code(),
             CommandError::Measures(error) => error.code(),
             CommandError::Field { .. }
+            | CommandError::Condition(_)
+            | CommandError::ConditionOnPast
             | CommandError::Name { .. }
             | CommandError::Individuals { .. }
             | CommandError::Parameter { .. }
@@ -267,6 +277,10 @@ impl WireCode for CommandError {
             CommandError::Record(error) => error.details(),
             CommandError::Measures(error) => error.details(),
             CommandError::Field { field, .. } => named(field, Value::Null, range_of(field)),
+            CommandError::Condition(error) => {
+                object(json!({"field": "condition", "column": error.column}))
+            }
+            CommandError::ConditionOnPast => object(json!({"field": "condition"})),
             CommandError::Name { field, name } => named(field, json!(name), Some(keys::NAME_RULE)),
             CommandError::Individuals { n, limit } => {
                 object(json!({"field": "n", "value": n, "range": format!("[1, {limit}]")}))

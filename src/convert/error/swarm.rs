@@ -56,9 +56,9 @@ impl WireCode for SwarmError {
             | SwarmError::RejectedBefore => ErrorCode::Conflict,
             SwarmError::NotJoined { .. } | SwarmError::Gone => ErrorCode::NotFound,
             SwarmError::HasJoined(_) => ErrorCode::AlreadyExists,
-            SwarmError::TooManyControllers(_) | SwarmError::TooManyScheduled(_) => {
-                ErrorCode::ResourceExhausted
-            }
+            SwarmError::TooManyControllers(_)
+            | SwarmError::TooManyScheduled(_)
+            | SwarmError::TooManyWatches(_) => ErrorCode::ResourceExhausted,
             SwarmError::NotDurable(_) => ErrorCode::StorageFull,
             SwarmError::Displaced { .. } => ErrorCode::DeadlineExceeded,
             SwarmError::Busy => ErrorCode::Busy,
@@ -93,6 +93,7 @@ impl WireCode for SwarmError {
             SwarmError::Displaced { after_secs, limit } => {
                 json!({"after_secs": after_secs, "limit": limit})
             }
+            SwarmError::TooManyWatches(limit) => json!({"field": "condition", "limit": limit}),
             SwarmError::TooManyScheduled(limit) => json!({"field": "at_step", "limit": limit}),
             SwarmError::NotJoined { controller, .. }
             | SwarmError::HasJoined(controller)

@@ -148,6 +148,10 @@ impl Worker {
         sender: Arc<Sender>,
         mut reply_to: ReplyTo,
     ) -> Option<End> {
+        if let Command::Fired(watch) = &command {
+            // It is executed once, even if it is rejected.
+            self.watches.remove(watch);
+        }
         if let Some((None, _)) = self.journal.outcome(input) {
             self.reject(reply_to, SwarmError::RejectedBefore);
             return None;
@@ -167,7 +171,7 @@ impl Worker {
             },
             Command::Step(steps) => self.begin_steps((input, &sender), steps, &mut reply_to),
             Command::Run { until, rate } => self.begin_run(until, rate),
-            Command::Pause => self.pause(),
+            Command::Pause => self.pause(PauseReason::Requested),
             Command::Reset(seed) => self.reset(seed),
             Command::Change(change) => match self.change(std::slice::from_ref(&change), None) {
                 Ok(mut changed) => Ok(Outcome::Changed(changed.remove(0).1)),
@@ -176,6 +180,9 @@ impl Worker {
             },
             Command::Batch { changes, draw } => self.change(&changes, draw).map(Outcome::Batch),
             Command::Annotate => Ok(Outcome::Done),
+            Command::Watch(watch) => self.watch(*watch, sender.clone()),
+            Command::Unwatch => self.unwatch(),
+            Command::Fired(watch) => self.fire(&watch),
             Command::Join(_)
             | Command::Leave(_)
             | Command::Advance { .. }
@@ -220,7 +227,7 @@ impl Worker {
 
     /// Applies all changes or none; a panic rolls back too. `draw` is the key of the random draws of
     /// the first change, if it is not the number of the command.
-    fn change(
+    pub(super) fn change(
         &mut self,
         changes: &[Change],
         draw: Option<u64>,
@@ -296,8 +303,13 @@ impl Worker {
         Ok(Outcome::Runs(until, self.rate))
     }
 
-    fn pause(&mut self) -> Result<Outcome, SwarmError> {
-        let next = phase::next(&self.phase, PhaseInput::Pause)?;
+    /// Pauses for this reason, unless it is paused already.
+    pub(super) fn pause(&mut self, reason: PauseReason) -> Result<Outcome, SwarmError> {
+        let is_moving = self.phase.is_moving();
+        let next = match phase::next(&self.phase, PhaseInput::Pause)? {
+            Phase::Paused(_) if is_moving => Phase::Paused(reason),
+            next => next,
+        };
         self.reply_to_pending(&next);
         self.notify_controllers(Input::Interrupted(next.clone()));
         self.enter(next);
@@ -312,6 +324,7 @@ impl Worker {
         self.reply_to_pending(&next);
         self.notify_controllers(Input::Interrupted(next.clone()));
         self.simulation.restart(fresh);
+        self.watches.clear();
         self.notify_controllers(Input::Restarted(next.clone()));
         self.enter(next);
         self.record_state();

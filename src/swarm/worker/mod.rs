@@ -9,6 +9,7 @@ mod output;
 pub mod replay;
 mod scheduled;
 mod step;
+mod watches;
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -35,6 +36,7 @@ use crate::swarm::schedule::Schedule;
 use crate::swarm::scheduler::{Pace, Share};
 use crate::swarm::sender::Sender;
 use crate::swarm::waiters::Waiters;
+use crate::swarm::watch::Watches;
 
 /// Messages handled between two steps: a flood of them slows a swarm but never stops it.
 const MAX_MESSAGES_PER_STEP: usize = 64;
@@ -59,6 +61,7 @@ pub struct Worker {
     history: Arc<History>,
     metrics: Arc<SwarmMetrics>,
     schedule: Schedule,
+    watches: Watches,
     summary: Arc<Mutex<Option<Summary>>>,
     summary_updated: Instant,
     min_frame_interval: Duration,
@@ -150,6 +153,7 @@ impl Worker {
             history: handle.history.clone(),
             metrics: handle.metrics.clone(),
             schedule: Schedule::default(),
+            watches: Watches::restore(checkpoint.watches),
             summary: handle.summary.clone(),
             summary_updated: now,
             min_frame_interval,
@@ -221,6 +225,7 @@ impl Worker {
             phase: self.phase.clone(),
             rate: self.rate,
             scheduled: self.schedule.list(),
+            watches: self.watches.list(),
             pending: pending.map(|pending| (pending.from, pending.sender.clone())),
             controllers: self.controllers.states(),
             annotations: self.annotations,

@@ -50,6 +50,7 @@ impl Worker {
             publish_every: simulation.publish_every,
             seed: simulation.state.seed,
             scheduled: self.schedule.count(),
+            conditions: self.watches.texts(),
             configuration: simulation.state.configuration.clone(),
             order: simulation.order(),
             means: simulation.means,

@@ -27,6 +27,7 @@ use crate::swarm::handle::{CommandMessage, Handle, ReplyTo};
 use crate::swarm::history::Entry;
 use crate::swarm::journal::{JournalWriter, Line, NoWriter, OnProgress, Record, Replayed};
 use crate::swarm::phase::Phase;
+use crate::swarm::schedule::Scheduled;
 use crate::swarm::sender::Sender;
 use crate::swarm::worker::{End, Worker};
 
@@ -158,25 +159,50 @@ impl Fold {
     /// Reads the next line, and applies those whose outcomes have been read. Breaks at the target, or
     /// with the end of the swarm.
     fn read(&mut self, entry: ReplayEntry) -> ControlFlow<Option<End>> {
+        if self.read_fired(&entry) {
+            // Other conditions may hold at the same step: their lines are next.
+            self.waiting.push_back(entry);
+            return Continue(());
+        }
         if !self.worker.journal.read_ahead(&entry.0) {
             self.waiting.push_back(entry);
         }
         self.apply_waiting(MAX_WAITING)
     }
 
+    /// Notes a command `fired`, which the step that reaches its place executes. Returns whether it is one.
+    fn read_fired(&mut self, (line, command): &ReplayEntry) -> bool {
+        let (Record::Input { sender, .. }, Some(command @ Command::Fired(_))) =
+            (&line.record, command)
+        else {
+            return false;
+        };
+        let fired = Scheduled {
+            input: line.number,
+            command: command.clone(),
+            sender: sender.clone(),
+        };
+        let at = (line.epoch, line.step);
+        self.worker.journal.read_fired(at, fired);
+        true
+    }
+
     /// Applies lines, until one waits for its outcome and no more than `limit` do.
     fn apply_waiting(&mut self, limit: usize) -> ControlFlow<Option<End>> {
         while let Some(entry) = self.waiting.pop_front() {
+            let at = (entry.0.epoch, entry.0.step);
             let waits = match entry.0.record {
+                _ if matches!(entry.1, Some(Command::Fired(_))) => {
+                    !self.worker.journal.has_outcomes_of_fired(at)
+                }
                 // One that is scheduled has no outcome yet, and one with a `seq` was executed before it
                 // was written.
                 Record::Input { at_step, seq, .. } => at_step.is_none() && seq.is_none(),
                 _ => false,
             };
-            if waits
-                && self.waiting.len() < limit
-                && self.worker.journal.outcome(entry.0.number).is_none()
-            {
+            let has_outcome = || self.worker.journal.outcome(entry.0.number).is_some();
+            let is_fired = matches!(entry.1, Some(Command::Fired(_)));
+            if waits && self.waiting.len() < limit && (is_fired || !has_outcome()) {
                 self.waiting.push_front(entry);
                 break;
             }
@@ -197,6 +223,8 @@ impl Fold {
             return Break(Some(end));
         }
         let end = match (line.record, command) {
+            // The step that has reached it has executed it.
+            (_, Some(Command::Fired(_))) => None,
             (
                 Record::Input {
                     at_step,

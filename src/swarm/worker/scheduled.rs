@@ -3,8 +3,6 @@
 use std::sync::Arc;
 use std::sync::mpsc::channel;
 
-use jostle_physics::simulation::ChangeError;
-
 use crate::swarm::command::Command;
 use crate::swarm::error::SwarmError;
 use crate::swarm::frame::{self, EventKind};
@@ -28,15 +26,8 @@ impl Worker {
         }
         match &command {
             Command::Change(change) => self.simulation.check(change)?,
-            Command::Batch { changes, .. } => {
-                for (index, change) in changes.iter().enumerate() {
-                    let error = |error: ChangeError| SwarmError::InBatch {
-                        index,
-                        error: Box::new(error.into()),
-                    };
-                    self.simulation.check(change).map_err(error)?;
-                }
-            }
+            Command::Batch { changes, .. } => self.check_changes(changes)?,
+            Command::Watch(watch) => self.check_watch(watch)?,
             _ => {}
         }
         let command = Scheduled {
@@ -53,32 +44,37 @@ impl Worker {
     /// rejection is published as an event.
     pub(super) fn execute_due(&mut self) -> Option<End> {
         while let Some(due) = self.schedule.take(self.simulation.state.step) {
-            let Scheduled {
-                input,
-                command,
-                sender,
-            } = due;
-            let (replied, reply) = channel();
-            let reply_to = ReplyTo::new(move |reply| drop(replied.send(reply)));
-            let unix_secs = match self.journal.is_replaying() {
-                true => self
-                    .journal
-                    .outcome(input)
-                    .and_then(|(_, unix_secs)| unix_secs),
-                false => frame::unix_secs(),
-            };
-            let end = self.applied_at(unix_secs, |it| {
-                let end = it.execute(input, command, sender.clone(), reply_to);
-                if let Ok(Err(Rejection { error, .. })) = reply.try_recv() {
-                    it.push_event(EventKind::Rejected(sender, error));
-                }
-                end
-            });
+            let end = self.execute_waiting(due);
             if end.is_some() {
                 return end;
             }
         }
         None
+    }
+
+    /// Executes a command whose client does not wait. A rejection is published as an event.
+    pub(super) fn execute_waiting(&mut self, waiting: Scheduled) -> Option<End> {
+        let Scheduled {
+            input,
+            command,
+            sender,
+        } = waiting;
+        let (replied, reply) = channel();
+        let reply_to = ReplyTo::new(move |reply| drop(replied.send(reply)));
+        let unix_secs = match self.journal.is_replaying() {
+            true => self
+                .journal
+                .outcome(input)
+                .and_then(|(_, unix_secs)| unix_secs),
+            false => frame::unix_secs(),
+        };
+        self.applied_at(unix_secs, |it| {
+            let end = it.execute(input, command, sender.clone(), reply_to);
+            if let Ok(Err(Rejection { error, .. })) = reply.try_recv() {
+                it.push_event(EventKind::Rejected(sender, error));
+            }
+            end
+        })
     }
 
     /// Rejects all scheduled commands: after a reset, their steps belong to another run.

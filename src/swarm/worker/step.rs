@@ -69,7 +69,7 @@ impl Worker {
             self.record_state();
             self.push_frame();
             self.update_summary();
-            if let Some(end) = self.execute_due() {
+            if let Some(end) = self.execute_watches().or_else(|| self.execute_due()) {
                 return Some(end);
             }
             // A scheduled `step` has replied to the pending one already.
@@ -90,7 +90,7 @@ impl Worker {
             if now.saturating_duration_since(self.summary_updated) >= SUMMARY_INTERVAL {
                 self.update_summary();
             }
-            if let Some(end) = self.execute_due() {
+            if let Some(end) = self.execute_watches().or_else(|| self.execute_due()) {
                 return Some(end);
             }
         }

@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use jostle_conditions::Condition;
 use jostle_physics::simulation::{Change, Placement, Settings, Spec, Start};
 use jostle_proto::verbs::CreateArgs;
 use jostle_proto::{Error, ErrorCode, Request, keys};
@@ -9,6 +10,7 @@ use jostled::convert::commands::{self, CommandError, create};
 use jostled::swarm::command::{Command, Until};
 use jostled::swarm::handle::CommandMessage;
 use jostled::swarm::registry::Limits;
+use jostled::swarm::watch::Action;
 use serde_json::Value;
 
 const LIMITS: Limits = Limits {
@@ -126,7 +128,19 @@ fn is_in_range(message: &CommandMessage, timeout: Duration) {
             }
         }
         Command::Leave(controller) => assert!(keys::is_name(controller)),
-        Command::Deadline(_) | Command::Lost(_) | Command::Control { .. } => {
+        Command::Watch(watch) => {
+            let text = watch.condition.to_string();
+            assert_eq!(
+                Condition::parse(&text).as_ref(),
+                Ok(&watch.condition),
+                "{text}"
+            );
+            if let Action::Batch(changes) = &watch.action {
+                assert!((1..=256).contains(&changes.len()));
+                changes.iter().for_each(can_be_tried);
+            }
+        }
+        Command::Deadline(_) | Command::Lost(_) | Command::Control { .. } | Command::Fired(_) => {
             panic!("no request is parsed to {command:?}")
         }
         Command::Annotate => {
@@ -135,7 +149,7 @@ fn is_in_range(message: &CommandMessage, timeout: Duration) {
             assert!((1..=1000).contains(&text.chars().count()), "{text:?}");
             assert!(!text.chars().any(char::is_control), "{text:?}");
         }
-        Command::Pause | Command::Delete => {}
+        Command::Pause | Command::Delete | Command::Unwatch => {}
     }
 }
 

@@ -6,7 +6,7 @@ use std::fmt::Debug;
 use jostle_proto::verbs::{
     AdvanceArgs, BatchArgs, CreateArgs, DeleteArgs, DiscardArgs, ForkArgs, InformArgs, InjectArgs,
     JoinArgs, LeaveArgs, PauseArgs, RemoveArgs, ResetArgs, RestoreArgs, RunArgs, SetArgs, StepArgs,
-    UninformArgs,
+    UninformArgs, WhenArgs,
 };
 use jostle_proto::{Arguments, Request, RequestError, SeekArgs};
 use serde::de::{DeserializeSeed, Deserializer, Error, MapAccess, SeqAccess};
@@ -55,6 +55,7 @@ pub fn check(data: &[u8]) {
     arguments_of::<SetArgs>(&request, &again);
     arguments_of::<StepArgs>(&request, &again);
     arguments_of::<UninformArgs>(&request, &again);
+    arguments_of::<WhenArgs>(&request, &again);
 }
 
 fn arguments_of<T>(request: &Request, again: &Request)

@@ -140,7 +140,7 @@ pub fn topics() -> String {
 }
 
 /// One example of each verb.
-pub const EXAMPLES: [(&str, &str); 55] = [
+pub const EXAMPLES: [(&str, &str); 56] = [
     ("create", "create school --n 50 --seed 1"),
     ("list", "list"),
     ("status", "status school"),
@@ -168,6 +168,7 @@ pub const EXAMPLES: [(&str, &str); 55] = [
     ("batch", "batch school changes.json"),
     ("leave", "leave school pilot"),
     ("annotate", "annotate school 'camera 2 replaced'"),
+    ("when", "when school 'order > 0.9 for 20' pause"),
     ("delete", "delete 'test-*' --yes"),
     ("fork", "fork school other --at-step 5000"),
     ("diff", "diff school other"),

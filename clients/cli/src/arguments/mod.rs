@@ -104,6 +104,8 @@ pub enum Verb {
     Leave(LeaveArguments),
     /// Writes a note to the journal and the events of a swarm
     Annotate(AnnotateArguments),
+    /// Pauses or changes a swarm once a condition holds
+    When(WhenArguments),
     /// Deletes swarms
     Delete(DeleteArguments),
     /// Creates a paused copy of a swarm, at its current or an earlier step
@@ -227,6 +229,14 @@ mod tests {
             "create demo",
             "set demo",
             "annotate demo",
+            "when demo",
+            "when demo order>0",
+            "when demo order>0 reset",
+            "when demo order>0 pause --cancel",
+            "when demo order>0 pause --commands a.json",
+            "run demo --until nan",
+            "run demo --until soon",
+            "run demo --until order>0 --until-step 3",
             "delete",
             "watch demo --count 0",
             "record demo",

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use clap::{ArgGroup, Args, ValueHint};
+use clap::{ArgGroup, Args, ValueEnum, ValueHint};
 use clap_complete::engine::ArgValueCompleter;
 use jostle_proto::LARGEST_WHOLE;
 use jostle_proto::verbs::{Pose, Region};
@@ -10,7 +10,7 @@ use jostle_proto::verbs::{Pose, Region};
 use crate::arguments::{CommandArguments, SenderArguments, SendingArguments};
 use crate::completion;
 use crate::selection::SelectionArguments;
-use crate::values::{self, Assignment, Law, MAX_INDIVIDUALS, MAX_STEPS, Names, Rate};
+use crate::values::{self, Assignment, End, Law, MAX_INDIVIDUALS, MAX_STEPS, Names, Rate};
 
 #[derive(Debug, Args)]
 pub struct SelectArguments {
@@ -112,9 +112,10 @@ pub struct CreateArguments {
 pub struct RunArguments {
     #[command(flatten)]
     pub command: CommandArguments,
-    /// Pause at the first step at or after this time
-    #[arg(long, value_name = "TIME", value_parser = values::number, allow_hyphen_values = true)]
-    pub until: Option<f64>,
+    /// Pause at the first step at or after this time, or after which this condition holds, such as
+    /// 'order > 0.9 for 20'
+    #[arg(long, value_name = "TIME|CONDITION", value_parser = values::end, allow_hyphen_values = true)]
+    pub until: Option<End>,
     /// Pause at this step
     #[arg(
         long,
@@ -245,6 +246,32 @@ pub struct AnnotateArguments {
     /// The note: 1 to 1000 characters in one line
     #[arg(value_parser = values::note)]
     pub text: String,
+}
+
+#[derive(Debug, Args)]
+#[command(group = ArgGroup::new("effect").required(true).args(["action", "commands", "cancel"]))]
+pub struct WhenArguments {
+    #[command(flatten)]
+    pub command: CommandArguments,
+    /// The condition, such as 'order > 0.9 for 20'
+    #[arg(required_unless_present = "cancel", conflicts_with = "cancel")]
+    pub condition: Option<String>,
+    /// What the swarm does when it holds
+    #[arg(value_enum)]
+    pub action: Option<WhenAction>,
+    /// Apply the changes of this file when it holds, as `batch` does; - for stdin
+    #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath)]
+    pub commands: Option<PathBuf>,
+    /// Remove all waiting conditions
+    #[arg(long)]
+    pub cancel: bool,
+}
+
+/// What a swarm does when a condition holds.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub enum WhenAction {
+    /// It pauses
+    Pause,
 }
 
 #[derive(Debug, Args)]

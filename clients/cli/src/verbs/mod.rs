@@ -26,6 +26,7 @@ mod snapshot;
 mod steer;
 mod verify;
 mod watch;
+mod when;
 
 use std::time::Duration;
 
@@ -139,6 +140,7 @@ async fn interruptible(context: &Context, verb: Verb) -> Result<(), Failure> {
         Verb::Set(arguments) => steer::set(context, &arguments).await,
         Verb::Leave(arguments) => steer::leave(context, &arguments).await,
         Verb::Annotate(arguments) => steer::annotate(context, &arguments).await,
+        Verb::When(arguments) => when::when(context, &arguments).await,
         Verb::Delete(arguments) => delete::delete(context, &arguments).await,
         Verb::Inform(arguments) => individuals::inform(context, &arguments).await,
         Verb::Uninform(arguments) => individuals::uninform(context, &arguments).await,

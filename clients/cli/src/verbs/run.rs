@@ -14,8 +14,9 @@ use crate::format;
 use crate::interrupt;
 use crate::output::Output;
 use crate::progress;
-use crate::values::Rate;
+use crate::values::{End, Rate};
 use crate::verbs::outage::{Outage, RETRY_DELAY, wait_for_deadline};
+use crate::verbs::when::pause_when;
 
 /// How long the daemon holds a query before it is sent again.
 const HOLD_TIME: Duration = Duration::from_secs(30);
@@ -28,9 +29,21 @@ pub async fn run(
 ) -> Result<(), Failure> {
     let Context { client, output } = context;
     let CommandArguments { name, sending } = &arguments.command;
+    let (until_time, condition) = match &arguments.until {
+        Some(End::Time(time)) => (Some(*time), None),
+        Some(End::Condition(condition)) => (None, Some(condition)),
+        None => (None, None),
+    };
+    if let Some(condition) = condition {
+        if sending.sender.request_id.is_some() {
+            let problem = "names one request, and a run until a condition sends two: leave it out";
+            return Err(Failure::argument("--request-id", problem));
+        }
+        interrupt::either(pause_when(context, name, condition, sending)).await?;
+    }
     let args = RunArgs {
         until_step: arguments.until_step,
-        until_time: arguments.until,
+        until_time,
         rate: arguments.rate.map(|Rate(rate)| rate),
     };
     // A connection may be lost and restored between the reply and the first query.

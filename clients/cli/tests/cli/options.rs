@@ -15,7 +15,7 @@ use tokio::task::JoinSet;
 use crate::support::{Daemon, Ended, Running};
 
 /// A command line for each verb and nested verb. `{}` is a folder.
-const LINES: [&str; 54] = [
+const LINES: [&str; 55] = [
     "annotate demo note",
     "auth can pause",
     "auth link",
@@ -70,6 +70,7 @@ const LINES: [&str; 54] = [
     "uninform demo --count 0",
     "verify twin",
     "watch demo --count 1",
+    "when demo --cancel",
 ];
 
 /// How many command lines run at once.

@@ -47,17 +47,18 @@ const WHOAMI: [(&str, &str); 3] = [
     (
         "olga",
         "olga, operator on test\nof swarms: watch, delete, run, pause, step, reset, set, inform, \
-         uninform, inject, remove, batch, fork, join, advance, leave, annotate, seek\nof the \
+         uninform, inject, remove, batch, fork, join, advance, leave, annotate, seek, when\nof the \
          daemon: create, restore, discard, experiment, replay, record\n",
     ),
 ];
 
 /// Whether vera, cleo and olga may, by the same table.
-const CAN: [(&str, [bool; 3]); 5] = [
+const CAN: [(&str, [bool; 3]); 6] = [
     ("annotate", [false, true, true]),
     ("advance", [false, true, true]),
     ("reset", [false, false, true]),
     ("seek", [false, false, true]),
+    ("when", [false, false, true]),
     ("create", [false, false, true]),
 ];
 

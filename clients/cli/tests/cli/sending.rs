@@ -48,6 +48,7 @@ async fn what_is_expected_is_expected_of_every_change() {
         "reset demo",
         "set demo pi3=2",
         "annotate demo note",
+        "when demo --cancel",
         "inform demo --ids 1 --direction 0",
         "uninform demo --ids 1",
         "inject demo --count 1",

@@ -56,7 +56,7 @@ class AtStep:
 
     def run(
         self,
-        until: float | None = None,
+        until: float | str | None = None,
         *,
         until_step: SupportsIndex | None = None,
         rate: float | EllipsisType | None = ...,
@@ -96,6 +96,7 @@ class AtStep:
     remove = _scheduled(Commands.remove)
     batch = _scheduled(Commands.batch)
     annotate = _scheduled(Commands.annotate)
+    when = _scheduled(Commands.when)
     delete = _scheduled(Commands.delete)
 
     def _schedule(

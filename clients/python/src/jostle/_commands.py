@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Iterable, Mapping
 from types import EllipsisType
@@ -10,7 +11,8 @@ from typing import Any, Literal, SupportsIndex, TypedDict, TypeVar, Unpack, over
 from numpy.typing import ArrayLike
 
 from ._arguments import Region, Select, check_select, poses, whole, whole_from_0
-from ._changes import Change, Inform, Inject, Remove, Set, Uninform, commands
+from ._changes import Change, Inform, Inject, Remove, Set, Uninform
+from ._changes import commands as encode_changes
 from ._decode import read_batch, read_reply, read_scheduled
 from ._errors import DeadlineExceeded, invalid, late
 from ._messages import (
@@ -74,7 +76,7 @@ class Commands(Queries):
     @overload
     def run(
         self,
-        until: float | None = None,
+        until: float | str | None = None,
         *,
         until_step: SupportsIndex | None = None,
         rate: float | EllipsisType | None = ...,
@@ -84,7 +86,7 @@ class Commands(Queries):
     @overload
     def run(
         self,
-        until: float | None = None,
+        until: float | str | None = None,
         *,
         until_step: SupportsIndex | None = None,
         rate: float | EllipsisType | None = ...,
@@ -94,7 +96,7 @@ class Commands(Queries):
     ) -> Status: ...
     def run(
         self,
-        until: float | None = None,
+        until: float | str | None = None,
         *,
         until_step: SupportsIndex | None = None,
         rate: float | EllipsisType | None = ...,
@@ -109,13 +111,17 @@ class Commands(Queries):
         If the swarm is running, this changes its end and its rate.
 
         Args:
-            until: Pause at the first step at or after this time, body sizes over free speed.
+            until: Pause at the first step at or after this time, body sizes over free speed; or
+                at the first step after which this condition holds, such as
+                `"order > 0.9 for 20"`, see `when`.
             until_step: Pause at this step; at most one of the two.
             rate: Time units per second of wall clock; None is as fast as possible; left out, the
                 rate does not change.
-            wait: Return when the end is reached; requires an end. Without a `timeout` it has no
+            wait: Return when the end is reached, or with a condition when the swarm is paused;
+                requires an end. Without a `timeout` it has no
                 limit.
-            show: With `wait`: show a progress bar; None shows it on a terminal and in a notebook.
+            show: With `wait` and a step or time: show a progress bar; None shows it on a terminal
+                and in a notebook.
             options: See `Options`.
 
         Returns:
@@ -133,6 +139,8 @@ class Commands(Queries):
                 "wait",
                 "waiting for a run without an end would never end: give `until` or `until_step`",
             )
+        if isinstance(until, str):
+            return self._run_until(until, until_step, rate, wait, options)
         args = _given(until_time=until, until_step=until_step)
         if not isinstance(rate, EllipsisType):
             args["rate"] = rate
@@ -153,6 +161,35 @@ class Commands(Queries):
             what = f"swarm {self._name!r} did not reach step {end}"
             remedy = "it runs on; `pause()` pauses it, `wait` waits for it"
             raise late(what, seconds, remedy, error) from error
+
+    def _run_until(
+        self,
+        condition: str,
+        until_step: SupportsIndex | None,
+        rate: float | EllipsisType | None,
+        wait: bool,
+        options: Options,
+    ) -> RunResult | Status:
+        """Runs the swarm until a condition holds: a `when`, then a `run`."""
+        if until_step is not None:
+            raise invalid("until", "until and until_step are both given: name one end")
+        if "request_id" in options:
+            raise invalid(
+                "request_id",
+                "request_id names one request, and a run until a condition sends two: leave it out",
+            )
+        began = time.monotonic()
+        # If it is scheduled, the `run` is scheduled for the same step, after it.
+        with contextlib.suppress(Pending):
+            self._command("when", {"condition": condition, "pause": True}, Reply, {**options})
+        args: dict[str, Any] = {} if isinstance(rate, EllipsisType) else {"rate": rate}
+        result = self._command("run", args, RunResult, options)
+        if not wait:
+            return result
+        seconds = options.get("timeout")
+        if seconds is not None:
+            seconds = max(began + seconds - time.monotonic(), 0.001)
+        return self.wait(phase="paused", timeout=seconds)
 
     def pause(self, **options: Unpack[Options]) -> Reply:
         """Pauses the swarm after its current step; a paused swarm does not change.
@@ -438,7 +475,7 @@ class Commands(Queries):
             JostleError: The error of the first invalid change; `details["field"]` names it, such
                 as `commands[1].args.pi1`. No change was applied.
         """
-        args: dict[str, Any] = {"commands": commands(changes)}
+        args: dict[str, Any] = {"commands": encode_changes(changes)}
         if draw is not None:
             args["draw"] = whole_from_0("draw", draw)
         payload = self._request("batch", args, options)
@@ -464,6 +501,48 @@ class Commands(Queries):
             InvalidArgument: The text is empty, too long, or not one line.
         """
         return self._command("annotate", {"text": text}, Reply, options)
+
+    def when(
+        self,
+        condition: str | None = None,
+        *,
+        pause: bool = False,
+        commands: Iterable[Change | Mapping[str, Any]] | None = None,
+        cancel: bool = False,
+        **options: Unpack[Options],
+    ) -> Reply:
+        """Pauses or changes the swarm once, at the first step after which a condition holds.
+
+            swarm.when("order > 0.9 for 20", pause=True)
+            swarm.when("drift < 0.1", commands=[jostle.Inform(jostle.fraction(0.1), 0.0)])
+            swarm.when(cancel=True)  # removes all waiting conditions
+
+        `Status.when` lists the waiting conditions, at most 16. When one holds, it is removed, and
+        an event `command` or `refused` of the verb `fired` reports the outcome. `reset` removes
+        all.
+
+        Args:
+            condition: The condition, such as `drift > 0.9 for 20 and order > 0.5`; times are in
+                body sizes over free speed.
+            pause: Pause the swarm; give exactly one of `pause` and `commands`.
+            commands: Apply these changes, as `batch` does: all at one step, or none.
+            cancel: Remove all waiting conditions; give it alone.
+            options: See `Options`.
+
+        Raises:
+            InvalidArgument: The condition is invalid (the message has the column), a measure in it
+                needs earlier states, or a change is invalid.
+            ResourceExhausted: 16 conditions wait already.
+            IncorrectState: The swarm is faulted.
+        """
+        args = _given(condition=condition)
+        if pause:
+            args["pause"] = True
+        if commands is not None:
+            args["commands"] = encode_changes(commands)
+        if cancel:
+            args["cancel"] = True
+        return self._command("when", args, Reply, options)
 
     def delete(self, **options: Unpack[Options]) -> Reply:
         """Deletes the swarm and its history from the daemon, permanently.

@@ -286,6 +286,7 @@ class Status(Reply, frozen=True, kw_only=True):
         dt: The time step, body sizes over free speed.
         parameters: The parameters that `set` can change.
         scheduled: Number of commands that wait for their step.
+        when: The conditions that it waits for; None without any. See `Swarm.when`.
         controllers: Number of controllers that have joined.
         waiting_for: The controllers that the swarm waits for in lock-step.
         state_hash: BLAKE3 of the state, in hexadecimal.
@@ -307,6 +308,7 @@ class Status(Reply, frozen=True, kw_only=True):
     dt: float
     parameters: ParameterValues
     scheduled: int
+    when: list[str] | None = None
     controllers: int
     waiting_for: list[Awaited]
     state_hash: str

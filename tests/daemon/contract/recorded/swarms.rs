@@ -67,6 +67,10 @@ async fn crowd(recorder: &RecordingClient<'_>) {
         .cmd("annotate.reply", "crowd", "annotate", note)
         .await;
     recorder
+        .cmd("when.reply", "crowd", "when", args("when.args"))
+        .await;
+    recorder.get("status.reply.when", "crowd", "status").await;
+    recorder
         .get("snapshot.reply.running", "crowd", "snapshot")
         .await;
     let step = json!({});

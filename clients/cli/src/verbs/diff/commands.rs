@@ -5,8 +5,8 @@ use serde_json::Value;
 
 use crate::verbs::inspect::FullJournal;
 
-/// Verbs that change the current step of a swarm and not its trajectory.
-const STEPPING_VERBS: [&str; 3] = ["run", "pause", "step"];
+/// Verbs that change when a swarm steps, and not its trajectory.
+const STEPPING_VERBS: [&str; 4] = ["run", "pause", "step", "when"];
 
 /// A command that a swarm has applied.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -60,7 +60,8 @@ impl History {
                 annotations += 1;
                 return None;
             }
-            let is_stepping = STEPPING_VERBS.contains(&command.verb.as_str());
+            let is_pause = command.verb == "fired" && command.args.get("commands").is_none();
+            let is_stepping = is_pause || STEPPING_VERBS.contains(&command.verb.as_str());
             (!is_stepping).then_some((command.seq - annotations, command))
         })
     }

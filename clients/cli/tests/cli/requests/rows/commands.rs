@@ -97,6 +97,21 @@ pub fn steering() -> Vec<Row> {
         )
         .says("ada has left school"),
         row(
+            "when <name>demo <condition>order>0.9 <action>pause",
+            &[r#"demo/cmd/when {"condition": "order>0.9", "pause": true}"#],
+        ),
+        row(
+            "when <name>demo --cancel",
+            &[r#"demo/cmd/when {"cancel": true}"#],
+        ),
+        row(
+            "run <name>demo --until order>0.9",
+            &[
+                r#"demo/cmd/when {"condition": "order>0.9", "pause": true}"#,
+                "demo/cmd/run {}",
+            ],
+        ),
+        row(
             "annotate <name>demo <text>ready",
             &[r#"demo/cmd/annotate {"text": "ready"}"#],
         )
