@@ -1,15 +1,11 @@
 //! The reply to `get/measures`.
 
-use jostle_measures::{Measure, Past, View};
+use jostle_measures::{MAX_COSTLY_INDIVIDUALS, Measure, Past, View};
 use jostle_physics::model::{State, WarmStart};
 use jostle_proto as proto;
 
 use crate::convert::error::measures::MeasuresError;
 use crate::swarm::frame::Frame;
-
-/// Maximum number of individuals for measures with a cost above n: `neighbour_*` cost n² if all
-/// centres are on one line, and 2·10⁸ pairs take about a second.
-const MAX_INDIVIDUALS: usize = 20_000;
 
 /// Evaluates the requested measures of a state; by default all that need no past and that are
 /// computed for groups of this size.
@@ -18,14 +14,14 @@ pub fn measures(
     requested: Option<Vec<Measure>>,
 ) -> Result<proto::Measures, MeasuresError> {
     let n = seen.configuration.n();
-    let is_too_large = |it: &Measure| n > MAX_INDIVIDUALS && it.definition().cost != "n";
+    let is_too_large = |it: &Measure| it.is_too_costly(n);
     let measures = match requested {
         Some(measures) => match measures.iter().find(|it| is_too_large(it)) {
             Some(measure) => {
                 return Err(MeasuresError::TooLarge {
                     measure: measure.to_string(),
                     n,
-                    limit: MAX_INDIVIDUALS,
+                    limit: MAX_COSTLY_INDIVIDUALS,
                 });
             }
             None => measures,

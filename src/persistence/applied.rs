@@ -1,6 +1,6 @@
 //! The changes that were applied to a swarm since its start, read from the store.
 
-use jostle_experiment::AppliedChange;
+use jostle_experiment::{AppliedChange, MAX_BLOCKS};
 use jostle_physics::simulation::{self, Spec};
 use jostle_proto::verbs::{BatchArgs, Change, WhenArgs};
 use serde_json::{Value, json};
@@ -30,11 +30,21 @@ pub fn changes_since_start(
     let first = first_readable(store, swarm, checkpoints)?;
     let mut history = History::new(&first);
     let mut inputs = AppliedInputs::default();
+    for (_, scheduled) in &first.scheduled {
+        inputs.wait_for(scheduled.input, scheduled.sender.clone());
+    }
+    let mut read = first.lines;
     for line in JournalReader::new(store, swarm, first.lines, present.lines) {
         let (line, _) = line.map_err(|error| CommandError::History(error.to_string()))?;
+        read = line.number;
         if let Some(input) = inputs.read(line) {
             history.add(&input).map_err(CommandError::History)?;
         }
+    }
+    if read < present.lines {
+        let problem = "its newest commands are not on the disk yet: retry in a moment, or once the \
+                       disk has room";
+        return Err(CommandError::History(problem.to_owned()));
     }
     match history.problem {
         Some(problem) => Err(CommandError::History(problem)),
@@ -124,7 +134,10 @@ impl History {
     }
 
     fn push(&mut self, step: u64, draw: u64, change: Change) {
-        self.changes.push(AppliedChange { step, draw, change });
+        // One more than a file can have: it is rejected for that.
+        if self.changes.len() <= MAX_BLOCKS {
+            self.changes.push(AppliedChange { step, draw, change });
+        }
     }
 
     fn steered(&mut self, what: &str) {

@@ -134,6 +134,11 @@ pub struct AppliedInputs {
 }
 
 impl AppliedInputs {
+    /// Adds a command that was scheduled before the first line.
+    pub fn wait_for(&mut self, input: u64, sender: Arc<Sender>) {
+        self.waiting.insert(input, sender);
+    }
+
     /// Reads the next line. Returns the command that it says was applied.
     pub fn read(&mut self, line: Line) -> Option<AppliedInput> {
         let (seq, sender, unix_secs) = match line.record {

@@ -12,6 +12,7 @@ use crate::convert;
 use crate::playback::ReplayError;
 use crate::playback::source::{FrameIndex, RecordedEvent, RecordedFrame};
 use crate::swarm::command::Command;
+use crate::swarm::watch::Action;
 
 /// Maximum number of frames, and of bytes of events in memory.
 const MAX_FRAMES: usize = 4_000_000;
@@ -168,6 +169,15 @@ impl McapSource {
                 for change in changes {
                     if let Change::Set(settings) = change {
                         now = settings.of(now);
+                    }
+                }
+            }
+            Command::Fired(watch) => {
+                if let Action::Batch(changes) = &watch.action {
+                    for change in changes {
+                        if let Change::Set(settings) = change {
+                            now = settings.of(now);
+                        }
                     }
                 }
             }

@@ -360,6 +360,27 @@ impl Journal {
         self.lines
     }
 
+    /// Queues records, at least one, which are written together or not at all. Once they are durable,
+    /// a crash undoes no step up to `durable_step`. Returns the number of the first one.
+    pub fn append_all(
+        &mut self,
+        (epoch, step): (u64, u64),
+        records: Vec<Record>,
+        durable_step: u64,
+    ) -> u64 {
+        let first = self.lines + 1;
+        if self.is_replaying() {
+            return first;
+        }
+        let lines = records
+            .into_iter()
+            .map(|record| Entry::Line(self.line(epoch, step, record)));
+        let lines = lines.collect();
+        let pending = self.pending_durable_step(durable_step);
+        self.writer.append(lines, Some(pending));
+        first
+    }
+
     /// Once all queued records are durable, a crash undoes no step up to this one.
     pub fn append_step(&mut self, step: u64) {
         if !self.is_replaying() && step > self.queued_step {

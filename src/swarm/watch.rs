@@ -102,7 +102,17 @@ impl Watches {
         let past = Past::new(0);
         let view = View::new(state, &past);
         let (step, dt) = (state.step, state.parameters.dt);
+        let n = state.configuration.n();
         let holding = self.0.iter_mut().filter_map(|it| {
+            // As in `get/measures`, which rejects such a measure.
+            let comparisons = it.watch.condition.comparisons().iter();
+            if comparisons
+                .into_iter()
+                .any(|it| it.measure.is_too_costly(n))
+            {
+                it.held = Held::default();
+                return None;
+            }
             let holds = it.watch.condition.observe(&view, step, dt, &mut it.held);
             holds.then(|| (it.watch.clone(), it.sender.clone()))
         });

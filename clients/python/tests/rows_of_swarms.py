@@ -254,14 +254,11 @@ COMMANDS = [
     ),
     Row(
         "Swarm.when",
-        call("order > 0.9", commands=[jostle.Set(pi3=2.0)]),
+        call("order > 0.9", commands=[change for change, _ in _changes()]),
         [
             cmd(
                 "when",
-                {
-                    "condition": "order > 0.9",
-                    "commands": [{"verb": "set", "args": {"pi3": 2.0}}],
-                },
+                {"condition": "order > 0.9", "commands": [sent for _, sent in _changes()]},
             )
         ],
     ),

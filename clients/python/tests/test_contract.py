@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import base64
-import functools
 import inspect
+import tempfile
+import tomllib
 import weakref
 from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -184,11 +186,11 @@ def call(verb: str, args: Mapping[str, Any], **options: Any) -> dict[str, Any]:
         ((what, of),) = args.items()
         client = jostle.Client(Recorder(), "main")
         if what == "submit":
-            send = functools.partial(client.submit, of["toml"], name=of.get("name"))
-        else:
-            send = getattr(client.experiment(of["name"]), what)
+            with tempfile.TemporaryDirectory() as folder, pytest.raises(Sent) as caught:
+                client.submit(_files(of, Path(folder)), name=of.get("name"))
+            return caught.value.message
         with pytest.raises(Sent) as caught:
-            send()
+            getattr(client.experiment(of["name"]), what)()
         return caught.value.message
     if verb in OF_CONTROLLERS:
         joined = (contract.PROTO / "fixtures" / "join.reply.json").read_bytes()
@@ -203,7 +205,9 @@ def call(verb: str, args: Mapping[str, Any], **options: Any) -> dict[str, Any]:
         with pytest.raises(Sent) as caught:
             getattr(controller, name)(**options)
         return caught.value.message
-    arguments = {RENAMED.get(name, name): value for name, value in args.items()}
+    # `when` has two more actions, so its changes keep the name of the contract.
+    renamed = {} if verb == "when" else RENAMED
+    arguments = {renamed.get(name, name): value for name, value in args.items()}
     method: Callable[..., object]
     if verb in OF_CLIENTS:
         method = getattr(jostle.Client(Recorder(), "main"), verb)
@@ -221,6 +225,18 @@ def call(verb: str, args: Mapping[str, Any], **options: Any) -> dict[str, Any]:
     with pytest.raises(Sent) as caught:
         method(**arguments, **options)
     return caught.value.message
+
+
+def _files(submit: Mapping[str, Any], folder: Path) -> Path:
+    """Writes the files of an experiment, and returns the path of its TOML."""
+    named = tomllib.loads(submit["toml"])
+    if "points" in submit:
+        (folder / named["points"]).write_text(submit["points"], encoding="utf-8")
+    if "start" in submit:
+        (folder / named["start"]).write_bytes(base64.b64decode(submit["start"]))
+    path = folder / "plan.toml"
+    path.write_text(submit["toml"], encoding="utf-8")
+    return path
 
 
 def without_defaults(name: str, args: Mapping[str, Any]) -> dict[str, Any]:

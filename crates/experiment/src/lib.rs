@@ -34,7 +34,7 @@ pub use files::{Files, FilesError, POINTS, START};
 pub use folder::{FinishedRuns, Folder, FolderError, unfinished};
 pub use grid::AXES;
 pub use jostle_physics::model::MODEL_VERSION;
-pub use limits::{MAX_ENTRIES, MAX_INDIVIDUALS, MAX_RUNS, MAX_STEPS};
+pub use limits::{MAX_BLOCKS, MAX_ENTRIES, MAX_INDIVIDUALS, MAX_RUNS, MAX_STEPS};
 pub use merge::{Difference, MergeError, Parts, missing};
 pub use plan::{Columns, Plan, PlannedRun, Point};
 pub use play::{LiveRun, PlayError, ScheduledBatch};

@@ -19,7 +19,7 @@ pub struct LiveRun {
     pub steps: u64,
     /// The commands, in the order in which the run executes them.
     pub commands: Vec<ScheduledBatch>,
-    /// The condition that ends the run, which no swarm evaluates.
+    /// The condition that ends the run, but not the swarm.
     pub stop: Option<String>,
 }
 
@@ -37,7 +37,7 @@ pub struct ScheduledBatch {
 pub enum PlayError {
     /// A block has a condition.
     #[error(
-        "the [[at]] of line {0} is executed under a condition, which a swarm cannot evaluate: give \
+        "the [[at]] of line {0} is executed under a condition, which cannot be scheduled: give \
          it a time, or execute the run with `jostle experiment run`"
     )]
     Condition(usize),

@@ -5,6 +5,7 @@ use std::ops::Range;
 use csv::{ReaderBuilder, StringRecord, Trim};
 
 use crate::error::PlanError;
+use crate::limits::MAX_RUNS;
 
 /// The cells of a CSV. Each has a span after the end of the TOML, from which errors get its place.
 pub struct Points {
@@ -57,6 +58,10 @@ impl Points {
                 let (cells, columns) = (record.len(), header.len());
                 let reason = format!("{cells} cells, but the header has {columns} columns");
                 return reject(number, cells.min(columns) + 1, reason);
+            }
+            if rows.len() as u64 > MAX_RUNS {
+                let reason = format!("more than {MAX_RUNS} conditions: that is the limit of runs");
+                return reject(number, 1, reason);
             }
             lines.push(number);
             rows.push(record.iter().map(str::to_owned).collect());

@@ -42,6 +42,13 @@ impl Base {
                  when none is left, and write them as [[at]]"
             ));
         }
+        if !sent.when.is_empty() {
+            return Err(format!(
+                "the snapshot has {} waiting conditions, which a run does not evaluate: cancel them \
+                 before taking it, and write them as [[at]] with when",
+                sent.when.len()
+            ));
+        }
         let fail = |error: snapshot::SnapshotError| error.to_string();
         let mut checkpoint = snapshot::from_proto(&sent).map_err(fail)?;
         snapshot::check(&checkpoint).map_err(fail)?;

@@ -52,7 +52,7 @@ pub use error::MeasureError;
 pub use families::alignment::nematic_order;
 pub use families::histograms;
 pub use gaps::{TOUCHING, cluster_sizes};
-pub use measure::Measure;
+pub use measure::{MAX_COSTLY_INDIVIDUALS, Measure};
 pub use past::{Frame, MAX_PAST, Past, PastError, check_past};
 pub use registry::definitions;
 pub use view::View;

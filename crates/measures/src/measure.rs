@@ -20,7 +20,18 @@ pub struct Measure {
     argument: Option<f64>,
 }
 
+/// Maximum number of individuals for measures with a cost above n, where they are evaluated beside
+/// live swarms: `neighbour_*` cost n² if all centres are on one line, and 2·10⁸ pairs take about a
+/// second.
+pub const MAX_COSTLY_INDIVIDUALS: usize = 20_000;
+
 impl Measure {
+    /// Whether its cost is above n, and `n` above [`MAX_COSTLY_INDIVIDUALS`].
+    #[must_use]
+    pub fn is_too_costly(&self, n: usize) -> bool {
+        n > MAX_COSTLY_INDIVIDUALS && self.definition().cost != "n"
+    }
+
     /// Returns all measures that need no past, in the order of [`definitions`]; each has the default
     /// argument.
     #[must_use]

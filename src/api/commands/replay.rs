@@ -131,6 +131,9 @@ fn play(
 /// Parses a recorded command.
 fn read_command(verb: &str, args: &str) -> Result<Command, String> {
     let request = Request::from_json(args.as_bytes()).map_err(|error| error.to_string())?;
-    let read = commands::read(verb, &request).map_err(|error| error.to_string());
-    read.map(|(message, _)| message.command)
+    let read = match verb {
+        "fired" => commands::read_journaled("fired", &request).map(|(command, _)| command),
+        verb => commands::read(verb, &request).map(|(message, _)| message.command),
+    };
+    read.map_err(|error| error.to_string())
 }

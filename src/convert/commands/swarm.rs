@@ -107,8 +107,11 @@ pub fn when(args: WhenArgs) -> Result<Command, CommandError> {
     if condition.lag(1.0) > 0 {
         return Err(CommandError::ConditionOnPast);
     }
+    // The journal and checkpoints have the normal form, which may be longer than the text.
+    let normal = condition.to_string();
+    Condition::parse(&normal)?;
     let fired = WhenArgs {
-        condition: Some(condition.to_string()),
+        condition: Some(normal),
         pause,
         commands,
         cancel: false,

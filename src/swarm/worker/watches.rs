@@ -4,6 +4,7 @@
 //! the conditions too, so that it knows since when they hold, but executes only the journaled commands.
 
 use std::sync::Arc;
+use std::time::Instant;
 
 use jostle_physics::simulation::{Change, ChangeError};
 
@@ -21,39 +22,50 @@ use crate::swarm::worker::{End, Worker};
 impl Worker {
     /// Evaluates the conditions on the state after a step, and executes the actions of those that hold.
     pub(super) fn execute_watches(&mut self) -> Option<End> {
+        let began = Instant::now();
         let holding = self.watches.observe(&self.simulation.state);
+        self.since_checkpoint.work += began.elapsed();
         let at = self.at();
         let fired = match self.journal.is_replaying() {
             true => self.journal.take_fired(at),
-            false => {
-                let fired = holding.into_iter();
-                fired
-                    .map(|(watch, sender)| self.journal_fired(watch, &sender))
-                    .collect()
-            }
+            false => self.journal_fired(holding),
         };
         fired.into_iter().find_map(|it| self.execute_waiting(it))
     }
 
-    /// Journals that a condition holds.
-    fn journal_fired(&mut self, watch: Watch, sender: &Sender) -> Scheduled {
-        let sender = Arc::new(Sender {
-            client: sender.client.clone(),
-            ..(*watch.fired).clone()
-        });
-        let record = Record::Input {
+    /// Journals that these conditions hold, all of them or none: after a crash they are evaluated
+    /// again only if the step is taken again.
+    fn journal_fired(&mut self, holding: Vec<(Watch, Arc<Sender>)>) -> Vec<Scheduled> {
+        if holding.is_empty() {
+            return Vec::new();
+        }
+        let fired: Vec<(Watch, Arc<Sender>)> = holding
+            .into_iter()
+            .map(|(watch, sender)| {
+                let fired = Sender {
+                    client: sender.client.clone(),
+                    ..(*watch.fired).clone()
+                };
+                (watch, Arc::new(fired))
+            })
+            .collect();
+        let records = fired.iter().map(|(_, sender)| Record::Input {
             at_step: None,
             sender: sender.clone(),
             seq: None,
             unix_secs: frame::unix_secs(),
-        };
+        });
         let at = self.at();
-        self.since_checkpoint.inputs += 1;
-        Scheduled {
-            input: self.journal.append(at, record, Some(at.1)),
-            command: Command::Fired(Box::new(watch)),
-            sender,
-        }
+        self.since_checkpoint.inputs += fired.len() as u64;
+        let first = self.journal.append_all(at, records.collect(), at.1);
+        let fired = fired.into_iter().zip(first..);
+        fired
+            .map(|((watch, sender), input)| Scheduled {
+                input,
+                command: Command::Fired(Box::new(watch)),
+                sender,
+            })
+            .collect()
     }
 
     /// Adds a condition.

@@ -168,7 +168,7 @@ pub const EXAMPLES: [(&str, &str); 56] = [
     ("batch", "batch school changes.json"),
     ("leave", "leave school pilot"),
     ("annotate", "annotate school 'camera 2 replaced'"),
-    ("when", "when school 'order > 0.9 for 20' pause"),
+    ("when", "when school 'order>0.9' pause"),
     ("delete", "delete 'test-*' --yes"),
     ("fork", "fork school other --at-step 5000"),
     ("diff", "diff school other"),

@@ -49,8 +49,8 @@ def mark_gaps(records: list[R], last: int) -> list[R]:
 
 def _seq_and_changes(entry: JournalEntry) -> tuple[int, int]:
     """The `seq` of an entry, which is that of its last change, and the number of its changes."""
-    is_batch = entry.verb == "batch" and isinstance(entry.args, dict)
-    return entry.seq, len(entry.args.get("commands", [0])) if is_batch else 1
+    is_batch = entry.verb in {"batch", "fired"} and isinstance(entry.args, dict)
+    return entry.seq, len(entry.args.get("commands") or [0]) if is_batch else 1
 
 
 class EventReader:

@@ -111,7 +111,9 @@ fn lost(journal: &Journal, after: u64) -> Option<u64> {
 fn changes(entry: &JournalEntry) -> u64 {
     let commands = entry.args.get("commands").and_then(Value::as_array);
     match commands {
-        Some(commands) if entry.verb == "batch" => (commands.len() as u64).max(1),
+        Some(commands) if ["batch", "fired"].contains(&entry.verb.as_str()) => {
+            (commands.len() as u64).max(1)
+        }
         _ => 1,
     }
 }

@@ -101,6 +101,11 @@ pub fn steering() -> Vec<Row> {
             &[r#"demo/cmd/when {"condition": "order>0.9", "pause": true}"#],
         ),
         row(
+            "when <name>demo <condition>order>0.9 --commands {}/batch.json",
+            &[r#"demo/cmd/when {"condition": "order>0.9", "commands": [
+                {"verb": "set", "args": {"pi3": 2}}, {"verb": "remove", "args": {"select": {"count": 1}}}]}"#],
+        ),
+        row(
             "when <name>demo --cancel",
             &[r#"demo/cmd/when {"cancel": true}"#],
         ),

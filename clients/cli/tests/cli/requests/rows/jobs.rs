@@ -128,11 +128,16 @@ pub fn experiments() -> Vec<Row> {
     let submit = r#"@node/test/cmd/experiment {"submit": {"toml": "name = \"order\"\n"}}"#;
     let progress = "@node/test/experiment/small/progress";
     let results = "@node/test/experiment/small/results?after=0;limit=1000";
+    // Each reply has three values and says that more follow.
     let series = [
         "@node/test/experiment/small/series?run=n=2 #0;after=0",
+        "@node/test/experiment/small/series?run=n=2 #0;after=3",
         "@node/test/experiment/small/series?run=n=2 #1;after=0",
+        "@node/test/experiment/small/series?run=n=2 #1;after=3",
         "@node/test/experiment/small/series?run=n=5 informed=1 #0;after=0",
+        "@node/test/experiment/small/series?run=n=5 informed=1 #0;after=3",
         "@node/test/experiment/small/series?run=n=5 informed=1 #1;after=0",
+        "@node/test/experiment/small/series?run=n=5 informed=1 #1;after=3",
     ];
     vec![
         row("experiment run <file>{}/order.toml --detach", &[submit]).says("submitted small"),
@@ -199,12 +204,15 @@ pub fn experiments() -> Vec<Row> {
         .says("time,order,drift\n0,0.5821452720313459,-0.4931628207017643"),
         row(
             "experiment results <name>small --series n=5",
-            &["@node/test/experiment/small/series?run=n=5;after=0"],
+            &[
+                "@node/test/experiment/small/series?run=n=5;after=0",
+                "@node/test/experiment/small/series?run=n=5;after=3",
+            ],
         )
         .says("run,step,time,order,drift\nn=5,0,0,0.5821452720313459,-0.4931628207017643"),
         row(
             "plot <what>small --y order --over-time --out {}/over.svg",
-            &[results, series[0], series[1], series[2], series[3]],
+            &[&[results][..], &series].concat(),
         )
         .writes("over.svg"),
         row(
