@@ -24,7 +24,7 @@ const OPTIONS: [&str; 6] = [
 const CONNECTION_OPTIONS: [&str; 5] = ["endpoint", "credentials", "node", "prefix", "timeout"];
 
 /// The verbs with requests to a daemon, which --node selects. A swarm is found by its name.
-const DAEMON_VERBS: [&str; 22] = [
+const DAEMON_VERBS: [&str; 23] = [
     "auth can",
     "auth link",
     "auth whoami",
@@ -36,6 +36,7 @@ const DAEMON_VERBS: [&str; 22] = [
     "experiment delete",
     "experiment list",
     "experiment pause",
+    "experiment play",
     "experiment results",
     "experiment resume",
     "experiment run",

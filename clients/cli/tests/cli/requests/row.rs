@@ -178,7 +178,9 @@ impl Row {
 
     /// A query as the table has it.
     fn expected(&self, send: &str, folder: &Path, added: &Added) -> Query {
-        let (key, args) = send.split_once(' ').unwrap_or((send, ""));
+        // The name of a run in a key may contain a space.
+        let at = send.find(" {").unwrap_or(send.len());
+        let (key, args) = (&send[..at], send[at..].trim_start());
         let prefix = added.prefix.unwrap_or("jostle");
         let key = match added.node {
             Some(node) => key.replace("@node/test/", &format!("@node/{node}/")),
