@@ -186,9 +186,7 @@ pub fn experiments() -> Vec<Row> {
         row("experiment results <name>small --csv", &[results]).says("n=5 informed=1 #0,"),
         row(
             "experiment results <name>small --out {}/tables --force",
-            &[
-                results, progress, series[0], series[1], series[2], series[3],
-            ],
+            &[&[results, progress][..], &series].concat(),
         )
         .writes("tables/results.csv")
         .writes("tables/results.parquet"),
