@@ -129,7 +129,7 @@ test("the commands of a swarm are downloaded as the file of an experiment", asyn
   assert.equal(file.suggestedFilename(), "herd.toml");
   const text = await readFile(await file.path(), "utf8");
   assert.match(text, /^name = "herd"$/m);
-  assert.match(text, /^step = 200 .*\n.*\ninform = \{.*weight = 0\.75.*\}$/m);
+  assert.match(text, /^step = 200 .*\ninform = \{.*weight = 0\.75.*\}$/m);
   assert.match(text, /^uninform = /m);
 });
 
