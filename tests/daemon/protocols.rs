@@ -1,30 +1,12 @@
 //! Runs of experiments and swarms with the same commands have the same states, in both directions:
 //! the commands of a run are sent to a swarm, and those of a swarm become the file of a run.
 
-use std::path::Path;
-
 use jostle_experiment::{LiveRun, Plan, execute_run};
 use jostle_proto::{ErrorCode, keys};
 use serde_json::{Value, json};
 
-use crate::support::daemon_process::{self, DaemonProcess};
+use crate::support::daemon_process::{killed, start};
 use crate::support::{Client, Daemon, PREFIX};
-
-async fn start(folder: &Path) -> (DaemonProcess, Client) {
-    let process = DaemonProcess::start(&mut daemon_process::daemon(folder)).unwrap();
-    let client = Client::open(&process.endpoint).await;
-    (process, client)
-}
-
-/// Kills a daemon, and starts one on the same folder.
-async fn killed(
-    folder: &Path,
-    (mut process, client): (DaemonProcess, Client),
-) -> (DaemonProcess, Client) {
-    process.kill();
-    drop(client);
-    start(folder).await
-}
 
 /// The file of a swarm's commands.
 async fn file_of(client: &Client, swarm: &str) -> String {

@@ -1,8 +1,6 @@
 //! Conditions: a swarm pauses or changes at the first step after which one holds, also after kills, in
 //! forks and in restored snapshots.
 
-use std::path::Path;
-
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use jostle_experiment::{Plan, execute_run};
@@ -12,7 +10,7 @@ use jostle_proto::{ErrorCode, Reply, Snapshot, keys};
 use serde_json::{Value, json};
 
 use crate::commands::fault;
-use crate::support::daemon_process::{self, DaemonProcess};
+use crate::support::daemon_process::{killed, start};
 use crate::support::{Client, Daemon, NODE, PREFIX};
 
 const N: usize = 12;
@@ -50,21 +48,6 @@ fn expected_step() -> u64 {
         assert!(step < 20_000, "the order stays low");
     }
     step
-}
-
-async fn start(folder: &Path) -> (DaemonProcess, Client) {
-    let process = DaemonProcess::start(&mut daemon_process::daemon(folder)).unwrap();
-    let client = Client::open(&process.endpoint).await;
-    (process, client)
-}
-
-async fn killed(
-    folder: &Path,
-    (mut process, client): (DaemonProcess, Client),
-) -> (DaemonProcess, Client) {
-    process.kill();
-    drop(client);
-    start(folder).await
 }
 
 async fn create_informed(client: &Client, name: &str) {

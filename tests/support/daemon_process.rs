@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 use jostled::store::{Row, Settings, Store};
 
 use super::process::jostled;
-use crate::support::TIMEOUT;
+use crate::support::{Client, TIMEOUT};
 
 /// A daemon from its start to its end; it is killed when dropped.
 pub struct DaemonProcess {
@@ -89,6 +89,23 @@ fn code(status: ExitStatus) -> Option<i32> {
         "the daemon crashed: {status}"
     );
     status.code()
+}
+
+/// Starts a daemon on a folder, and a client of it.
+pub async fn start(folder: &Path) -> (DaemonProcess, Client) {
+    let process = DaemonProcess::start(&mut daemon(folder)).unwrap();
+    let client = Client::open(&process.endpoint).await;
+    (process, client)
+}
+
+/// Kills a daemon, and starts one on the same folder.
+pub async fn killed(
+    folder: &Path,
+    (mut process, client): (DaemonProcess, Client),
+) -> (DaemonProcess, Client) {
+    process.kill();
+    drop(client);
+    start(folder).await
 }
 
 /// The log of the daemons on `folder`.
