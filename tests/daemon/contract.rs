@@ -17,7 +17,7 @@ use crate::support::{Daemon, NODE, PREFIX, until};
 mod bounds;
 mod prepare;
 mod recorded;
-#[path = "../../proto/tests/contract/types.rs"]
+#[path = "../../proto/contract/tests/contract/types.rs"]
 mod types;
 
 use prepare::{

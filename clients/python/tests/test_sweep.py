@@ -353,16 +353,17 @@ class Cluster:
 
     def stop(self) -> None:
         """Ends all processes. A worker ends with its nanny."""
-        for process in (*self.workers, self.scheduler):
-            process.terminate()
-        # A nanny whose scheduler has ended may not end.
+        # The nannies first: one whose scheduler has ended may not end.
         deadline = time.monotonic() + 5
-        for process in (*self.workers, self.scheduler):
-            try:
-                process.wait(max(0, deadline - time.monotonic()))
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
+        for processes in (self.workers, [self.scheduler]):
+            for process in processes:
+                process.terminate()
+            for process in processes:
+                try:
+                    process.wait(max(0, deadline - time.monotonic()))
+                except subprocess.TimeoutExpired:
+                    process.kill()
+                    process.wait()
 
 
 @pytest.fixture

@@ -19,6 +19,7 @@ TIMEOUT_SECS = 600.0
 _FOLDER = ROOT / "target" / "mutants"
 _PACKAGES = {
     "proto": "jostle-proto",
+    "proto/contract": "jostle-contract",
     "tests": "jostled-tests",
     "clients/cli": "jostle-cli",
     "clients/rust": "jostle-client",
@@ -109,8 +110,8 @@ class Place:
         """Makes cargo compile the package of this file again."""
         if path.suffix in {".py", ".ts"}:
             return
-        depth = 2 if path.parts[0] in {"clients", "crates"} else 1
-        package = _PACKAGES.get("/".join(path.parts[:depth]), "jostled")
+        folders = [str(folder) for folder in path.parents]
+        package = next((_PACKAGES[it] for it in folders if it in _PACKAGES), "jostled")
         for folder in self.target.glob(f"*/.fingerprint/{package}-*"):
             shutil.rmtree(folder)
 

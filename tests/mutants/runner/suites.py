@@ -201,9 +201,9 @@ _ALL = [
     # same features as for the whole workspace, whose dependencies are compiled.
     Cargo(
         "proto",
-        ("proto/src/", "proto/tests/"),
+        ("proto/src/", "proto/contract/"),
         ("proto/src/",),
-        targets="-p jostle-proto -p jostle-cli --lib --test contract",
+        targets="-p jostle-proto -p jostle-contract -p jostle-cli --lib --test contract",
         opt_levels=("jostle-proto=1",),
     ),
     Cargo(

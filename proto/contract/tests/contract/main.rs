@@ -5,7 +5,5 @@
 mod coverage;
 mod documents;
 mod fixtures;
-#[path = "../../examples/contract/generate.rs"]
-mod generate;
 mod readme;
 mod types;

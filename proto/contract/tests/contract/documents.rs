@@ -3,9 +3,9 @@
 use std::collections::BTreeSet;
 use std::fs;
 
-use crate::generate::{files, folder};
+use jostle_contract::{files, folder};
 
-const COMMAND: &str = "cargo run --release -p jostle-proto --example contract";
+const COMMAND: &str = "cargo run --release -p jostle-contract";
 
 #[test]
 fn generated_files_are_up_to_date() {

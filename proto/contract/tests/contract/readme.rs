@@ -7,7 +7,7 @@ use jostle_proto::verbs::MAX_CHANGES;
 use jostle_proto::{LARGEST_WHOLE, MAX_LABEL_LENGTH, WIRE_VERSION, keys};
 use serde_json::Value;
 
-use crate::generate::{fixtures, folder};
+use jostle_contract::{fixtures, folder};
 
 fn readme() -> String {
     fs::read_to_string(folder().join("README.md")).unwrap()

@@ -9,8 +9,8 @@ use jostle_proto::verbs::StepResult;
 use jostle_proto::{Reply, Snapshot, State, to_cbor};
 use serde_json::{Value, json};
 
-use crate::generate::{fixtures, folder, message};
 use crate::types::written_back;
+use jostle_contract::{fixtures, folder, message};
 
 /// Whether clients send this message.
 fn is_request(message: &str) -> bool {

@@ -6,7 +6,7 @@ use std::collections::BTreeSet;
 use jostle_proto::contract::schemas;
 use serde_json::{Value, json};
 
-use crate::generate::fixtures;
+use jostle_contract::fixtures;
 
 /// A schema, and the parts of it that fixtures have.
 struct Walk<'a> {

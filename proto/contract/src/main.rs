@@ -2,21 +2,19 @@
 //! `README.md`.
 //!
 //! ```sh
-//! cargo run --release -p jostle-proto --example contract
+//! cargo run --release -p jostle-contract
 //! ```
-
-mod generate;
 
 use std::fs;
 
 fn main() -> std::io::Result<()> {
-    let folder = generate::folder();
+    let folder = jostle_contract::folder();
     let schemas = folder.join("schema");
     fs::create_dir_all(&schemas)?;
     for stale in fs::read_dir(&schemas)? {
         fs::remove_file(stale?.path())?;
     }
-    for (path, text) in generate::files()? {
+    for (path, text) in jostle_contract::files()? {
         fs::write(folder.join(path), text)?;
     }
     Ok(())

@@ -11,10 +11,13 @@ use serde_json::Value;
 
 /// The folder `proto/`.
 pub fn folder() -> &'static Path {
-    Path::new(env!("CARGO_MANIFEST_DIR"))
+    Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/.."))
 }
 
 /// Every file that is made from the contract.
+///
+/// # Errors
+/// A file below `proto/` cannot be read.
 pub fn files() -> io::Result<BTreeMap<PathBuf, String>> {
     let mut files = BTreeMap::new();
     for (name, schema) in schemas() {
@@ -30,6 +33,9 @@ pub fn files() -> io::Result<BTreeMap<PathBuf, String>> {
 }
 
 /// Every fixture in JSON: its message, its name below that message, its text.
+///
+/// # Errors
+/// A fixture cannot be read, or its name is of no message.
 pub fn fixtures() -> io::Result<Vec<(&'static str, String, String)>> {
     let mut paths: Vec<PathBuf> = fs::read_dir(folder().join("fixtures"))?
         .map(|entry| entry.map(|entry| entry.path()))
