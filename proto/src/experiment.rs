@@ -5,9 +5,10 @@ use std::fmt;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::column;
 use crate::keys::NAME_RULE;
 use crate::result_row::ResultRow;
+use crate::verbs::BatchArgs;
+use crate::{LARGEST_WHOLE, Spec, column};
 
 /// A command to an experiment; sent to a node.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -24,6 +25,54 @@ pub enum ExperimentArgs {
     Cancel(ExperimentName),
     /// Delete one that has ended, with its results.
     Delete(ExperimentName),
+    /// Return the commands of a run, which a client can schedule in a swarm. Changes nothing.
+    Expand(ExpandArgs),
+}
+
+/// A run of an experiment that need not be submitted.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ExpandArgs {
+    /// The file that describes the experiment, TOML.
+    pub toml: String,
+    /// The contents of the CSV that `points` in the file names.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub points: Option<String>,
+    /// The contents of the snapshot that `start` in the file names, its CBOR as base64.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub start: Option<String>,
+    /// The contents of the CSV that `setpoints` in the file names.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub setpoints: Option<String>,
+    /// The run, by its name or by its number in the plan, from 1; the first one if left out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub run: Option<String>,
+}
+
+/// A run as the swarm and the commands that have its states.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct ExpandedRun {
+    /// Its name.
+    pub run: String,
+    /// The spec of the swarm, with the seed of the run.
+    pub spec: Spec,
+    /// How many steps the run takes, at most.
+    #[schemars(range(max = LARGEST_WHOLE))]
+    pub steps: u64,
+    /// The commands to schedule, in this order.
+    pub commands: Vec<ScheduledCommands>,
+    /// The condition that ends the run, but not the swarm; `null` if there is none.
+    pub stop: Option<String>,
+}
+
+/// Commands that are executed together: the arguments of `batch`, and its `at_step`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct ScheduledCommands {
+    /// The step before which they are executed.
+    #[schemars(range(max = LARGEST_WHOLE))]
+    pub at_step: u64,
+    /// The arguments of `batch`.
+    pub args: BatchArgs,
 }
 
 /// An experiment to execute.
@@ -38,6 +87,9 @@ pub struct SubmitArgs {
     /// The contents of the snapshot that `start` in the file names, its CBOR as base64.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub start: Option<String>,
+    /// The contents of the CSV that `setpoints` in the file names.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub setpoints: Option<String>,
     /// Its name; that in the file if left out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(regex(pattern = NAME_RULE))]
@@ -58,8 +110,11 @@ pub struct ExperimentName {
 pub struct ExperimentResult {
     /// Whether it was not there before.
     pub created: bool,
-    /// How it stands now; of a deleted one, how it stood.
+    /// How it stands now; of a deleted one, how it stood; with `expand`, how it would begin.
     pub progress: Progress,
+    /// The run of `expand`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub expanded: Option<ExpandedRun>,
 }
 
 /// How far an experiment is.

@@ -37,8 +37,9 @@ pub use envelope::{MAX_LABEL_LENGTH, NodeReply, Reply, Request};
 pub use error::{Error, ErrorCode, RequestError};
 pub use event::{Event, EventKind};
 pub use experiment::{
-    ExperimentArgs, ExperimentName, ExperimentPhase, ExperimentResult, Experiments, MeasureSeries,
-    OrderPage, Progress, ResultsPage, RunUnderWay, SeriesPage, SubmitArgs,
+    ExpandArgs, ExpandedRun, ExperimentArgs, ExperimentName, ExperimentPhase, ExperimentResult,
+    Experiments, MeasureSeries, OrderPage, Progress, ResultsPage, RunUnderWay, ScheduledCommands,
+    SeriesPage, SubmitArgs,
 };
 pub use metrics::{Metrics, RecordingMetrics, StoreMetrics, SwarmMetrics};
 pub use queries::{

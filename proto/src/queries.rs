@@ -141,10 +141,18 @@ pub struct Verified {
 }
 
 /// The commands of a swarm since its start, as the file of an experiment with one run.
+///
+/// The parameter `replicates` of the query gives the run other seeds, so many. The file contains the
+/// set-points of controllers as the text of a CSV; with the parameter `setpoints`, a name of a file, it
+/// names that one.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct ExperimentFile {
     /// The text of the file, TOML. Its run takes the steps of the swarm.
     pub file: String,
+    /// The text of the CSV of set-points that the file names, with the parameter `setpoints`; left out
+    /// if no controller steered an individual.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub setpoints: Option<String>,
     /// The step of the swarm.
     #[schemars(range(max = LARGEST_WHOLE))]
     pub steps: u64,

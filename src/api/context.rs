@@ -14,6 +14,7 @@ use tracing::warn;
 
 use crate::api::idempotency::IdempotencyCache;
 use crate::api::incoming::{Incoming, Target};
+use crate::api::queries::export::Export;
 use crate::api::queries::verify::Verify;
 use crate::api::responder::{Replies, Responder};
 use crate::api::verifications::Verifications;
@@ -136,6 +137,8 @@ pub struct Context {
     pub evaluations: Executor<()>,
     /// The verifications that run or are queued.
     pub verifications: Arc<Verifications<Verify>>,
+    /// The exports of swarms that run or are queued.
+    pub exports: Arc<Verifications<Export>>,
 }
 
 impl Context {

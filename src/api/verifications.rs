@@ -1,5 +1,5 @@
-//! The verifications and their progress: at most `MAX_RUNNING` run at once, the next ones are
-//! queued.
+//! The verifications, or the exports, and their progress: at most `MAX_RUNNING` run at once, the next
+//! ones are queued.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -18,6 +18,9 @@ const MAX_QUEUED: usize = 64;
 
 /// A verification to execute: replays a history and replies.
 pub trait Work: Send + Sized + 'static {
+    /// The name of the threads that execute it.
+    const THREAD: &'static str;
+
     /// Executes it. `own` ends when it is dropped.
     fn run(self, own: Verification<Self>);
 }
@@ -68,7 +71,7 @@ impl<W: Work> Verifications<W> {
         if state.threads < MAX_RUNNING {
             let all = self.clone();
             let spawned = thread::Builder::new()
-                .name("verify".into())
+                .name(W::THREAD.into())
                 .spawn(move || all.work());
             match spawned {
                 Ok(_) => state.threads += 1,
@@ -113,7 +116,10 @@ impl<W: Work> Verifications<W> {
             };
             drop(state);
             if catch_unwind(AssertUnwindSafe(|| work.run(verification))).is_err() {
-                error!("a defect: a verification panicked");
+                error!(
+                    thread = W::THREAD,
+                    "a defect: a verification or an export panicked"
+                );
             }
         }
     }
@@ -150,6 +156,8 @@ mod tests {
     struct Probe(Option<(Sender<u64>, Receiver<f64>)>);
 
     impl Work for Probe {
+        const THREAD: &'static str = "probe";
+
         fn run(self, own: Verification<Self>) {
             let (running, shares) = self.0.expect("a defect");
             // Some tests do not ask when it runs.

@@ -364,6 +364,7 @@ fn context(
         is_recovering: AtomicBool::new(true),
         evaluations: core.evaluations.clone(),
         verifications: Arc::default(),
+        exports: Arc::default(),
     })
 }
 

@@ -1,5 +1,6 @@
 //! Progress and results of experiments.
 
+use jostle_experiment::{LiveRun, Plan, ScheduledBatch};
 use jostle_proto as proto;
 use jostle_results::table::{OrderSeries, Series};
 
@@ -22,6 +23,39 @@ pub fn progress(report: Report) -> proto::Progress {
             .map(|(run, share)| proto::RunUnderWay { run, share })
             .collect(),
         message: report.message,
+    }
+}
+
+/// The progress of an experiment that has not been submitted.
+pub fn planned(plan: &Plan) -> proto::Progress {
+    proto::Progress {
+        name: plan.name.clone(),
+        phase: proto::ExperimentPhase::Queued,
+        runs: plan.runs().len() as u64,
+        finished: 0,
+        faulted: 0,
+        share: 0.0,
+        elapsed_secs: 0.0,
+        left_secs: None,
+        running: Vec::new(),
+        message: None,
+    }
+}
+
+/// A run as the swarm and the commands that have its states.
+pub fn expanded(run: &str, live: LiveRun) -> proto::ExpandedRun {
+    let commands = live.commands.into_iter();
+    proto::ExpandedRun {
+        run: run.to_owned(),
+        spec: live.spec,
+        steps: live.steps,
+        commands: commands
+            .map(|ScheduledBatch { step, args }| proto::ScheduledCommands {
+                at_step: step,
+                args,
+            })
+            .collect(),
+        stop: live.stop,
     }
 }
 

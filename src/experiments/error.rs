@@ -14,7 +14,7 @@ pub enum ExperimentError {
         /// What is wrong, and where.
         reason: String,
         /// The field of the request that is wrong.
-        field: &'static str,
+        field: String,
         /// The line from 1, if the error is in one line.
         line: Option<usize>,
     },
@@ -62,6 +62,25 @@ pub enum ExperimentError {
 }
 
 impl ExperimentError {
+    /// The error of a file in the arguments of an action.
+    pub fn of_plan(action: &str, error: &PlanError) -> Self {
+        ExperimentError::Plan {
+            line: match error {
+                PlanError::Field { line, .. }
+                | PlanError::Repeated { line, .. }
+                | PlanError::Points { line, .. }
+                | PlanError::SetPoints { line, .. } => Some(*line),
+                _ => None,
+            },
+            field: match error {
+                PlanError::Points { .. } => format!("{action}.points"),
+                PlanError::SetPoints { .. } => format!("{action}.setpoints"),
+                _ => format!("{action}.toml"),
+            },
+            reason: error.to_string(),
+        }
+    }
+
     pub(super) fn not_stored(error: impl Display) -> Self {
         ExperimentError::NotStored(error.to_string())
     }
@@ -73,18 +92,6 @@ impl ExperimentError {
 
 impl From<PlanError> for ExperimentError {
     fn from(error: PlanError) -> Self {
-        ExperimentError::Plan {
-            line: match &error {
-                PlanError::Field { line, .. }
-                | PlanError::Repeated { line, .. }
-                | PlanError::Points { line, .. } => Some(*line),
-                _ => None,
-            },
-            field: match &error {
-                PlanError::Points { .. } => "submit.points",
-                _ => "submit.toml",
-            },
-            reason: error.to_string(),
-        }
+        ExperimentError::of_plan("submit", &error)
     }
 }

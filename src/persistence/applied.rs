@@ -1,6 +1,6 @@
 //! The changes that were applied to a swarm since its start, read from the store.
 
-use jostle_experiment::{AppliedChange, MAX_BLOCKS};
+use jostle_experiment::{AppliedChange, MAX_BLOCKS, SetPointLog};
 use jostle_physics::simulation::{self, Spec};
 use jostle_proto::verbs::{BatchArgs, Change, WhenArgs};
 use serde_json::{Value, json};
@@ -10,21 +10,23 @@ use crate::persistence::journal_reader::{
     AppliedInput, AppliedInputs, JournalReader, parse_command,
 };
 use crate::persistence::replay::{first_readable, stored_checkpoints};
+use crate::persistence::steering::Steering;
 use crate::store::Store;
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::command::Command;
 
-/// Returns the changes that were applied to a swarm from its start, or its last reset, to `present`.
+/// Returns the changes that were applied to a swarm from its start, or its last reset, to `present`,
+/// and what controllers did with individuals.
 ///
 /// # Errors
 ///
 /// [`CommandError::History`] if the journal since then is damaged or no longer stored, if the swarm
-/// did not begin with its spec, or if it was steered by a controller.
+/// did not begin with its spec, or if it is unknown which individuals a controller released.
 pub fn changes_since_start(
     store: &Store,
     swarm: &str,
     present: &Checkpoint,
-) -> Result<Vec<AppliedChange>, CommandError> {
+) -> Result<(Vec<AppliedChange>, SetPointLog), CommandError> {
     let mut checkpoints = stored_checkpoints(store, swarm)?;
     checkpoints.reverse();
     let first = first_readable(store, swarm, checkpoints)?;
@@ -48,13 +50,15 @@ pub fn changes_since_start(
     }
     match history.problem {
         Some(problem) => Err(CommandError::History(problem)),
-        None => Ok(history.changes),
+        None => Ok((history.changes, history.set_points)),
     }
 }
 
 /// The changes of the present run, as far as it has been read.
 struct History {
     changes: Vec<AppliedChange>,
+    set_points: SetPointLog,
+    controllers: Steering,
     /// How many annotations were applied, which do not count for draws.
     annotations: u64,
     /// Why the changes do not determine the state.
@@ -66,14 +70,19 @@ impl History {
         let step = first.simulation.state.step;
         let problem = (!is_start(&first.simulation)).then(|| match step {
             0 => {
-                "it was not created from its spec, but from a state with other commands".to_owned()
+                "it was not created from its spec, but from a state with other commands: export the \
+                 swarm that it is a copy of, or name a snapshot of it as start of a file"
+                    .to_owned()
             }
             _ => format!(
-                "its commands are stored from step {step} on: the run of a file begins with step 0"
+                "its commands are stored from step {step} on: the run of a file begins with step 0. \
+                 Export the swarm that it is a copy of, or name a snapshot of it as start of a file"
             ),
         });
         History {
             changes: Vec::new(),
+            set_points: SetPointLog::default(),
+            controllers: Steering::of(&first.controllers),
             annotations: first.annotations,
             problem,
         }
@@ -85,6 +94,8 @@ impl History {
         match parse_command(&input.sender)? {
             Command::Reset(_) => {
                 self.changes.clear();
+                self.set_points.clear();
+                self.controllers.reset();
                 self.problem = None;
             }
             Command::Annotate => self.annotations += 1,
@@ -103,23 +114,19 @@ impl History {
                 let WhenArgs { commands, .. } = read(&input.sender.args)?;
                 self.push_batch(input, commands.unwrap_or_default(), None);
             }
-            Command::Advance { set: Some(_), .. } | Command::Control { .. } => {
-                self.steered(&format!("a controller steered it at step {step}"));
-            }
-            Command::Deadline(controller) | Command::Lost(controller) => {
-                self.steered(&format!(
-                    "the controller {controller} was late at step {step}"
-                ));
-            }
             Command::Run { .. }
             | Command::Pause
             | Command::Step(_)
-            | Command::Join(_)
-            | Command::Advance { set: None, .. }
-            | Command::Leave(_)
             | Command::Watch(_)
             | Command::Unwatch
             | Command::Delete => {}
+            command => {
+                for (id, point) in self.controllers.on(command)? {
+                    let now = self.changes.iter().rev();
+                    let after = now.take_while(|change| change.step == step).count();
+                    self.set_points.push(step, after as u64, id, point);
+                }
+            }
         }
         Ok(())
     }
@@ -134,15 +141,11 @@ impl History {
     }
 
     fn push(&mut self, step: u64, draw: u64, change: Change) {
+        self.set_points.changed();
         // One more than a file can have: it is rejected for that.
         if self.changes.len() <= MAX_BLOCKS {
             self.changes.push(AppliedChange { step, draw, change });
         }
-    }
-
-    fn steered(&mut self, what: &str) {
-        self.problem
-            .get_or_insert(format!("{what}: a file cannot contain what controllers do"));
     }
 }
 

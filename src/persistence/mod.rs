@@ -6,4 +6,5 @@ pub(crate) mod journal_reader;
 pub(crate) mod recovery;
 pub(crate) mod replay;
 pub(crate) mod reply_cache;
+mod steering;
 pub mod writer;

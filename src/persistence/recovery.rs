@@ -224,6 +224,17 @@ fn history_before(
     let dt = checkpoint.simulation.state.parameters.dt;
     let mut applied = AppliedInputs::default();
     let lines = read_lines(store, swarm, until.saturating_sub(MAX_HISTORY_LINES), until)?;
+    // A copy executes commands that were scheduled in the journal of the original.
+    let is_of_original =
+        |line: &Line| matches!(line.record, Record::Outcome { input, .. } if input > line.number);
+    if lines.iter().any(is_of_original)
+        && let Some(oldest) = store.checkpoints(swarm)?.last()
+        && let Ok(start) = read_stored(store, swarm, oldest.number)
+    {
+        for (_, scheduled) in start.scheduled {
+            applied.wait_for(scheduled.input, scheduled.sender);
+        }
+    }
     let applied = lines.into_iter().filter_map(|line| applied.read(line));
     let entries = applied.map(|input| history::Entry {
         stamp: Stamp {

@@ -99,7 +99,8 @@ pub(super) fn first_readable(
     checkpoints: Vec<CheckpointInfo>,
 ) -> Result<Checkpoint, CommandError> {
     let mut problem =
-        "the history before this step is no longer stored: see history_from in get/status"
+        "the history before this step is no longer stored: fork or restore a later step, from \
+         history_from in get/status on, or a snapshot of this step"
             .to_owned();
     for stored in checkpoints {
         match read_stored(store, swarm, stored.number) {

@@ -5,6 +5,8 @@ use jostle_experiment::{LiveRun, Plan, execute_run};
 use jostle_proto::{ErrorCode, keys};
 use serde_json::{Value, json};
 
+mod set_points;
+
 use crate::support::daemon_process::{killed, start};
 use crate::support::{Client, Daemon, PREFIX};
 
@@ -157,13 +159,24 @@ async fn swarms_that_no_file_can_repeat_are_rejected_with_the_reason() {
         hash,
         "without set-points"
     );
+    // Which of its individuals are its own is drawn from the state, and then it leaves.
+    let free = json!({"controller": "ada", "again": true, "on_timeout": "free"});
+    client.ok("steered", "join", free).await;
     let set = json!({"ids": [0], "direction": [1.0]});
     let advance = json!({"controller": "ada", "steps": 2, "set": set});
     client.ok("steered", "advance", advance).await;
+    let drawn =
+        json!({"controller": "ada", "again": true, "on_timeout": "free", "select": {"count": 1}});
+    client.ok("steered", "join", drawn).await;
+    let hash = client.hash("steered").await;
+    assert_eq!(last_hash(&file_of(client, "steered").await), hash);
+    client
+        .ok("steered", "leave", json!({"controller": "ada"}))
+        .await;
+    let reason = reason("steered").await;
     assert!(
-        reason("steered")
-            .await
-            .contains("a controller steered it at step 2")
+        reason.contains("the controller ada joined again"),
+        "{reason}"
     );
     daemon.stop().await;
 }
@@ -181,9 +194,10 @@ impl Numbers {
     }
 }
 
-/// A protocol with this many commands at steps before `steps`, and a ramp.
-fn protocol(numbers: &mut Numbers, commands: u64, steps: u64) -> String {
-    let n = 10 + numbers.below(51);
+/// A protocol of at most `largest` individuals with this many commands at steps before `steps`, and a
+/// ramp.
+fn protocol(numbers: &mut Numbers, largest: u64, commands: u64, steps: u64) -> String {
+    let n = 10 + numbers.below(largest - 9);
     let seed = numbers.below(1 << 31);
     let duration = steps as f64 * 0.05;
     let informed = numbers.below(4);
@@ -220,13 +234,21 @@ fn protocol(numbers: &mut Numbers, commands: u64, steps: u64) -> String {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_swarm_with_the_commands_of_a_run_has_its_hash_although_the_daemon_is_killed() {
-    const PROTOCOLS: u64 = 12;
+    let is_long = std::env::var_os("JOSTLE_LONG").is_some();
+    let (protocols, largest, steps) = if is_long {
+        (100, 200, 120)
+    } else {
+        (12, 60, 60)
+    };
     let folder = tempfile::tempdir().unwrap();
     let mut daemon = start(folder.path()).await;
     let mut numbers = Numbers(33);
     let (mut expected, mut played) = (Vec::new(), 0);
-    for k in 0..PROTOCOLS {
-        let file = protocol(&mut numbers, 20, 60);
+    for k in 0..4 * protocols {
+        if expected.len() == protocols {
+            break;
+        }
+        let file = protocol(&mut numbers, largest, 20, steps);
         let plan = Plan::parse(&file).unwrap_or_else(|error| panic!("{error}\n{file}"));
         let run = &plan.runs()[0];
         let finished = execute_run(&plan, run, |_| true).unwrap();
@@ -254,18 +276,32 @@ async fn a_swarm_with_the_commands_of_a_run_has_its_hash_although_the_daemon_is_
             daemon = killed(folder.path(), daemon).await;
         }
     }
-    assert!(
-        expected.len() as u64 > PROTOCOLS / 2 && played > 200,
-        "{played}"
-    );
+    assert_eq!(expected.len(), protocols);
+    assert!(played > 20 * protocols, "{played}");
     daemon = killed(folder.path(), daemon).await;
-    for (name, steps, hash) in expected {
-        daemon
-            .1
-            .ok(&name, "run", json!({"until_step": steps, "rate": null}))
-            .await;
-        assert_eq!(daemon.1.hash_at(&name, steps).await, hash, "{name}");
+    for (name, steps, hash) in &expected {
+        let until = json!({"until_step": steps, "rate": null});
+        daemon.1.ok(name, "run", until).await;
+        assert_eq!(&daemon.1.hash_at(name, *steps).await, hash, "{name}");
         // And back to a file.
-        assert_eq!(last_hash(&file_of(&daemon.1, &name).await), hash, "{name}");
+        assert_eq!(&last_hash(&file_of(&daemon.1, name).await), hash, "{name}");
+        let inform = json!({"select": {"fraction": 0.3}, "direction": 1});
+        for (condition, verb, args) in [
+            ("order > 0.01 for 0.2", "inform", inform),
+            ("order <= 1", "set", json!({"pi3": 1.2})),
+        ] {
+            let commands = json!([{"verb": verb, "args": args}]);
+            let when = json!({"condition": condition, "commands": commands});
+            daemon.1.ok(name, "when", when).await;
+        }
     }
+    daemon = killed(folder.path(), daemon).await;
+    for (name, ..) in &expected {
+        daemon.1.ok(name, "step", json!({"steps": 20})).await;
+        let file = file_of(&daemon.1, name).await;
+        assert!(file.contains("pi3 = 1.2"), "no condition held: {file}");
+        assert_eq!(last_hash(&file), daemon.1.hash(name).await, "{file}");
+    }
+    println!("{protocols} protocols with {played} batches, n up to {largest}");
+    daemon.0.kill();
 }

@@ -356,3 +356,27 @@ async fn a_command_scheduled_after_others_ran_replaces_none_that_is_pending() {
     );
     daemon.stop().await;
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_journal_of_a_fork_has_what_was_scheduled_before_also_after_a_restart() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    client.create("a", json!({"n": 8})).await;
+    client.ok("a", "set", at(4, json!({"pi3": 1.5}))).await;
+    client.ok("a", "set", at(9, json!({"pi3": 2.5}))).await;
+    client.ok("a", "fork", json!({"name": "b"})).await;
+    client.ok("b", "step", json!({"steps": 6})).await;
+    let entries =
+        async |client: &Client| client.get("b", "journal").await["result"]["entries"].clone();
+    let before = entries(client).await;
+    let is_there = before
+        .as_array()
+        .unwrap()
+        .iter()
+        .any(|it| it["args"]["pi3"] == 1.5);
+    assert!(is_there, "{before}");
+    // The daemon stops, which writes a checkpoint after the command.
+    let daemon = daemon.restart().await;
+    assert_eq!(entries(&daemon.client).await, before);
+    daemon.stop().await;
+}

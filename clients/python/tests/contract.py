@@ -127,8 +127,8 @@ ADDED = {
 ELSEWHERE = {
     ("step.reply", "state"),  # `Swarm.step(state=True)` returns it.
 }
-# A dictionary, so that the kinds of other daemons can be read.
-LOOSE = ".attraction"
+# A dictionary, so that the kinds of other daemons can be read; and what `play` sends unchanged.
+LOOSE = (".attraction", ".expanded.spec", ".commands[].args")
 
 
 class Checker:

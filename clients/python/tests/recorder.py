@@ -218,6 +218,8 @@ class Recorder:
                 return fixture("replay.reply.upload")
             case ["cmd", "restore"]:
                 return fixture("create.reply")
+            case ["cmd", "experiment"] if "expand" in body["args"]:
+                return {**fixture("experiment.reply"), "result": _expanded()}
             case ["cmd", verb]:
                 return fixture(f"{verb}.reply")
             case ["experiment", _, "progress"]:
@@ -285,6 +287,24 @@ class Recorder:
 
     def _state(self) -> dict[str, Any]:
         return self._placed(cbor_fixture("state"))
+
+
+EXPANDED: dict[str, Any] = {
+    "run": "n=3 #0",
+    "spec": {"n": 3, "seed": 17},
+    "steps": 50,
+    "commands": [
+        {"at_step": step, "args": {"commands": [{"verb": "set", "args": {"pi2": 1}}], "draw": step}}
+        for step in (0, 7)
+    ],
+    "stop": None,
+}
+"""A run as the daemon expands it."""
+
+
+def _expanded() -> dict[str, Any]:
+    result: dict[str, Any] = fixture("experiment.reply")["result"]
+    return {**result, "created": False, "expanded": EXPANDED}
 
 
 def _page(

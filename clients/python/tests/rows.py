@@ -61,6 +61,7 @@ class File:
                 path.write_bytes(LONG)
             case "points.toml":
                 path.write_text(FILES, encoding="utf-8")
+                (folder / "t.csv").write_text("step,id,direction\n", encoding="utf-8")
                 (folder / "p.csv").write_text("n\n3\n", encoding="utf-8")
                 (folder / "s.snapshot").write_bytes(b"snapshot")
             case "plan.toml":
@@ -74,7 +75,7 @@ _MCAP = b"\x89MCAP0\r\n"
 TAPE = _MCAP + b"tape" + _MCAP
 LONG = _MCAP + bytes(200_000) + _MCAP
 PLAN = 'name = "small"\nduration = 10\n'
-FILES = PLAN + 'points = "p.csv"\nstart = "s.snapshot"\n'
+FILES = PLAN + 'points = "p.csv"\nstart = "s.snapshot"\nsetpoints = "t.csv"\n'
 
 
 @dataclass(frozen=True)

@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 
 import jostle
-from recorder import SNAPSHOT, Sent
-from rows import FILES, LONG, PLAN, TAPE, File, Row, call, node_cmd, node_get
+from recorder import EXPANDED, SNAPSHOT, Sent, fixture
+from rows import FILES, LONG, PLAN, TAPE, File, Row, call, cmd, node_cmd, node_get
 from rows_of_swarms import ATTRACTIONS
 
+PLAYED = fixture("experiment.reply")["result"]["progress"]["name"]
 DEFAULTS: dict[str, Any] = {
     "n": 4,
     "pi1": 4.0,
@@ -207,8 +208,39 @@ CLIENTS = [
         [
             node_cmd(
                 "experiment",
-                {"submit": {"toml": FILES, "points": "n\n3\n", "start": "c25hcHNob3Q="}},
+                {
+                    "submit": {
+                        "toml": FILES,
+                        "points": "n\n3\n",
+                        "start": "c25hcHNob3Q=",
+                        "setpoints": "step,id,direction\n",
+                    }
+                },
             )
+        ],
+    ),
+    Row(
+        "Client.play",
+        call(PLAN),
+        [
+            node_cmd("experiment", {"expand": {"toml": PLAN}}),
+            node_cmd("create", {"name": PLAYED, "spec": EXPANDED["spec"], "exist_ok": False}),
+            *(
+                cmd("batch", it["args"], swarm=PLAYED, at_step=it["at_step"])
+                for it in EXPANDED["commands"]
+            ),
+        ],
+    ),
+    Row(
+        "Client.play",
+        call(source=PLAN, run=np.int64(2), name="live"),
+        [
+            node_cmd("experiment", {"expand": {"toml": PLAN, "run": "2"}}),
+            node_cmd("create", {"name": "live", "spec": EXPANDED["spec"], "exist_ok": False}),
+            *(
+                cmd("batch", it["args"], swarm="live", at_step=it["at_step"])
+                for it in EXPANDED["commands"]
+            ),
         ],
     ),
     *(

@@ -9,7 +9,7 @@ import numpy as np
 
 import jostle
 from recorder import Sent
-from rows import AtMost, Row, call, cmd, get, put
+from rows import AtMost, File, Row, call, cmd, get, put
 
 HOUR: dict[str, Any] = {"timeout_secs": 3600.0}
 STATE = [get("state"), get("get/status")]
@@ -154,6 +154,16 @@ QUESTIONS = [
     Row("Swarm.snapshot", call(), [get("get/snapshot")]),
     Row("Swarm.verify", call(), [get("get/verify")]),
     Row("Swarm.as_experiment", call(), [get("get/experiment")]),
+    Row(
+        "Swarm.as_experiment",
+        call(replicates=np.int64(20)),
+        [get("get/experiment?replicates=20")],
+    ),
+    Row(
+        "Swarm.as_experiment",
+        call(File("found.toml"), replicates=2),
+        [get("get/experiment?replicates=2;setpoints=found.setpoints.csv")],
+    ),
     # A page has two events, of the numbers 3 to 7, or two entries, 1 to 3.
     Row(
         "Swarm.history",

@@ -71,8 +71,9 @@ def test_every_message_of_the_contract_has_its_type() -> None:
     assert all(callable(getattr(jostle.Swarm, verb)) for verb in verbs - of_others)
     assert all(callable(getattr(jostle.Controller, it)) for it in OF_CONTROLLERS.values())
     kinds = {next(iter(kind["properties"])) for kind in SCHEMAS["experiment.args"]["oneOf"]}
-    assert all(callable(getattr(jostle.Experiment, kind)) for kind in kinds - {"submit"})
+    assert all(callable(getattr(jostle.Experiment, kind)) for kind in kinds - {"submit", "expand"})
     assert callable(jostle.Client.submit)
+    assert callable(jostle.Client.play)
     kinds = {next(iter(kind["properties"])) for kind in SCHEMAS["record.args"]["oneOf"]}
     assert kinds == OF_RECORDINGS.keys()
 
@@ -189,6 +190,10 @@ def call(verb: str, args: Mapping[str, Any], **options: Any) -> dict[str, Any]:
             with tempfile.TemporaryDirectory() as folder, pytest.raises(Sent) as caught:
                 client.submit(_files(of, Path(folder)), name=of.get("name"))
             return caught.value.message
+        if what == "expand":
+            with tempfile.TemporaryDirectory() as folder, pytest.raises(Sent) as caught:
+                client.play(_files(of, Path(folder)), run=of.get("run"))
+            return caught.value.message
         with pytest.raises(Sent) as caught:
             getattr(client.experiment(of["name"]), what)()
         return caught.value.message
@@ -232,6 +237,8 @@ def _files(submit: Mapping[str, Any], folder: Path) -> Path:
     named = tomllib.loads(submit["toml"])
     if "points" in submit:
         (folder / named["points"]).write_text(submit["points"], encoding="utf-8")
+    if "setpoints" in submit:
+        (folder / named["setpoints"]).write_text(submit["setpoints"], encoding="utf-8")
     if "start" in submit:
         (folder / named["start"]).write_bytes(base64.b64decode(submit["start"]))
     path = folder / "plan.toml"

@@ -50,6 +50,18 @@ pub struct Outline {
     pub listed_blocks: Vec<BlockOutline>,
     /// The condition that ends the run.
     pub stop: Option<TriggerOutline>,
+    /// The set-points of every run.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub set_points: Option<SetPointsOutline>,
+}
+
+/// The set-points of every run.
+#[derive(Clone, Debug, Serialize)]
+pub struct SetPointsOutline {
+    /// Their number.
+    pub count: usize,
+    /// The steps of the first and of the last one.
+    pub steps: [u64; 2],
 }
 
 /// One `[[at]]`.
@@ -132,6 +144,10 @@ impl Outline {
             blocks: blocks.len(),
             listed_blocks: listed.map(|it| BlockOutline::of(plan, run, it)).collect(),
             stop: protocol.stop.as_ref().map(TriggerOutline::of),
+            set_points: protocol.set_points.as_ref().map(|table| {
+                let (count, steps) = table.extent();
+                SetPointsOutline { count, steps }
+            }),
         }))
     }
 }
@@ -205,6 +221,10 @@ impl Display for Outline {
             write!(to, "{block}")?;
         }
         more(to, "  ", self.blocks, self.listed_blocks.len())?;
+        if let Some(SetPointsOutline { count, steps }) = &self.set_points {
+            let ([first, last], points) = (steps, counted(*count, "set-point"));
+            writeln!(to, "  {points} from step {first} to step {last}")?;
+        }
         match &self.stop {
             Some(stop) => writeln!(to, "  [stop] when {stop}"),
             None => Ok(()),

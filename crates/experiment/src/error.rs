@@ -30,6 +30,18 @@ pub enum PlanError {
         /// What is wrong, and the remedy.
         reason: String,
     },
+    /// A cell of the CSV with the set-points that the file names is invalid.
+    #[error("{file}, line {line}, column {column}: {reason}")]
+    SetPoints {
+        /// The CSV, as the file names it.
+        file: String,
+        /// The line, from 1.
+        line: usize,
+        /// The number of the column in the CSV, from 1.
+        column: usize,
+        /// What is wrong, and the remedy.
+        reason: String,
+    },
     /// The parameters or the start of a run are rejected.
     #[error("run {run:?}: {error}")]
     Run {

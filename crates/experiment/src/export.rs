@@ -8,7 +8,10 @@ use thiserror::Error;
 use toml::{Table, Value};
 
 use crate::error::PlanError;
+use crate::files::Files;
+use crate::limits::{MAX_RUNS, MAX_SET_POINTS};
 use crate::plan::Plan;
+use crate::set_points::SetPointLog;
 
 /// Fields of a spec that change no step, and the one that the file has as `seeds`.
 const OMITTED: [&str; 3] = ["publish_every", "rate", "seed"];
@@ -37,6 +40,26 @@ pub struct SwarmHistory {
     pub state_hash: String,
     /// All changes that were applied to it, in this order.
     pub changes: Vec<AppliedChange>,
+    /// What controllers did with individuals.
+    pub set_points: SetPointLog,
+}
+
+/// What a file has beside the commands of a swarm.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct ExportOptions {
+    /// The number of runs, with seeds of their own; none is one run with the seed of the swarm.
+    pub replicates: Option<u64>,
+    /// The name of the CSV of set-points; without it the file contains that CSV.
+    pub setpoints: Option<String>,
+}
+
+/// The file of an experiment, and the file that it names.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ExportedFiles {
+    /// The text of the TOML.
+    pub toml: String,
+    /// The text of the CSV of set-points, if the TOML names it.
+    pub setpoints: Option<String>,
 }
 
 /// Why there is no such file.
@@ -45,52 +68,74 @@ pub enum ExportError {
     /// The swarm has taken no step.
     #[error("it has taken no step: a run has at least one")]
     NoStep,
+    /// Its controllers did too much.
+    #[error(
+        "its controllers steered individuals more than {MAX_SET_POINTS} times: that is the limit of a run"
+    )]
+    TooManySetPoints,
+    /// The number of runs is invalid.
+    #[error("replicates = {0} is outside [1, {MAX_RUNS}]")]
+    Replicates(u64),
     /// The file would not be an experiment.
     #[error("its commands are no experiment: {0}")]
     Plan(#[from] PlanError),
 }
 
-/// Returns a file of an experiment with one run, whose last state is that of the swarm.
+/// Returns a file of an experiment with one run, whose last state is that of the swarm, or with runs
+/// of other seeds.
 ///
-/// Changes at the present step of the swarm are included. The run then has one more step, since
-/// the changes of a run precede a step.
+/// Commands at the present step of the swarm are included. The run then has one more step, since
+/// the commands of a run precede a step.
 ///
 /// # Errors
 ///
 /// [`ExportError`].
-pub fn experiment_file(history: &SwarmHistory) -> Result<String, ExportError> {
+pub fn experiment_file(
+    history: &SwarmHistory,
+    options: &ExportOptions,
+) -> Result<ExportedFiles, ExportError> {
     let SwarmHistory {
         name,
         spec,
         steps,
-        state_hash,
         changes,
+        set_points,
+        ..
     } = history;
     if *steps == 0 {
         return Err(ExportError::NoStep);
     }
-    let has_later = changes.last().is_some_and(|it| it.step >= *steps);
+    if set_points.is_too_long() {
+        return Err(ExportError::TooManySetPoints);
+    }
+    let replicates = options.replicates;
+    if let Some(number) = replicates.filter(|number| !(1..=MAX_RUNS).contains(number)) {
+        return Err(ExportError::Replicates(number));
+    }
+    let last = changes.last().map(|it| it.step).max(set_points.last_step());
+    let has_later = last.is_some_and(|it| it >= *steps);
     let end = steps + u64::from(has_later);
-    let mut file = format!(
-        "# The commands of the swarm {name} up to step {steps}, t = {}.\n",
-        *steps as f64 * spec.dt
-    );
-    file += &match has_later {
-        false => format!("# The run below ends with its state_hash:\n# {state_hash}\n"),
-        true => {
-            "# Commands were applied at this step: the run below takes one step more, and ends \
-                 with\n# the state_hash that the swarm has after that step.\n"
-                .to_owned()
-        }
+    let mut file = heading(history, has_later, replicates);
+    let runs = match replicates {
+        Some(number) => format!("replicates = {number}"),
+        None => format!("seeds = [{}]", spec.seed),
     };
-    file += "# For other seeds, give replicates instead of seeds.\n";
-    let _ = write!(
-        file,
-        "name = {}\nseeds = [{}]\nduration = {}\n\n[spec]\n",
-        Value::from(name.as_str()),
-        spec.seed,
-        duration(end, spec.dt)
-    );
+    let duration = duration(end, spec.dt);
+    let name = Value::from(name.as_str());
+    let _ = writeln!(file, "name = {name}\n{runs}\nduration = {duration}");
+    let count = |step| changes.iter().filter(|it| it.step == step).count() as u64;
+    let csv = (!set_points.is_empty()).then(|| set_points.csv(count));
+    let setpoints = csv.and_then(|csv| match &options.setpoints {
+        Some(named) => {
+            let _ = writeln!(file, "setpoints = {}", Value::from(named.as_str()));
+            Some(csv)
+        }
+        None => {
+            let _ = writeln!(file, "setpoints = '''\n{csv}'''");
+            None
+        }
+    });
+    file += "\n[spec]\n";
     for (key, value) in &table(spec) {
         if !OMITTED.contains(&key.as_str()) {
             let _ = writeln!(file, "{key} = {value}");
@@ -113,8 +158,40 @@ pub fn experiment_file(history: &SwarmHistory) -> Result<String, ExportError> {
         }
         let _ = writeln!(file, "{} = {args}", verb.as_str().unwrap_or_default());
     }
-    Plan::parse(&file)?;
-    Ok(file)
+    Plan::of(Files {
+        setpoints: setpoints.clone(),
+        ..Files::from(file.as_str())
+    })?;
+    Ok(ExportedFiles {
+        toml: file,
+        setpoints,
+    })
+}
+
+/// Returns the comment at the top of a file.
+fn heading(history: &SwarmHistory, has_later: bool, replicates: Option<u64>) -> String {
+    let SwarmHistory {
+        name,
+        spec,
+        steps,
+        state_hash,
+        ..
+    } = history;
+    let time = *steps as f64 * spec.dt;
+    let mut text = format!("# The commands of the swarm {name} up to step {steps}, t = {time}.\n");
+    text += &match (replicates, has_later) {
+        (Some(_), _) => "# The runs below have other seeds than the swarm.\n".to_owned(),
+        (None, false) => format!("# The run below ends with its state_hash:\n# {state_hash}\n"),
+        (None, true) => {
+            "# Commands were applied at this step: the run below takes one step more, and ends \
+             with\n# the state_hash that the swarm has after that step.\n"
+                .to_owned()
+        }
+    };
+    if replicates.is_none() {
+        text += "# For other seeds, give replicates instead of seeds.\n";
+    }
+    text
 }
 
 /// Whether a change draws individuals or places.
@@ -170,6 +247,7 @@ mod tests {
                     steps: 0,
                     state_hash: String::new(),
                     changes: Vec::new(),
+                    set_points: SetPointLog::default(),
                 },
             }
         }
@@ -198,6 +276,12 @@ mod tests {
             self.history.steps = self.simulation.state.step;
             self.history.state_hash = hexadecimal(&self.simulation.state.hash());
         }
+    }
+
+    fn file_of(history: &SwarmHistory) -> String {
+        let files = experiment_file(history, &ExportOptions::default()).unwrap();
+        assert_eq!(files.setpoints, None);
+        files.toml
     }
 
     fn last_hash(file: &str) -> String {
@@ -236,7 +320,7 @@ mod tests {
             );
             swarm.apply("uninform", &json!({"select": {"count": 1}}));
             swarm.step(40);
-            let file = experiment_file(&swarm.history).unwrap();
+            let file = file_of(&swarm.history);
             assert_eq!(last_hash(&file), swarm.history.state_hash, "{file}");
             assert!(file.contains(&swarm.history.state_hash), "{file}");
         }
@@ -248,22 +332,49 @@ mod tests {
         swarm.step(10);
         swarm.apply("inform", &json!({"select": {"count": 4}, "direction": 1}));
         let before = swarm.history.state_hash.clone();
-        let file = experiment_file(&swarm.history).unwrap();
+        let file = file_of(&swarm.history);
         assert!(!file.contains(&before), "{file}");
         swarm.step(1);
         assert_eq!(last_hash(&file), swarm.history.state_hash);
     }
 
     #[test]
+    fn a_file_with_replicates_has_runs_with_other_seeds() {
+        let mut swarm = Swarm::new(&json!({"n": 12, "seed": 3}));
+        swarm.apply("inform", &json!({"select": {"count": 4}, "direction": 1}));
+        swarm.step(10);
+        let options = |replicates| ExportOptions {
+            replicates: Some(replicates),
+            ..ExportOptions::default()
+        };
+        let file = experiment_file(&swarm.history, &options(7)).unwrap().toml;
+        assert!(!file.contains(&swarm.history.state_hash), "{file}");
+        let seeds: Vec<u64> = Plan::parse(&file)
+            .unwrap()
+            .runs()
+            .iter()
+            .map(|run| run.seed)
+            .collect();
+        assert_eq!(seeds.len(), 7);
+        assert!(!seeds.contains(&3));
+        for wrong in [0, MAX_RUNS + 1] {
+            let error = experiment_file(&swarm.history, &options(wrong)).unwrap_err();
+            assert!(error.to_string().contains("outside [1, 100000]"), "{error}");
+        }
+    }
+
+    #[test]
     fn a_swarm_without_steps_and_one_with_too_many_commands_are_rejected() {
         let mut swarm = Swarm::new(&json!({"n": 12, "seed": 3}));
-        let error = experiment_file(&swarm.history).unwrap_err();
+        let error = experiment_file(&swarm.history, &ExportOptions::default()).unwrap_err();
         assert!(matches!(error, ExportError::NoStep), "{error}");
         for k in 0..1001 {
             swarm.apply("set", &json!({"pi2": 0.5 + 1e-6 * f64::from(k)}));
         }
         swarm.step(1);
-        let error = experiment_file(&swarm.history).unwrap_err().to_string();
+        let error = experiment_file(&swarm.history, &ExportOptions::default())
+            .unwrap_err()
+            .to_string();
         assert!(error.contains("at most 1000 [[at]]"), "{error}");
     }
 }

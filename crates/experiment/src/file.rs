@@ -39,6 +39,9 @@ pub struct File {
     /// The snapshot from which every run starts.
     #[serde(default)]
     pub start: Option<Spanned<String>>,
+    /// The CSV of the set-points of every run: its name, or its text.
+    #[serde(default)]
+    pub setpoints: Option<Spanned<String>>,
     /// The grids of values that vary.
     #[serde(default)]
     pub grid: Vec<Table>,

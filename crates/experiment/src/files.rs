@@ -17,6 +17,9 @@ pub const EXPERIMENT: &str = "experiment.toml";
 /// The name of the copy of the file of `points` there.
 pub const POINTS: &str = "experiment.points.csv";
 
+/// The name of the copy of the file of `setpoints` there.
+pub const SET_POINTS: &str = "experiment.setpoints.csv";
+
 /// The name of the copy of the snapshot of `start` there.
 pub const START: &str = "experiment.start.snapshot";
 
@@ -29,6 +32,8 @@ pub struct Files {
     pub points: Option<String>,
     /// The contents of the snapshot that `start` names.
     pub start: Option<Vec<u8>>,
+    /// The text of the CSV that `setpoints` names; none if `setpoints` is that text itself.
+    pub setpoints: Option<String>,
 }
 
 /// Why a file cannot be read.
@@ -46,13 +51,21 @@ pub struct FilesError {
 struct Named {
     points: Option<String>,
     start: Option<String>,
+    setpoints: Option<String>,
 }
 
 impl Named {
     /// Returns the names; none if the TOML is invalid, which the plan reports.
     fn of(toml: &str) -> Self {
-        toml::from_str(toml).unwrap_or_default()
+        let mut named: Self = toml::from_str(toml).unwrap_or_default();
+        named.setpoints = named.setpoints.filter(|it| !is_text(it));
+        named
     }
+}
+
+/// Whether the value of `setpoints` is the text of the CSV, and not the name of one.
+pub fn is_text(setpoints: &str) -> bool {
+    setpoints.contains('\n')
 }
 
 impl From<&str> for Files {
@@ -93,9 +106,12 @@ impl Files {
         let named = Named::of(&toml);
         let points = named.points.map(|it| read_text(&place(&it, POINTS)));
         let start = named.start.map(|it| read(&place(&it, START)));
+        let setpoints = named.setpoints;
+        let setpoints = setpoints.map(|it| read_text(&place(&it, SET_POINTS)));
         Ok(Self {
             points: points.transpose()?,
             start: start.transpose()?,
+            setpoints: setpoints.transpose()?,
             toml,
         })
     }
@@ -110,9 +126,12 @@ impl Files {
         let named = Named::of(&toml);
         let points = named.points.map(|_| read_text(&folder.join(POINTS)));
         let start = named.start.map(|_| read(&folder.join(START)));
+        let setpoints = named.setpoints;
+        let setpoints = setpoints.map(|_| read_text(&folder.join(SET_POINTS)));
         Ok(Self {
             points: points.transpose()?,
             start: start.transpose()?,
+            setpoints: setpoints.transpose()?,
             toml,
         })
     }
@@ -126,6 +145,7 @@ impl Files {
         let points = self.points.as_deref().map(str::as_bytes);
         let copies = [
             (POINTS, points),
+            (SET_POINTS, self.setpoints.as_deref().map(str::as_bytes)),
             (START, self.start.as_deref()),
             (EXPERIMENT, Some(self.toml.as_bytes())),
         ];

@@ -4,6 +4,7 @@
 //! [`execute`] executes the unfinished runs, while other threads read its progress and pause or
 //! cancel it through an [`ExecutionControl`]. No daemon is needed.
 
+mod cells;
 mod contact_events;
 mod dry_run;
 mod error;
@@ -22,6 +23,7 @@ mod progress;
 mod protocol;
 mod row_grids;
 mod run;
+mod set_points;
 pub mod shell;
 mod start;
 mod subset;
@@ -29,16 +31,19 @@ mod subset;
 pub use dry_run::{DryRun, Estimate, Measured};
 pub use error::PlanError;
 pub use execute::{ExecuteError, Execution, Outcome, execute};
-pub use export::{AppliedChange, ExportError, SwarmHistory, experiment_file};
-pub use files::{Files, FilesError, POINTS, START};
+pub use export::{
+    AppliedChange, ExportError, ExportOptions, ExportedFiles, SwarmHistory, experiment_file,
+};
+pub use files::{Files, FilesError, POINTS, SET_POINTS, START};
 pub use folder::{FinishedRuns, Folder, FolderError, unfinished};
 pub use grid::AXES;
 pub use jostle_physics::model::MODEL_VERSION;
-pub use limits::{MAX_BLOCKS, MAX_ENTRIES, MAX_INDIVIDUALS, MAX_RUNS, MAX_STEPS};
+pub use limits::{MAX_BLOCKS, MAX_ENTRIES, MAX_INDIVIDUALS, MAX_RUNS, MAX_SET_POINTS, MAX_STEPS};
 pub use merge::{Difference, MergeError, Parts, missing};
 pub use plan::{Columns, Plan, PlannedRun, Point};
 pub use play::{LiveRun, PlayError, ScheduledBatch};
 pub use progress::{ExecutionControl, Progress};
 pub use protocol::{Block, Protocol, Trigger, Variables};
 pub use run::{FinishedRun, execute_run, start};
+pub use set_points::{SetPoint, SetPointLog};
 pub use subset::{Subset, SubsetError};

@@ -21,3 +21,6 @@ pub const MAX_BLOCKS_OF_PLAN: usize = 1_000_000;
 
 /// Maximum number of measures that are columns of the results.
 pub const MAX_COLUMNS: usize = 100;
+
+/// Maximum number of set-points of a run, the rows of its CSV.
+pub const MAX_SET_POINTS: u64 = 100_000;

@@ -16,6 +16,7 @@ use crate::limits::{MAX_BLOCKS_OF_PLAN, MAX_ENTRIES, MAX_INDIVIDUALS, MAX_RUNS, 
 use crate::points::Points;
 use crate::protocol::{Block, Protocol, Setting, Variables, first_span, templates, used};
 use crate::row_grids;
+use crate::set_points::SetPointTable;
 use crate::start::Base;
 use jostle_convert::spec;
 use jostle_convert::value::count;
@@ -43,6 +44,8 @@ pub struct Plan {
     pub files: Files,
     /// The state from which every run starts, if the file has `start`.
     pub(crate) base: Option<Base>,
+    /// The set-points of every run, if the file has `setpoints`.
+    pub(crate) set_points: Option<Arc<SetPointTable>>,
     points: Vec<Point>,
     runs: Vec<PlannedRun>,
     /// The indices of all runs, sorted by name.
@@ -188,6 +191,7 @@ impl Plan {
             columns,
             files: Files::default(),
             base,
+            set_points: SetPointTable::of(source, &file, files)?.map(Arc::new),
             points: Vec::new(),
             runs: Vec::new(),
             by_name: Vec::new(),
@@ -246,6 +250,14 @@ impl Plan {
         found.ok().map(|position| by_name[position])
     }
 
+    /// Returns a run by its number, from 1, or by its name; none if there is no such run.
+    #[must_use]
+    pub fn find(&self, run: &str) -> Option<&PlannedRun> {
+        let number = run.parse::<usize>().ok();
+        let index = number.and_then(|number| number.checked_sub(1));
+        self.runs.get(index.or_else(|| self.index(run))?)
+    }
+
     /// Returns the settings that `run` shares with its replicates.
     #[must_use]
     pub fn point(&self, run: &PlannedRun) -> &Point {
@@ -277,6 +289,7 @@ impl Plan {
             informed: point.informed,
             duration: self.duration,
             variables: &point.variables,
+            set_points: None,
         };
         templates(source, &source.read()?.at, setting)
     }
@@ -340,6 +353,7 @@ impl Plan {
             informed: self.base.as_ref().map_or(informed, |_| 0),
             duration: self.duration,
             variables: &choice.variables,
+            set_points: self.set_points.as_ref(),
         };
         let protocol = Protocol::resolve(source, &file.at, &file.stop, setting)?;
         let lags = self.columns.measures.iter().map(|it| it.lag(parameters.dt));

@@ -47,6 +47,12 @@ pub enum PlayError {
          snapshot"
     )]
     Start,
+    /// The run has set-points.
+    #[error(
+        "the file has setpoints, which cannot be scheduled: execute the run with `jostle experiment \
+         run`, or steer a swarm with a controller"
+    )]
+    SetPoints,
     /// The values of a ramp are invalid.
     #[error("the [[at]] of line {line}, at step {step}: {reason}")]
     Invalid {
@@ -64,11 +70,15 @@ impl LiveRun {
     ///
     /// # Errors
     ///
-    /// [`PlayError::Start`] if the file has `start`, [`PlayError::Condition`] if a block has a
+    /// [`PlayError::Start`] if the file has `start`, [`PlayError::SetPoints`] if it has
+    /// `setpoints`, [`PlayError::Condition`] if a block has a
     /// condition.
     pub fn new(plan: &Plan, run: &PlannedRun) -> Result<Self, PlayError> {
         if plan.base.is_some() {
             return Err(PlayError::Start);
+        }
+        if plan.set_points.is_some() {
+            return Err(PlayError::SetPoints);
         }
         let point = plan.point(run);
         let (dt, steps) = (point.spec.parameters.dt, point.steps);

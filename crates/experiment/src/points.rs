@@ -2,8 +2,7 @@
 
 use std::ops::Range;
 
-use csv::{ReaderBuilder, StringRecord, Trim};
-
+use crate::cells::Cells;
 use crate::error::PlanError;
 use crate::limits::MAX_RUNS;
 
@@ -27,50 +26,22 @@ impl Points {
     ///
     /// [`PlanError::Points`]: there is no header or no row, or a row has too few or too many cells.
     pub fn read(file: &str, text: &str, first: usize) -> Result<Self, PlanError> {
-        let text = text.strip_prefix('\u{feff}').unwrap_or(text);
-        let reject = |line, column, reason: String| {
-            Err(PlanError::Points {
-                file: file.to_owned(),
-                line,
-                column,
-                reason,
-            })
+        let reject = |(line, column, reason)| PlanError::Points {
+            file: file.to_owned(),
+            line,
+            column,
+            reason,
         };
-        let mut reader = ReaderBuilder::new()
-            .has_headers(false)
-            .flexible(true)
-            .trim(Trim::All)
-            .from_reader(text.as_bytes());
-        let (mut lines, mut rows): (Vec<usize>, Vec<Vec<String>>) = (Vec::new(), Vec::new());
-        let mut line = Lines { at: 0, number: 1 };
-        let mut record = StringRecord::new();
-        loop {
-            let start = usize::try_from(reader.position().byte()).unwrap_or(usize::MAX);
-            let number = line.of(text, start);
-            match reader.read_record(&mut record) {
-                Ok(false) => break,
-                Ok(true) => {}
-                Err(error) => return reject(number, 1, error.to_string()),
-            }
-            if let Some(header) = rows.first()
-                && header.len() != record.len()
-            {
-                let (cells, columns) = (record.len(), header.len());
-                let reason = format!("{cells} cells, but the header has {columns} columns");
-                return reject(number, cells.min(columns) + 1, reason);
-            }
-            if rows.len() as u64 > MAX_RUNS {
-                let reason = format!("more than {MAX_RUNS} conditions: that is the limit of runs");
-                return reject(number, 1, reason);
-            }
-            lines.push(number);
-            rows.push(record.iter().map(str::to_owned).collect());
-        }
-        if rows.len() < 2 {
+        let too_many = format!("more than {MAX_RUNS} conditions: that is the limit of runs");
+        let Cells {
+            header,
+            rows,
+            lines,
+        } = Cells::read(text, MAX_RUNS, &too_many).map_err(reject)?;
+        if rows.is_empty() {
             let reason = "no condition: give a header with the names and a row for each condition";
-            return reject(lines.len() + 1, 1, reason.to_owned());
+            return Err(reject((lines.len() + 1, 1, reason.to_owned())));
         }
-        let header = rows.remove(0);
         Ok(Self {
             file: file.to_owned(),
             lines,
@@ -100,24 +71,6 @@ impl Points {
     /// Returns the span of a cell, counted by rows from the first one of the header.
     pub fn span(&self, cell: usize) -> Range<usize> {
         self.first + cell..self.first + cell + 1
-    }
-}
-
-/// The number of the line at a byte, for ascending bytes.
-struct Lines {
-    at: usize,
-    number: usize,
-}
-
-impl Lines {
-    /// Returns the line of the first character after `start` that is no line break.
-    fn of(&mut self, text: &str, start: usize) -> usize {
-        let rest = text.get(start..).unwrap_or_default();
-        let blank = rest.len() - rest.trim_start_matches(['\n', '\r']).len();
-        let passed = text.get(self.at..start + blank).unwrap_or_default();
-        self.number += passed.bytes().filter(|&byte| byte == b'\n').count();
-        self.at = start + blank;
-        self.number
     }
 }
 

@@ -152,12 +152,24 @@ pub const CHANNELS: &[Channel] = &{
             "Whether a replay of the swarm's journal gives the same hashes. The reply takes as \
              long as the replay.",
         ),
-        plain(
-            "{swarm}/get/experiment",
-            Get("experiment.file.reply"),
-            "The commands applied since the swarm's start, as the file of an experiment. Its run \
-             ends with the swarm's hash.",
-        ),
+        Channel {
+            key: "{swarm}/get/experiment",
+            kind: Get("experiment.file.reply"),
+            doc: "The commands applied since the swarm's start, as the file of an experiment. Its run \
+                  ends with the swarm's hash.",
+            parameters: &[
+                (
+                    "replicates",
+                    "a whole number: the file has so many runs, with other seeds than the swarm",
+                ),
+                (
+                    "setpoints",
+                    "the name of a file, of letters, digits, `.`, `-` and `_`: the file of the \
+                     experiment names this CSV, which `setpoints` of the reply contains, instead of \
+                     containing it",
+                ),
+            ],
+        },
         Channel {
             key: "{swarm}/get/wait",
             kind: Get("status.reply"),

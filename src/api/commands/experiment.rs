@@ -2,8 +2,8 @@
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
-use jostle_experiment::Files;
-use jostle_proto::{ExperimentArgs, ExperimentResult, NodeReply, SubmitArgs};
+use jostle_experiment::{Files, LiveRun, Plan};
+use jostle_proto::{ExpandArgs, ExperimentArgs, ExperimentResult, NodeReply, SubmitArgs};
 
 use crate::api::context::{Context, Parsed};
 use crate::convert::commands::{CommandError, check_name};
@@ -22,6 +22,7 @@ impl Context {
             ExperimentArgs::Resume(args) => ("resume", Some(args.name.as_str())),
             ExperimentArgs::Cancel(args) => ("cancel", Some(args.name.as_str())),
             ExperimentArgs::Delete(args) => ("delete", Some(args.name.as_str())),
+            ExperimentArgs::Expand(_) => ("expand", None),
         };
         if let Some(name) = name {
             let checked = check_name("name", name);
@@ -35,23 +36,11 @@ impl Context {
                         toml,
                         points,
                         start,
+                        setpoints,
                         name,
                     } = args.clone();
-                    match start.map(|it| STANDARD.decode(it)).transpose() {
-                        Ok(start) => {
-                            let files = Files {
-                                toml,
-                                points,
-                                start,
-                            };
-                            experiments.submit(name.as_deref(), files)
-                        }
-                        Err(error) => Err(ExperimentError::Plan {
-                            reason: format!("start is no base64: {error}"),
-                            field: "submit.start",
-                            line: None,
-                        }),
-                    }
+                    let files = files("submit", toml, points, start, setpoints);
+                    files.and_then(|files| experiments.submit(name.as_deref(), files))
                 }
                 ExperimentArgs::Pause(args) => experiments.pause(&args.name).map(|it| (false, it)),
                 ExperimentArgs::Resume(args) => {
@@ -63,13 +52,80 @@ impl Context {
                 ExperimentArgs::Delete(args) => {
                     experiments.delete(&args.name).map(|it| (false, it))
                 }
+                ExperimentArgs::Expand(args) => {
+                    let expanded = expand(args.clone());
+                    return responder.finish(expanded, move |result| {
+                        Payload::json(&NodeReply { node, result })
+                    });
+                }
             };
             responder.finish(done, move |(created, report)| {
-                let progress = convert::progress(report);
-                let result = ExperimentResult { created, progress };
+                let result = ExperimentResult {
+                    created,
+                    progress: convert::progress(report),
+                    expanded: None,
+                };
                 Payload::json(&NodeReply { node, result })
             });
         });
         Ok(())
     }
+}
+
+/// Returns the files in the arguments of an action; `start` is base64.
+fn files(
+    action: &str,
+    toml: String,
+    points: Option<String>,
+    start: Option<String>,
+    setpoints: Option<String>,
+) -> Result<Files, ExperimentError> {
+    let start = start.map(|it| STANDARD.decode(it)).transpose();
+    let start = start.map_err(|error| ExperimentError::Plan {
+        reason: format!("start is no base64: {error}"),
+        field: format!("{action}.start"),
+        line: None,
+    })?;
+    Ok(Files {
+        toml,
+        points,
+        start,
+        setpoints,
+    })
+}
+
+/// Returns a run of a plan as the swarm and the commands that have its states.
+fn expand(args: ExpandArgs) -> Result<ExperimentResult, ExperimentError> {
+    let ExpandArgs {
+        toml,
+        points,
+        start,
+        setpoints,
+        run,
+    } = args;
+    let files = files("expand", toml, points, start, setpoints)?;
+    let plan = Plan::of(files).map_err(|error| ExperimentError::of_plan("expand", &error))?;
+    let reject = |field: &str, reason: String| ExperimentError::Plan {
+        reason,
+        field: format!("expand.{field}"),
+        line: None,
+    };
+    let found = match &run {
+        None => plan.runs().first(),
+        Some(run) => plan.find(run),
+    };
+    let found = found.ok_or_else(|| {
+        let (run, runs) = (run.unwrap_or_default(), plan.runs().len());
+        let reason = format!(
+            "there is no run {run:?}: give a number from 1 to {runs} or a name, as `jostled run FILE \
+             --dry-run` lists them"
+        );
+        reject("run", reason)
+    })?;
+    let live = LiveRun::new(&plan, found).map_err(|error| reject("toml", error.to_string()))?;
+    Ok(ExperimentResult {
+        created: false,
+        progress: convert::planned(&plan),
+        expanded: Some(convert::expanded(&found.name, live)),
+    })
 }

@@ -1,64 +1,108 @@
 //! `get/experiment`: the commands of a swarm since its start, as the file of an experiment.
 
 use std::sync::Arc;
-use std::thread;
 
 use jostle_convert::hexadecimal;
-use jostle_experiment::{SwarmHistory, experiment_file};
+use jostle_experiment::{ExportOptions, MAX_RUNS, SwarmHistory, experiment_file};
 use jostle_proto::ExperimentFile;
 
 use super::verify::present;
+use crate::api::incoming::Incoming;
 use crate::api::responder::Responder;
-use crate::convert::commands::{CommandError, DEFAULT_TIMEOUT};
+use crate::api::verifications::{Verification, Verifications, Work};
+use crate::convert::commands::{CommandError, DEFAULT_TIMEOUT, selector};
 use crate::convert::{self, Payload};
 use crate::persistence::applied::changes_since_start;
 use crate::store::Store;
 use crate::swarm::error::SwarmError;
 use crate::swarm::handle::{Handle, Message, ReplyTo};
 
+/// The bytes around a file in a request that submits it.
+const SUBMIT_BYTES: usize = 4096;
+
+/// The longest name of a CSV of set-points.
+const MAX_NAME_BYTES: usize = 200;
+
 /// An export of a swarm's commands.
-struct Export {
-    store: Store,
-    swarm: Arc<str>,
-    handle: Handle,
-    responder: Responder,
+pub struct Export {
+    pub(super) store: Store,
+    pub(super) swarm: Arc<str>,
+    pub(super) handle: Handle,
+    pub(super) responder: Responder,
+    pub(super) options: ExportOptions,
+    /// The longest request of a client.
+    pub(super) max_request_bytes: usize,
 }
 
-/// Starts a thread that reads the journal of a swarm and replies.
+/// Begins an export, or queues it.
 ///
 /// # Errors
 ///
-/// [`SwarmError::Recorded`] for a playback, and [`CommandError::Busy`] if there is no thread.
+/// [`SwarmError::Recorded`] for a playback, and [`CommandError::Busy`] if the queue is full.
 pub(super) fn begin(
-    store: &Store,
-    swarm: &Arc<str>,
-    handle: Handle,
-    responder: &Responder,
+    exports: &Arc<Verifications<Export>>,
+    export: Export,
 ) -> Result<(), CommandError> {
-    if handle.summary().is_some_and(|it| it.is_replay) {
+    if export.handle.summary().is_some_and(|it| it.is_replay) {
         return Err(SwarmError::Recorded.into());
     }
+    let responder = &export.responder;
     responder.set_deadline(DEFAULT_TIMEOUT, CommandError::deadline, None);
-    let export = Export {
-        store: store.clone(),
-        swarm: swarm.clone(),
-        handle,
-        responder: responder.clone(),
-    };
-    let thread = thread::Builder::new().name("export".into());
-    let spawned = thread.spawn(move || {
-        if let Err(error) = export.reply() {
-            export.responder.reject(&error, export.handle.step());
+    exports.begin(&export.swarm.clone(), export)
+}
+
+/// Reads the parameters of the query.
+pub(super) fn options(incoming: &Incoming) -> Result<ExportOptions, CommandError> {
+    let mut options = ExportOptions::default();
+    for (name, value) in selector(incoming.parameters(), &["replicates", "setpoints"])? {
+        match name {
+            "replicates" => {
+                let number = value.parse().ok();
+                let number = number.filter(|number| (1..=MAX_RUNS).contains(number));
+                options.replicates = Some(number.ok_or(CommandError::Field {
+                    field: "replicates",
+                    problem: "is not a whole number from 1 to 100000; separate parameters with `;`",
+                })?);
+            }
+            _ if is_file_name(value) => options.setpoints = Some(value.to_owned()),
+            _ => {
+                return Err(CommandError::Field {
+                    field: "setpoints",
+                    problem: "is no name of a file: use letters, digits, '.', '-' and '_', the \
+                              first not '.'",
+                });
+            }
         }
-    });
-    spawned.map(drop).map_err(|_| CommandError::Busy)
+    }
+    Ok(options)
+}
+
+/// Whether a text is the name of a file on every system and needs no escape in a file or a selector.
+fn is_file_name(name: &str) -> bool {
+    let is_plain = |it: char| it.is_alphanumeric() || matches!(it, '.' | '-' | '_');
+    (1..=MAX_NAME_BYTES).contains(&name.len())
+        && !name.starts_with('.')
+        && name.chars().all(is_plain)
+}
+
+impl Work for Export {
+    const THREAD: &'static str = "export";
+
+    fn run(self, _own: Verification<Self>) {
+        // The deadline may have passed while it was queued.
+        if !self.responder.is_done()
+            && let Err(error) = self.reply()
+        {
+            self.responder.reject(&error, self.handle.step());
+        }
+    }
 }
 
 impl Export {
     /// Reads the journal and replies, unless that fails.
     fn reply(&self) -> Result<(), CommandError> {
         let present = present(&self.handle)?;
-        let changes = changes_since_start(&self.store, &self.swarm, &present)?;
+        let (changes, set_points) = changes_since_start(&self.store, &self.swarm, &present)?;
         let state = &present.simulation.state;
         let history = SwarmHistory {
             name: self.swarm.to_string(),
@@ -66,11 +110,19 @@ impl Export {
             steps: state.step,
             state_hash: hexadecimal(&state.hash()),
             changes,
+            set_points,
         };
-        let file =
-            experiment_file(&history).map_err(|error| CommandError::History(error.to_string()))?;
+        let files = experiment_file(&history, &self.options)
+            .map_err(|error| CommandError::History(error.to_string()))?;
+        let bytes = files.toml.len() + files.setpoints.as_ref().map_or(0, String::len);
+        // A daemon with the same limits must accept it.
+        let max_bytes = self.max_request_bytes - SUBMIT_BYTES;
+        if bytes > max_bytes {
+            return Err(CommandError::ExportTooLong { bytes, max_bytes });
+        }
         let result = ExperimentFile {
-            file,
+            file: files.toml,
+            setpoints: files.setpoints,
             steps: history.steps,
             state_hash: history.state_hash,
         };

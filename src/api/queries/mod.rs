@@ -1,7 +1,7 @@
 //! Queries: one file for each noun, or for several that are alike.
 
 mod experiment;
-mod export;
+pub mod export;
 mod measures;
 mod node;
 mod recording;

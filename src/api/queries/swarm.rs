@@ -6,7 +6,8 @@ use jostle_proto::{HistoryFrom, Status, keys};
 
 use crate::api::context::Context;
 use crate::api::incoming::{Incoming, page};
-use crate::api::queries::{export, verify};
+use crate::api::queries::export::{self, Export};
+use crate::api::queries::verify;
 use crate::api::responder::Responder;
 use crate::convert::commands::{CommandError, DEFAULT_TIMEOUT};
 use crate::convert::{self, Payload};
@@ -52,18 +53,28 @@ impl Context {
             }
             is_known = true;
             let responder = match noun {
-                "wait" | "verify" => self.replies.responder(&incoming.without_permit(), key),
+                "wait" | "verify" | "experiment" => {
+                    self.replies.responder(&incoming.without_permit(), key)
+                }
                 _ => self.replies.responder(incoming, key),
             };
             let done = match noun {
                 "measures" => self.measures(swarm, incoming, &responder),
                 "wait" => self.wait(swarm, incoming, &responder),
-                "verify" | "snapshot" | "experiment" => incoming.no_parameters().and_then(|()| {
+                "experiment" => export::options(incoming).and_then(|options| {
+                    let export = Export {
+                        store: self.store.clone(),
+                        swarm: swarm.clone(),
+                        handle: self.find(swarm)?,
+                        responder: responder.clone(),
+                        options,
+                        max_request_bytes: self.max_request_bytes(),
+                    };
+                    export::begin(&self.exports, export)
+                }),
+                "verify" | "snapshot" => incoming.no_parameters().and_then(|()| {
                     let handle = self.find(swarm)?;
                     match noun {
-                        "experiment" => {
-                            return export::begin(&self.store, swarm, handle, &responder);
-                        }
                         "verify" => {
                             let (all, store) = (&self.verifications, &self.store);
                             verify::begin(all, store, swarm, handle, &responder);

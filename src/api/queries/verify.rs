@@ -53,6 +53,8 @@ pub(super) fn begin(
 }
 
 impl Work for Verify {
+    const THREAD: &'static str = "verify";
+
     fn run(self, own: Verification<Self>) {
         // The deadline may have passed while it was queued.
         if !self.responder.is_done()

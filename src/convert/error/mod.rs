@@ -97,6 +97,11 @@ pub enum CommandError {
          the swarm on this daemon, or stop the daemon and copy its data folder"
     )]
     SnapshotTooLong { bytes: usize, max_bytes: usize },
+    #[error(
+        "the file with the set-points of its controllers has {bytes} bytes, the maximum of one \
+         message is {max_bytes}: export the swarm after fewer set-points"
+    )]
+    ExportTooLong { bytes: usize, max_bytes: usize },
     #[error("step {step} is not reached, the swarm is at step {now}: name an earlier one")]
     NotReached { step: u64, now: u64 },
     #[error("the history of the swarm cannot be replayed: {0}")]
@@ -257,6 +262,7 @@ impl WireCode for CommandError {
             CommandError::Internal | CommandError::Dropped => ErrorCode::Internal,
             CommandError::TooLong { .. }
             | CommandError::SnapshotTooLong { .. }
+            | CommandError::ExportTooLong { .. }
             | CommandError::TooManyClients { .. } => ErrorCode::ResourceExhausted,
             CommandError::Busy => ErrorCode::Busy,
             CommandError::Deadline { .. } | CommandError::NotYet { .. } => {
@@ -295,7 +301,8 @@ impl WireCode for CommandError {
             }
             CommandError::Twice(name) => object(json!({"field": name})),
             CommandError::TooLong { bytes, max_bytes }
-            | CommandError::SnapshotTooLong { bytes, max_bytes } => {
+            | CommandError::SnapshotTooLong { bytes, max_bytes }
+            | CommandError::ExportTooLong { bytes, max_bytes } => {
                 object(json!({"bytes": bytes, "limit": max_bytes}))
             }
             CommandError::UnknownVerb { known, .. } | CommandError::UnknownNoun { known, .. } => {

@@ -68,6 +68,7 @@ impl Dispatcher {
                 Err(RecvTimeoutError::Timeout) => {}
                 Ok(DispatchMessage::Stop) | Err(RecvTimeoutError::Disconnected) => {
                     self.gateway.context.verifications.stop();
+                    self.gateway.context.exports.stop();
                     return self.activity.end();
                 }
             }

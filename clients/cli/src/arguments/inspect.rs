@@ -61,6 +61,12 @@ pub struct JournalArguments {
     /// Print the file of an experiment, TOML, whose run repeats the commands since the swarm's start
     #[arg(long, conflicts_with_all = ["after", "limit"])]
     pub as_experiment: bool,
+    /// Give the experiment so many runs, with other seeds than the swarm
+    #[arg(long, value_name = "COUNT", value_parser = values::positive, requires = "as_experiment", allow_negative_numbers = true)]
+    pub replicates: Option<u64>,
+    /// Write the file, such as found.toml, and the set-points of controllers to found.setpoints.csv
+    #[arg(short = 'o', long, value_name = "FILE", requires = "as_experiment", value_hint = ValueHint::FilePath)]
+    pub out: Option<PathBuf>,
 }
 
 #[derive(Debug, Args)]

@@ -20,6 +20,7 @@ from ._experiment import Experiment, Files, Source, read_files
 from ._messages import CreateResult, Reply
 from ._metrics import Metrics
 from ._node import Hello, NodeStatus, Schemas, Swarms, SwarmSummary
+from ._play import Player
 from ._recording import check_finished
 from ._recordings import RecordingResult, Recordings, RecordingStatus, fetch
 from ._replay import open_replay, upload
@@ -104,7 +105,7 @@ def experiment(
     return client._submit(files, name, None, None)
 
 
-class Client:
+class Client(Player):
     """A connection to a daemon; `connect` makes one.
 
         with jostle.connect() as client:
@@ -283,8 +284,8 @@ class Client:
         it was cancelled.
 
         Args:
-            source: A file, its text, or a mapping of its fields; `points` and `start` in it are
-                relative to the folder of the file, or to the current folder.
+            source: A file, its text, or a mapping of its fields; `points`, `setpoints` and `start`
+                in it are relative to the folder of the file, or to the current folder.
             name: The name of the experiment; None is the one in the file.
             timeout: Seconds it may take; None is the client's.
             request_id: The id of the request, see `Options`; None is a new one.
@@ -477,16 +478,6 @@ class Client:
 
     def __exit__(self, kind: object, error: object, traceback: object) -> None:
         self.close()
-
-    def _command(
-        self,
-        verb: str,
-        args: dict[str, Any],
-        kind: type[T],
-        timeout: float | None,
-        request_id: str | None,
-    ) -> T:
-        return self._session.node_command(self._node, verb, args, kind, timeout, request_id)
 
     def _get(self, noun: str, kind: type[T]) -> T:
         key = self._session.node_key(self._node, f"get/{noun}")

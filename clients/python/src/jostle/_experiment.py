@@ -53,6 +53,9 @@ EXPERIMENT = "experiment.toml"
 POINTS = "experiment.points.csv"
 """The name of the CSV of its conditions there."""
 
+SET_POINTS = "experiment.setpoints.csv"
+"""The name of the CSV of the set-points of its runs there."""
+
 START = "experiment.start.snapshot"
 """The name of the snapshot from which its runs start there."""
 
@@ -261,6 +264,7 @@ class Files(msgspec.Struct, frozen=True, omit_defaults=True):
     toml: str
     points: str | None = None
     start: bytes | None = None
+    setpoints: str | None = None
 
     def store(self, folder: Path) -> Path:
         """Writes them into a folder, where `jostled run` finds them; returns the TOML's path."""
@@ -276,8 +280,15 @@ class Files(msgspec.Struct, frozen=True, omit_defaults=True):
         )
 
     def _contents(self) -> dict[str, bytes | None]:
-        points = None if self.points is None else self.points.encode()
-        return {POINTS: points, START: self.start, EXPERIMENT: self.toml.encode()}
+        def encoded(text: str | None) -> bytes | None:
+            return None if text is None else text.encode()
+
+        return {
+            POINTS: encoded(self.points),
+            SET_POINTS: encoded(self.setpoints),
+            START: self.start,
+            EXPERIMENT: self.toml.encode(),
+        }
 
 
 def read_files(source: Source) -> Files:
@@ -301,14 +312,22 @@ def read_files(source: Source) -> Files:
 
     def contents(key: str, copy: Path) -> bytes | None:
         named = fields.get(key)
-        if not isinstance(named, str):
+        # A text with line breaks is the set-points themselves.
+        if not isinstance(named, str) or "\n" in named:
             return None
         return (copy if is_copy and copy.is_file() else folder / named).read_bytes()
 
-    points = contents("points", folder / POINTS)
-    # Line breaks stay as they are.
-    text = None if points is None else points.decode()
-    return Files(toml, text, contents("start", folder / START))
+    def text(key: str, copy: Path) -> str | None:
+        found = contents(key, copy)
+        # Line breaks stay as they are.
+        return None if found is None else found.decode()
+
+    return Files(
+        toml,
+        text("points", folder / POINTS),
+        contents("start", folder / START),
+        text("setpoints", folder / SET_POINTS),
+    )
 
 
 def to_toml(source: Source) -> str:

@@ -343,11 +343,13 @@ class ExperimentFile(Reply, frozen=True, kw_only=True):
 
     Attributes:
         file: The text of the file, TOML.
+        setpoints: The text of the CSV that it names; None if it names none.
         steps: The step of the swarm.
         state_hash: BLAKE3 of the state at that step, in hexadecimal.
     """
 
     file: str
+    setpoints: str | None = None
     steps: int
     state_hash: str
 

@@ -61,15 +61,15 @@ class Objective:
             jostled: As in `sweep`.
 
         Raises:
-            InvalidArgument: The source is not TOML, has `points` or `start`, or there is no such
-                measure.
+            InvalidArgument: The source is not TOML, has `points`, `setpoints` or `start`, or there
+                is no such measure.
             OSError: The file cannot be read.
         """
         try:
             self._fields = tomllib.loads(to_toml(source))
         except tomllib.TOMLDecodeError as error:
             raise invalid("source", f"invalid experiment: {error}") from None
-        if named := [key for key in ("points", "start") if key in self._fields]:
+        if named := [key for key in ("points", "setpoints", "start") if key in self._fields]:
             raise invalid(
                 "source",
                 f"an objective function takes no other files: leave out {named[0]}, or use `sweep`",

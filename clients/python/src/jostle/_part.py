@@ -16,13 +16,13 @@ import msgspec
 from . import _program
 from ._atomic_file import atomic_file
 from ._errors import Conflict, Faulted
-from ._experiment import EXPERIMENT, POINTS, START, Files
+from ._experiment import EXPERIMENT, POINTS, SET_POINTS, START, Files
 from ._watchdog import with_watchdog
 
 # The files that a task returns. Its tables are left out: merging writes them.
 FILES = (EXPERIMENT, "runs.jsonl")
 # Those that only some experiments have.
-OPTIONAL_FILES = (POINTS, START)
+OPTIONAL_FILES = (POINTS, SET_POINTS, START)
 _ERROR_LINES = 20
 
 

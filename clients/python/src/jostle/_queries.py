@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import contextlib
 import math
+import os
 import time
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import SupportsIndex, overload
 
 from . import _cancel
 from ._arguments import check_measure, check_name, check_seconds, whole, whole_from_0
+from ._atomic_file import atomic_file
 from ._controller_messages import Controllers, ControllerSummary
 from ._decode import read_events, read_json, read_reply
 from ._errors import (
@@ -203,22 +206,53 @@ class Queries:
         known = whole_from_0("after", after)
         return HtmlList(mark_gaps(pages(request, lambda it: it.seq, known)[0], known))
 
-    def as_experiment(self) -> str:
+    def as_experiment(
+        self, path: str | os.PathLike[str] | None = None, *, replicates: int | None = None
+    ) -> str:
         """The commands applied since the swarm's start, as the file of an experiment.
 
-            Path("found.toml").write_text(swarm.as_experiment())
+            swarm.as_experiment("found.toml")
             frame = jostle.experiment("found.toml").wait().frame()
 
         The experiment has one run. It ends with the state hash of the swarm, unless commands were
-        applied at the present step: then it takes one step more.
+        applied at the present step: then it takes one step more. The set-points of controllers are
+        in the file, or with `path` in a CSV beside it.
+
+        Args:
+            path: Where to write the file, such as `found.toml`; then `found.setpoints.csv` has the
+                set-points of controllers. None writes nothing.
+            replicates: The number of runs, with other seeds than the swarm; None is one run with
+                the seed of the swarm.
+
+        Returns:
+            The text of the file, TOML.
 
         Raises:
             Conflict: The swarm has taken no step; it began with the state of another swarm; a
-                controller steered it; or the daemon no longer stores all of its commands, and
-                the message says from which step on it does.
+                controller released individuals that are unknown; or the daemon no longer stores
+                all of its commands, and the message says from which step on it does.
+            InvalidArgument: `replicates` is not 1 to 100,000, or the name of the file has
+                characters other than letters, digits, `.`, `-` and `_`.
             NotFound: There is no such swarm.
+            OSError: A file cannot be written.
+            ResourceExhausted: The set-points do not fit into a message; some ten thousand do.
         """
-        return read_reply(self._get("get/experiment"), ExperimentFile).file
+        parameters = {}
+        if replicates is not None:
+            parameters["replicates"] = str(whole_from_0("replicates", replicates))
+        beside = None if path is None else Path(path).with_suffix(".setpoints.csv")
+        if beside is not None:
+            parameters["setpoints"] = beside.name
+        query = ";".join(f"{key}={value}" for key, value in parameters.items())
+        found = read_reply(self._get(f"get/experiment?{query}".rstrip("?")), ExperimentFile)
+        if path is not None and beside is not None:
+            # The file that names the other one is the last.
+            if found.setpoints is not None:
+                with atomic_file(beside) as file:
+                    file.write(found.setpoints.encode())
+            with atomic_file(path) as file:
+                file.write(found.file.encode())
+        return found.file
 
     def controllers(self) -> HtmlList[ControllerSummary]:
         """The controllers that have joined, by name.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import msgspec
 import numpy as np
@@ -75,6 +75,31 @@ class Progress(msgspec.Struct, frozen=True, kw_only=True):
         return self.phase in ("finished", "cancelled", "failed")
 
 
+class ScheduledCommands(msgspec.Struct, frozen=True, kw_only=True):
+    """Commands of a run that are executed together: the arguments of `batch`, and its step."""
+
+    at_step: int
+    args: dict[str, Any]
+
+
+class ExpandedRun(msgspec.Struct, frozen=True, kw_only=True):
+    """A run as the swarm and the commands that have its states.
+
+    Attributes:
+        run: Its name.
+        spec: The spec of the swarm, with the seed of the run.
+        steps: The number of its steps, at most.
+        commands: The commands to schedule, in this order.
+        stop: The condition that ends the run, but not the swarm.
+    """
+
+    run: str
+    spec: dict[str, Any]
+    steps: int
+    commands: list[ScheduledCommands]
+    stop: str | None
+
+
 class ExperimentResult(msgspec.Struct, frozen=True, kw_only=True):
     """The reply to a command about an experiment.
 
@@ -82,11 +107,13 @@ class ExperimentResult(msgspec.Struct, frozen=True, kw_only=True):
         node: The daemon's name.
         created: Whether the command created it.
         progress: Its progress.
+        expanded: The run that was requested.
     """
 
     node: str
     created: bool
     progress: Progress
+    expanded: ExpandedRun | None = None
 
 
 class Experiments(msgspec.Struct, frozen=True, kw_only=True):

@@ -318,6 +318,7 @@ class Client(_Context[jostle.Client]):
     discard = _awaited(jostle.Client.discard)
     replay = _made(jostle.Client.replay, Swarm)
     submit = _made(jostle.Client.submit, Experiment)
+    play = _made(jostle.Client.play, Swarm)
     experiments = _awaited(jostle.Client.experiments)
     record = _awaited(jostle.Client.record)
     fetch_recording = _awaited(jostle.Client.fetch_recording)

@@ -1,5 +1,6 @@
 /** The page of one swarm: picture, numbers, charts and all panels. */
 import { Charts } from "../panels/charts.ts";
+import { Conditions } from "../panels/conditions.ts";
 import { Controls } from "../panels/controls.ts";
 import { downloadButton } from "../panels/download.ts";
 import { Events } from "../panels/events.ts";
@@ -36,9 +37,16 @@ export function swarmPage(name: string, session: Session): Page {
   };
   const controls = new Controls(name, session);
   const playback = new Playback(name, session);
+  const conditions = new Conditions(name, session);
+  const conditionPanel = panel("When a condition holds", "", innerWidth > 900, conditions.element);
   let replay = false;
   const informing = el("div", {});
   const informs = panel("Inform", "", true, informing);
+
+  const catchUp = () => {
+    void events.catchUp();
+    void conditions.refresh();
+  };
 
   let factor: number | null = null;
   const show = (newest: Moment) => {
@@ -64,6 +72,7 @@ export function swarmPage(name: string, session: Session): Page {
       playback.show(row);
       replay = row?.replay ?? replay;
       informs.hidden = replay;
+      conditionPanel.hidden = replay;
       download.hidden = replay;
       if (!row) {
         return;
@@ -80,12 +89,13 @@ export function swarmPage(name: string, session: Session): Page {
       if (event.event.kind !== "lapsed") {
         void playback.refresh();
       }
+      void conditions.refresh();
     },
     replaced: () => {
       replaceEvents();
-      void events.catchUp();
+      catchUp();
     },
-    catchUp: () => void events.catchUp(),
+    catchUp: () => catchUp(),
     changed: () => steering?.show(),
     directed: (direction) => {
       if (!replay) {
@@ -109,7 +119,8 @@ export function swarmPage(name: string, session: Session): Page {
         { class: "panel-column" },
         panel("Control", "", true, controls.element),
         informs,
-        panel("Events", "later log", true, el("div", {}, download, log)),
+        conditionPanel,
+        panel("Events", "later log", true, el("div", {}, log, el("p", {}, download))),
       ),
       el(
         "div",
@@ -118,10 +129,11 @@ export function swarmPage(name: string, session: Session): Page {
       ),
     ),
   );
-  void events.catchUp();
+  catchUp();
   const forget = session.onChange(() => {
     controls.allow();
     playback.allow();
+    conditions.allow();
     steering.show();
     if (watch.parameters.length > 0) {
       parameters.show(watch.parameters, session.mayCommand && !replay);

@@ -12,7 +12,7 @@ import type { State } from "../wire/state.ts";
 import { Toolbar } from "./toolbar.ts";
 
 /** Verbs that may change parameters. */
-const CHANGES = ["set", "batch", "reset", "run", "inject", "remove"];
+const CHANGES = ["set", "batch", "fired", "reset", "run", "inject", "remove"];
 const METER_MS = 1000;
 
 export interface WatchEvents {

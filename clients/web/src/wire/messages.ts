@@ -111,6 +111,12 @@ export interface EventsResult {
   newest: number;
 }
 
+/** The part of a swarm's status that the page reads. */
+export interface Status {
+  /** The conditions that it waits for; left out without any. */
+  when?: string[];
+}
+
 export interface ExperimentFile {
   file: string;
   steps: number;

@@ -48,7 +48,8 @@ for (const colorScheme of ["light", "dark"] as const) {
 
   test(`the page of a swarm is accessible, ${colorScheme}`, async () => {
     for (const size of [options, narrow]) {
-      const page = await site.open("/swarm/school", true, size);
+      const opened = await site.openTabAt("/swarm/school", true, size);
+      const { page } = opened;
       await until("a state", async () => (await number(page, "n").textContent()) === "40");
       await page.locator(".parameter").first().waitFor({ state: "attached" });
       await page.locator(".events li").first().waitFor();
@@ -56,6 +57,16 @@ for (const colorScheme of ["light", "dark"] as const) {
       await page.getByRole("button", { name: "Select all", exact: true }).click();
       await page.getByRole("button", { name: "Drag a direction" }).click();
       await check(page, "direction mode");
+      const conditions = page.locator("details", { hasText: "When a condition holds" });
+      if ((await conditions.getAttribute("open")) === null) {
+        await conditions.locator("summary").click();
+      }
+      await page.locator(".conditions").getByLabel("action").selectOption("set");
+      await page.getByLabel("condition", { exact: true }).fill("order > 2 >");
+      opened.expectsError(/^400 POST \/api\/cmd\/school\/when$/);
+      await page.getByRole("button", { name: "Add condition" }).click();
+      await page.locator(".form-error").filter({ hasText: "expected" }).waitFor();
+      await check(page, "an invalid condition");
     }
     const watching = await site.open("/swarm/school", false, options);
     await watching.getByText("this tab needs the daemon's token").first().waitFor();

@@ -160,7 +160,8 @@ fn disk_bytes(plan: &Plan, runs: &[&PlannedRun]) -> f64 {
             + of_entry * plan.entries(run) as f64
     };
     let points = plan.files.points.as_ref().map_or(0, String::len);
-    let files = plan.files.toml.len() + points;
+    let set_points = plan.files.setpoints.as_ref().map_or(0, String::len);
+    let files = plan.files.toml.len() + points + set_points;
     BYTES + files as f64 + runs.iter().map(of_run).sum::<f64>()
 }
 

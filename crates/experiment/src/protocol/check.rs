@@ -292,6 +292,9 @@ impl Resolver<'_> {
             }
         }
         let n = self.setting.spec.n as u64;
+        if let Some(set_points) = self.setting.set_points {
+            set_points.check(self.setting.steps(), n.saturating_add(added))?;
+        }
         for (end, table) in ends.iter().zip(tables) {
             for change in end.changes.iter().flatten() {
                 let checked = change.check().map_err(|error| error.to_string());

@@ -98,8 +98,14 @@ impl ProtocolRun {
                 due.push(index);
             }
         }
-        for index in due {
+        for (executed, &index) in (0..).zip(&due) {
+            if let Some(set_points) = &protocol.set_points {
+                set_points.apply(executed..executed + 1, simulation)?;
+            }
             self.execute(index, simulation)?;
+        }
+        if let Some(set_points) = &protocol.set_points {
+            set_points.apply(due.len() as u64..u64::MAX, simulation)?;
         }
         Ok(Boundary::Continue)
     }

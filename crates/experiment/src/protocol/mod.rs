@@ -25,6 +25,7 @@ pub use self::setting::Setting;
 pub use self::variables::{Variables, used};
 use crate::error::PlanError;
 use crate::file::{Source, Table};
+use crate::set_points::SetPointTable;
 
 /// The column of the time at which `[stop]` ended a run.
 pub const STOPPED_AT: &str = "stopped_at";
@@ -38,10 +39,12 @@ pub struct Protocol {
     pub stop: Option<Trigger>,
     /// The number of earlier steps whose states the conditions need.
     pub lag: u64,
+    /// Set-points, which are applied between the blocks of their steps.
+    pub set_points: Option<Arc<SetPointTable>>,
 }
 
 impl Protocol {
-    /// Reads and checks the blocks and the `[stop]` of a file; none if it has neither.
+    /// Reads and checks the blocks and the `[stop]` of a file; none if it has neither, nor set-points.
     ///
     /// # Errors
     ///
@@ -53,7 +56,7 @@ impl Protocol {
         stop: &Table,
         setting: Setting<'_>,
     ) -> Result<Option<Arc<Self>>, PlanError> {
-        if blocks.is_empty() && stop.is_empty() {
+        if blocks.is_empty() && stop.is_empty() && setting.set_points.is_none() {
             return Ok(None);
         }
         let resolver = Resolver { source, setting };
@@ -63,6 +66,7 @@ impl Protocol {
         }
         protocol.stop = resolver.stop(stop)?;
         resolver.check(&protocol.blocks, blocks)?;
+        protocol.set_points = setting.set_points.cloned();
         let dt = setting.spec.parameters.dt;
         let triggers = protocol.blocks.iter().filter_map(Block::trigger);
         let lags = triggers

@@ -1,8 +1,11 @@
 //! The condition of a plan that a protocol is resolved for.
 
+use std::sync::Arc;
+
 use jostle_physics::simulation::{Spec, steps_in};
 
 use super::variables::Variables;
+use crate::set_points::SetPointTable;
 
 /// What a protocol is resolved for.
 #[derive(Clone, Copy)]
@@ -15,6 +18,8 @@ pub struct Setting<'a> {
     pub duration: f64,
     /// The values of the variables.
     pub variables: &'a Variables,
+    /// The set-points of every run.
+    pub set_points: Option<&'a Arc<SetPointTable>>,
 }
 
 impl Setting<'_> {

@@ -76,6 +76,7 @@ async fn run(context: &Context, arguments: &RunExperimentArguments) -> Result<()
         toml,
         points,
         start,
+        setpoints,
     } = read(&arguments.file).map_err(|problem| {
         Failure::argument(
             "FILE",
@@ -89,6 +90,7 @@ async fn run(context: &Context, arguments: &RunExperimentArguments) -> Result<()
         toml,
         points,
         start: start.map(|bytes| STANDARD.encode(bytes)),
+        setpoints,
         name: arguments.name.clone(),
     });
     let sent = client.command_node("experiment", &args, &arguments.sender);
@@ -163,7 +165,9 @@ async fn send(
 }
 
 fn submitted(reply: &NodeReply<ExperimentResult>) -> String {
-    let ExperimentResult { created, progress } = &reply.result;
+    let ExperimentResult {
+        created, progress, ..
+    } = &reply.result;
     let name = &progress.name;
     if *created {
         let runs = format::count(progress.runs, "run");

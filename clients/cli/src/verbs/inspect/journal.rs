@@ -1,5 +1,8 @@
 //! `journal`: the commands that a swarm has applied.
 
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
 use jostle_client::Client;
 use jostle_proto::{ExperimentFile, Journal, JournalEntry, Reply};
 use serde_json::Value;
@@ -13,10 +16,7 @@ use crate::table;
 pub async fn journal(context: &Context, arguments: &JournalArguments) -> Result<(), Failure> {
     let Context { client, output } = context;
     if arguments.as_experiment {
-        let answer = client.get(&arguments.name, "experiment").await?;
-        return output.reply(&answer, |reply: &Reply<ExperimentFile>| {
-            reply.result.file.trim_end().to_owned()
-        });
+        return as_experiment(context, arguments).await;
     }
     let mut reply = fetch(client, &arguments.name, arguments.after).await?;
     let lost = lost(&reply.result, arguments.after);
@@ -51,6 +51,52 @@ pub async fn journal(context: &Context, arguments: &JournalArguments) -> Result<
             ("command", |it| format::command(&it.verb, &it.args)),
         ],
     ))
+}
+
+/// Prints or writes the file of an experiment.
+async fn as_experiment(context: &Context, arguments: &JournalArguments) -> Result<(), Failure> {
+    let Context { client, output } = context;
+    let beside = arguments.out.as_deref().map(beside);
+    let mut parameters = Vec::new();
+    if let Some(number) = arguments.replicates {
+        parameters.push(format!("replicates={number}"));
+    }
+    if let Some(name) = beside.as_ref().and_then(|it| it.file_name()) {
+        parameters.push(format!("setpoints={}", name.to_string_lossy()));
+    }
+    let query = match parameters.is_empty() {
+        true => "experiment".to_owned(),
+        false => format!("experiment?{}", parameters.join(";")),
+    };
+    let answer = client.get(&arguments.name, &query).await?;
+    let Some((path, beside)) = arguments.out.as_ref().zip(beside) else {
+        return output.reply(&answer, |reply: &Reply<ExperimentFile>| {
+            reply.result.file.trim_end().to_owned()
+        });
+    };
+    let reply: Reply<ExperimentFile> = answer.read()?;
+    let ExperimentFile {
+        file, setpoints, ..
+    } = reply.result;
+    let mut written = format!("wrote {}", path.display());
+    // The file that names the other one is the last.
+    if let Some(csv) = setpoints {
+        write(&beside, &csv)?;
+        let _ = write!(written, " and {}", beside.display());
+    }
+    write(path, &file)?;
+    output.note(&written);
+    Ok(())
+}
+
+/// Returns the CSV of set-points beside a file: `found.setpoints.csv` of `found.toml`.
+fn beside(path: &Path) -> PathBuf {
+    path.with_extension("setpoints.csv")
+}
+
+fn write(path: &Path, text: &str) -> Result<(), Failure> {
+    jostle_atomic_file::write(path, text.as_bytes())
+        .map_err(|error| Failure::file(path.display(), error))
 }
 
 /// All commands that the journal of a swarm still has.

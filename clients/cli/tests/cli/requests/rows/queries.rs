@@ -30,6 +30,21 @@ pub fn inspecting() -> Vec<Row> {
         )
         .says("[spec]"),
         row(
+            "journal <name>demo --as-experiment --replicates 20",
+            &["demo/get/experiment?replicates=20"],
+        )
+        .says("[spec]"),
+        row(
+            "journal <name>demo --as-experiment --replicates 2 -o {}/found.toml",
+            &["demo/get/experiment?replicates=2;setpoints=found.setpoints.csv"],
+        )
+        .says("found.toml"),
+        row(
+            "journal <name>demo --as-experiment --out {}/found.toml",
+            &["demo/get/experiment?setpoints=found.setpoints.csv"],
+        )
+        .says("found.toml"),
+        row(
             "journal <name>demo --after 1 --limit 1",
             &["demo/get/journal?after=1;limit=1000"],
         )
