@@ -16,7 +16,7 @@ use crate::verbs::{
     CreateResult, DeleteArgs, DiscardArgs, EmptyResult, ForkArgs, IdsResult, InformArgs,
     InjectArgs, JoinArgs, JoinResult, LeaveArgs, PauseArgs, RemoveArgs, ResetArgs, ResetResult,
     RestoreArgs, RunArgs, RunResult, Scheduled, SetArgs, SetResult, StepArgs, StepResult,
-    UninformArgs, WhenArgs,
+    UninformArgs, WhenArgs, WhenResult,
 };
 use crate::{
     ControllerList, Error, Event, Events, ExperimentArgs, ExperimentFile, ExperimentResult,
@@ -83,7 +83,7 @@ pub fn schemas() -> BTreeMap<&'static str, Schema> {
         ("seek.args", received::<SeekArgs>()),
         ("seek.reply", sent::<Reply<EmptyResult>>()),
         ("when.args", received::<WhenArgs>()),
-        ("when.reply", sent::<Reply<EmptyResult>>()),
+        ("when.reply", sent::<Reply<WhenResult>>()),
         ("fork.args", received::<ForkArgs>()),
         ("fork.reply", sent::<Reply<CreateResult>>()),
         ("restore.args", received::<RestoreArgs>()),

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::keys::NAME_RULE;
 use crate::result_row::ResultRow;
-use crate::verbs::BatchArgs;
+use crate::verbs::{BatchArgs, WhenArgs};
 use crate::{LARGEST_WHOLE, Spec, column};
 
 /// A command to an experiment; sent to a node.
@@ -59,20 +59,30 @@ pub struct ExpandedRun {
     /// How many steps the run takes, at most.
     #[schemars(range(max = LARGEST_WHOLE))]
     pub steps: u64,
-    /// The commands to schedule, in this order.
-    pub commands: Vec<ScheduledCommands>,
-    /// The condition that ends the run, but not the swarm; `null` if there is none.
+    /// The commands to send, in this order.
+    pub commands: Vec<RunCommand>,
+    /// The condition that ends the run and pauses the swarm; `null` if there is none.
     pub stop: Option<String>,
 }
 
-/// Commands that are executed together: the arguments of `batch`, and its `at_step`.
+/// A command of a run, and its `at_step`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-pub struct ScheduledCommands {
-    /// The step before which they are executed.
+pub struct RunCommand {
+    /// The step before which it is executed; `null` if it is executed at once.
     #[schemars(range(max = LARGEST_WHOLE))]
-    pub at_step: u64,
-    /// The arguments of `batch`.
-    pub args: BatchArgs,
+    pub at_step: Option<u64>,
+    /// The verb with its arguments.
+    pub command: RunVerb,
+}
+
+/// A verb that a run consists of, with its arguments.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(tag = "verb", content = "args", rename_all = "snake_case")]
+pub enum RunVerb {
+    /// The changes of one execution of an `[[at]]` block.
+    Batch(BatchArgs),
+    /// An `[[at]]` block with a condition, or `[stop]`.
+    When(WhenArgs),
 }
 
 /// An experiment to execute.

@@ -38,7 +38,7 @@ pub use error::{Error, ErrorCode, RequestError};
 pub use event::{Event, EventKind};
 pub use experiment::{
     ExpandArgs, ExpandedRun, ExperimentArgs, ExperimentName, ExperimentPhase, ExperimentResult,
-    Experiments, MeasureSeries, OrderPage, Progress, ResultsPage, RunUnderWay, ScheduledCommands,
+    Experiments, MeasureSeries, OrderPage, Progress, ResultsPage, RunCommand, RunUnderWay, RunVerb,
     SeriesPage, SubmitArgs,
 };
 pub use metrics::{Metrics, RecordingMetrics, StoreMetrics, SwarmMetrics};

@@ -39,6 +39,9 @@ pub struct Snapshot {
     /// How many of them were annotations, which the numbers of random draws leave out.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub annotations: u64,
+    /// The number of changes by commands of a protocol, which numbers their random draws.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub protocol_draws: u64,
     /// BLAKE3 of the state, in hexadecimal.
     pub state_hash: String,
     /// What it is doing.
@@ -89,6 +92,10 @@ pub struct Snapshot {
     /// The conditions that it waits for, in the order of their commands.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub when: Vec<WaitingCondition>,
+    /// The positions and headings of earlier steps that the measures of these conditions need, by
+    /// ascending step.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub past: Vec<PastFrame>,
     /// A `step` that is being executed.
     #[serde(default)]
     pub pending: Option<Pending>,
@@ -317,6 +324,23 @@ pub struct WaitingCondition {
     pub since: Vec<Option<u64>>,
     /// The command `when`.
     pub sent: Sent,
+}
+
+/// The positions and headings of all individuals after an earlier step, as columns.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct PastFrame {
+    /// The number of steps taken.
+    pub step: u64,
+    /// Where the positions are counted from, in units of 1024 body sizes.
+    pub origin: [i64; 2],
+    /// Ids.
+    pub id: Vec<u32>,
+    /// Positions relative to the origin, body sizes.
+    pub x: Vec<f64>,
+    /// Positions relative to the origin, body sizes.
+    pub y: Vec<f64>,
+    /// Headings in radians.
+    pub alpha: Vec<f64>,
 }
 
 /// A `step` that is being executed.

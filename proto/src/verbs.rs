@@ -20,7 +20,7 @@ pub use controllers::{
     AdvanceArgs, AdvanceResult, Control, Departed, Departure, JoinArgs, JoinResult, LeaveArgs,
     Miss, Mode, News, OnTimeout, SetPoints,
 };
-pub use when::WhenArgs;
+pub use when::{WhenArgs, WhenResult};
 
 /// Creates a swarm; sent to a node. The swarm is created paused.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]

@@ -27,9 +27,11 @@ pub fn snapshot(swarm: &str, checkpoint: &Checkpoint) -> proto::Snapshot {
         rate,
         scheduled,
         watches,
+        past,
         pending,
         controllers,
         annotations,
+        protocol_draws,
         events,
         lines,
         is_last,
@@ -61,6 +63,7 @@ pub fn snapshot(swarm: &str, checkpoint: &Checkpoint) -> proto::Snapshot {
                 sent: sent(&waiting.sender),
             })
             .collect(),
+        past: jostle_convert::past::to_proto(past),
         pending: pending.as_ref().map(|(from, sender)| Pending {
             from: *from,
             sent: sent(sender),
@@ -68,6 +71,7 @@ pub fn snapshot(swarm: &str, checkpoint: &Checkpoint) -> proto::Snapshot {
         controllers: controllers.iter().map(member).collect(),
         seq: checkpoint.seq(),
         annotations: *annotations,
+        protocol_draws: *protocol_draws,
         events: *events,
         lines: *lines,
         is_last: *is_last,
@@ -115,6 +119,9 @@ pub fn checkpoint(
         rate: snapshot.rate,
         scheduled: scheduled.collect::<Result<_, _>>()?,
         watches: watches.collect::<Result<_, _>>()?,
+        // The next step sets how far it reaches back.
+        past: jostle_convert::past::from_proto(u64::MAX, snapshot.past.iter().cloned())
+            .map_err(|error| SnapshotError::Unreadable(error.to_string()))?,
         pending: pending
             .map(|pending| Ok((pending.from, sender(&pending.sent)?)))
             .transpose()?,
@@ -124,6 +131,7 @@ pub fn checkpoint(
             .map(membership)
             .collect::<Result<_, _>>()?,
         annotations: snapshot.annotations,
+        protocol_draws: snapshot.protocol_draws,
         events: snapshot.events,
         lines: snapshot.lines,
         is_last: snapshot.is_last,

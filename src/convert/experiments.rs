@@ -1,6 +1,6 @@
 //! Progress and results of experiments.
 
-use jostle_experiment::{LiveRun, Plan, ScheduledBatch};
+use jostle_experiment::{LiveCommand, LiveRun, Plan};
 use jostle_proto as proto;
 use jostle_results::table::{OrderSeries, Series};
 
@@ -50,9 +50,15 @@ pub fn expanded(run: &str, live: LiveRun) -> proto::ExpandedRun {
         spec: live.spec,
         steps: live.steps,
         commands: commands
-            .map(|ScheduledBatch { step, args }| proto::ScheduledCommands {
-                at_step: step,
-                args,
+            .map(|command| match command {
+                LiveCommand::Batch { step, args } => proto::RunCommand {
+                    at_step: Some(step),
+                    command: proto::RunVerb::Batch(args),
+                },
+                LiveCommand::When(args) => proto::RunCommand {
+                    at_step: None,
+                    command: proto::RunVerb::When(args),
+                },
             })
             .collect(),
         stop: live.stop,

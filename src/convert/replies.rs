@@ -6,7 +6,7 @@ use jostle_physics::simulation::{ChangeOutcome, Spec};
 use jostle_proto as proto;
 use jostle_proto::verbs::{
     AdvanceResult, BatchResult, CreateResult, EmptyResult, JoinResult, ResetResult, RunResult,
-    Scheduled, StepResult,
+    Scheduled, StepResult, WhenResult,
 };
 use serde::Serialize;
 
@@ -36,6 +36,7 @@ pub fn outcome(swarm: &str, stamp: &Stamp, outcome: Outcome, frame: Option<u64>)
     let state_of = |seen: &Frame| frame.map(|frame| state(swarm, seen, frame));
     match outcome {
         Outcome::Done => json(swarm, stamp, EmptyResult {}),
+        Outcome::Waits { holds } => json(swarm, stamp, WhenResult { holds }),
         Outcome::Runs(until_step, rate) => json(swarm, stamp, RunResult { until_step, rate }),
         Outcome::Stepped {
             steps,

@@ -7,6 +7,7 @@
 use jostle_convert::SnapshotError;
 use jostle_convert::snapshot;
 use jostle_convert::value::rate;
+use jostle_measures::MAX_PAST;
 use jostle_proto::LARGEST_WHOLE;
 
 use crate::swarm::checkpoint::Checkpoint;
@@ -23,7 +24,7 @@ pub fn check(checkpoint: &Checkpoint) -> Result<(), SnapshotError> {
     if let Err(error) = rate(checkpoint.rate) {
         return impossible(error.to_string());
     }
-    if checkpoint.seq() > LARGEST_WHOLE {
+    if checkpoint.seq() > LARGEST_WHOLE || checkpoint.protocol_draws > LARGEST_WHOLE {
         return impossible("it has a count that is too large".to_owned());
     }
     let at_steps = || checkpoint.scheduled.iter().map(|(at_step, _)| *at_step);
@@ -40,6 +41,20 @@ pub fn check(checkpoint: &Checkpoint) -> Result<(), SnapshotError> {
     }
     if checkpoint.watches.len() > MAX_WATCHES {
         return impossible(format!("more than {MAX_WATCHES} conditions wait"));
+    }
+    let mut watches = checkpoint.watches.iter().enumerate();
+    let is_twice = |(k, it): (usize, &Waiting)| {
+        let before = &checkpoint.watches[..k];
+        before.iter().any(|other| other.watch == it.watch)
+    };
+    if watches.any(is_twice) {
+        return impossible("a condition waits twice with the same action".to_owned());
+    }
+    if checkpoint.past.frames().any(|frame| frame.step > step) {
+        return impossible("it has a past of steps that are not reached".to_owned());
+    }
+    if checkpoint.past.earlier_poses() > MAX_PAST {
+        return impossible(format!("its past has more than {MAX_PAST} poses"));
     }
     Ok(())
 }

@@ -61,6 +61,8 @@ struct History {
     controllers: Steering,
     /// How many annotations were applied, which do not count for draws.
     annotations: u64,
+    /// The number of changes by commands of a protocol.
+    protocol_draws: u64,
     /// Why the changes do not determine the state.
     problem: Option<String>,
 }
@@ -84,6 +86,7 @@ impl History {
             set_points: SetPointLog::default(),
             controllers: Steering::of(&first.controllers),
             annotations: first.annotations,
+            protocol_draws: first.protocol_draws,
             problem,
         }
     }
@@ -96,9 +99,10 @@ impl History {
                 self.changes.clear();
                 self.set_points.clear();
                 self.controllers.reset();
+                self.protocol_draws = 0;
                 self.problem = None;
             }
-            Command::Annotate => self.annotations += 1,
+            command if command.is_annotation() => self.annotations += 1,
             Command::Change(_) => {
                 let args: Value = read(&input.sender.args)?;
                 let verb = input.sender.verb;
@@ -107,18 +111,28 @@ impl History {
                 self.push(step, input.seq.saturating_sub(self.annotations), change);
             }
             Command::Batch { .. } => {
-                let BatchArgs { commands, draw } = read(&input.sender.args)?;
-                self.push_batch(input, commands, draw);
+                let BatchArgs {
+                    commands,
+                    draw,
+                    protocol,
+                } = read(&input.sender.args)?;
+                self.push_batch(input, commands, draw, protocol);
             }
             Command::Fired(_) => {
-                let WhenArgs { commands, .. } = read(&input.sender.args)?;
-                self.push_batch(input, commands.unwrap_or_default(), None);
+                let WhenArgs {
+                    commands,
+                    draw,
+                    protocol,
+                    ..
+                } = read(&input.sender.args)?;
+                self.push_batch(input, commands.unwrap_or_default(), draw, protocol);
             }
             Command::Run { .. }
             | Command::Pause
             | Command::Step(_)
             | Command::Watch(_)
-            | Command::Unwatch
+            | Command::Unwatch(_)
+            | Command::Annotate
             | Command::Delete => {}
             command => {
                 for (id, point) in self.controllers.on(command)? {
@@ -131,10 +145,25 @@ impl History {
         Ok(())
     }
 
-    /// Adds the changes of a batch, whose draws have the numbers from `draw` on, or up to its `seq`.
-    fn push_batch(&mut self, input: &AppliedInput, changes: Vec<Change>, draw: Option<u64>) {
+    /// Adds the changes of a batch, whose draws have the numbers from `draw` on, those of a protocol, or
+    /// those up to its `seq`.
+    fn push_batch(
+        &mut self,
+        input: &AppliedInput,
+        changes: Vec<Change>,
+        draw: Option<u64>,
+        is_of_protocol: bool,
+    ) {
         let last = input.seq.saturating_sub(self.annotations);
-        let first = draw.unwrap_or((last + 1).saturating_sub(changes.len() as u64));
+        let count = changes.len() as u64;
+        let first = match draw {
+            Some(draw) => draw,
+            None if is_of_protocol => {
+                self.protocol_draws += count;
+                self.protocol_draws + 1 - count
+            }
+            None => (last + 1).saturating_sub(count),
+        };
         for (change, draw) in changes.into_iter().zip(first..) {
             self.push(input.step, draw, change);
         }

@@ -173,7 +173,7 @@ impl McapSource {
                 }
             }
             Command::Fired(watch) => {
-                if let Action::Batch(changes) = &watch.action {
+                if let Action::Batch(changes, _) = &watch.action {
                     for change in changes {
                         if let Change::Set(settings) = change {
                             now = settings.of(now);

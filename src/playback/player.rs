@@ -21,7 +21,7 @@ use crate::swarm::phase::{PauseReason, Phase};
 use crate::swarm::registry::memory_of;
 use crate::swarm::runner::{Built, End, Playback, Runner};
 use crate::swarm::sender::Sender;
-use crate::swarm::waiters::Waiters;
+use crate::swarm::waiters::{EventStatus, Waiters};
 
 /// The intervals at which the summary is renewed and the rate is measured while it plays.
 const SUMMARY_PERIOD: Duration = Duration::from_millis(100);
@@ -290,9 +290,9 @@ impl Player {
     pub(super) fn reply_to_waiters(&mut self) {
         let mut waiters = std::mem::take(&mut self.waiters);
         let step = self.source.index()[self.at].step;
-        waiters.reply(step, &self.phase, || {
-            Ok((self.stamp(), Outcome::State(self.frame())))
-        });
+        let state = || Ok((self.stamp(), Outcome::State(self.frame())));
+        // A playback has no conditions.
+        waiters.reply(step, &self.phase, state, |_| EventStatus::Unknown);
         self.waiters = waiters;
     }
 

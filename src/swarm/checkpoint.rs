@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use jostle_measures::Past;
 use jostle_physics::simulation::{self, Rate};
 
 use crate::swarm::membership::ControllerState;
@@ -24,6 +25,8 @@ pub struct Checkpoint {
     pub scheduled: Vec<(u64, Scheduled)>,
     /// The conditions that wait, in the order of arrival.
     pub watches: Vec<watch::Waiting>,
+    /// The states of earlier steps that their measures need.
+    pub past: Past,
     /// The `step` that is being executed: where it began, and its client.
     pub pending: Option<(u64, Arc<Sender>)>,
     /// The controllers that have joined.
@@ -31,6 +34,8 @@ pub struct Checkpoint {
     /// How many annotations were applied. The `seq` of the simulation, which keys random draws, does
     /// not count them.
     pub annotations: u64,
+    /// The number of changes by commands of a protocol.
+    pub protocol_draws: u64,
     /// The number of the last event.
     pub events: u64,
     /// The number of journal lines that it includes.
@@ -48,9 +53,11 @@ impl Checkpoint {
             simulation,
             scheduled: Vec::new(),
             watches: Vec::new(),
+            past: Past::default(),
             pending: None,
             controllers: Vec::new(),
             annotations: 0,
+            protocol_draws: 0,
             events: 0,
             lines: 0,
             is_last: false,
@@ -74,7 +81,9 @@ impl Checkpoint {
             rate: self.rate,
             scheduled: self.scheduled,
             watches: self.watches,
+            past: self.past,
             annotations: self.annotations,
+            protocol_draws: self.protocol_draws,
             ..Checkpoint::start(simulation::Checkpoint {
                 epoch: 1,
                 ..self.simulation

@@ -1,10 +1,12 @@
 //! Commands of a swarm.
 
+use std::sync::Arc;
+
 use jostle_physics::simulation::{Change, Rate, SetPoints};
 
 use crate::swarm::error::SwarmError;
 use crate::swarm::membership::JoinOptions;
-use crate::swarm::watch::Watch;
+use crate::swarm::watch::{Action, Draws, Watch};
 
 /// A command.
 #[derive(Clone, Debug, PartialEq)]
@@ -28,9 +30,8 @@ pub enum Command {
     Batch {
         /// The changes, in order.
         changes: Vec<Change>,
-        /// The key of the random draws of the first change, instead of the command's number; each
-        /// further change adds 1.
-        draw: Option<u64>,
+        /// The key of their random draws.
+        draws: Draws,
     },
     /// Add a controller.
     Join(JoinOptions),
@@ -62,8 +63,8 @@ pub enum Command {
     Annotate,
     /// Execute an action once a condition holds.
     Watch(Box<Watch>),
-    /// Remove all waiting conditions.
-    Unwatch,
+    /// Remove all waiting conditions, or the one with this event.
+    Unwatch(Option<Arc<str>>),
     /// This condition holds: execute its action.
     Fired(Box<Watch>),
     /// Delete the swarm.
@@ -87,6 +88,18 @@ impl Command {
             self,
             Command::Reset(_) | Command::Delete | Command::Annotate
         )
+    }
+
+    /// Whether it counts as an annotation: the number of the next command, which keys random draws, does
+    /// not depend on it.
+    pub fn is_annotation(&self) -> bool {
+        match self {
+            Command::Annotate | Command::Unwatch(Some(_)) => true,
+            Command::Watch(watch) | Command::Fired(watch) => {
+                matches!(watch.action, Action::Event(_))
+            }
+            _ => false,
+        }
     }
 
     /// Whether it is executed before it is durable (group commit), as frequent and internal commands are.
@@ -158,7 +171,7 @@ impl When {
 }
 
 /// The condition of `get/wait`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub enum WaitCondition {
     /// At this step, or when the swarm does not move.
     Step(u64),
@@ -170,4 +183,6 @@ pub enum WaitCondition {
     Running,
     /// When the swarm has faulted.
     Faulted,
+    /// When the condition with this event has held, or when the swarm has faulted.
+    Event(Arc<str>),
 }

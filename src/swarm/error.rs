@@ -1,5 +1,8 @@
 //! Why a swarm rejects a command.
 
+use std::sync::Arc;
+
+use jostle_measures::PastError;
 use jostle_physics::simulation::{ChangeError, ReserveError};
 use thiserror::Error;
 
@@ -25,8 +28,20 @@ pub enum SwarmError {
     TooManyScheduled(usize),
     #[error("{0} conditions wait already: remove them with `cancel`, or reset")]
     TooManyWatches(usize),
+    /// The measures of a condition need too many states of earlier steps.
+    #[error(transparent)]
+    TooMuchPast(#[from] PastError),
     #[error("the swarm was reset before step {0} came: send it again with another request_id")]
     Overtaken(u64),
+    #[error("a condition ended the protocol before step {0} came")]
+    Ended(u64),
+    #[error("the condition holds already: send the action itself, or leave out from_step")]
+    HoldsAlready,
+    #[error(
+        "no condition with event {0:?} waits, and none of the newest commands is that it held: it was removed \
+         by cancel, reset or its last step; send `when` again"
+    )]
+    NoEvent(Arc<str>),
     #[error("commands[{index}]: {error}; none was applied")]
     InBatch {
         index: usize,

@@ -72,6 +72,11 @@ pub struct Waiter {
 pub enum Outcome {
     /// Done, without a result.
     Done,
+    /// A condition waits, or holds already.
+    Waits {
+        /// Whether it holds already.
+        holds: bool,
+    },
     /// The swarm runs to this step at this rate.
     Runs(Option<u64>, Rate),
     /// The swarm took steps, fewer than requested if another command interrupted them.

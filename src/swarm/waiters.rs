@@ -10,6 +10,17 @@ use crate::swarm::phase::Phase;
 /// Queries that may wait at once.
 const MAX_WAITERS: usize = 1024;
 
+/// What became of the condition with an event.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum EventStatus {
+    /// It waits.
+    Waits,
+    /// It held, by the history.
+    Held,
+    /// Neither.
+    Unknown,
+}
+
 /// The waiting queries of one swarm with the time since when each waits, the oldest first.
 #[derive(Default)]
 pub struct Waiters(Vec<(Instant, Waiter)>);
@@ -23,10 +34,32 @@ impl Waiters {
     /// Replies to the queries whose condition is met at `step` in `phase`. If too many wait, the oldest
     /// gets an error: `get/wait` does not name its client, so the limit cannot apply to each client,
     /// and one client must not keep the others from waiting.
-    pub fn reply(&mut self, step: u64, phase: &Phase, state: impl Fn() -> SwarmReply) {
-        let is_met = |(_, waiter): &mut (Instant, Waiter)| is_met(waiter.condition, step, phase);
+    /// `event` says what became of the condition with an event.
+    pub fn reply(
+        &mut self,
+        step: u64,
+        phase: &Phase,
+        state: impl Fn() -> SwarmReply,
+        event: impl Fn(&str) -> EventStatus,
+    ) {
+        let is_met = |(_, waiter): &mut (Instant, Waiter)| match &waiter.condition {
+            WaitCondition::Event(name) => {
+                matches!(phase, Phase::Faulted(_)) || event(name) == EventStatus::Held
+            }
+            other => is_met(other, step, phase),
+        };
         for (_, waiter) in self.0.extract_if(.., is_met) {
             waiter.reply_to.send(state());
+        }
+        let is_gone = |(_, waiter): &mut (Instant, Waiter)| match &waiter.condition {
+            WaitCondition::Event(name) => event(name) == EventStatus::Unknown,
+            _ => false,
+        };
+        for (_, waiter) in self.0.extract_if(.., is_gone) {
+            if let WaitCondition::Event(name) = waiter.condition {
+                let (step, error) = (Some(step), SwarmError::NoEvent(name));
+                waiter.reply_to.send(Err(Rejection { step, error }));
+            }
         }
         if self.0.len() > MAX_WAITERS {
             let (since, oldest) = self.0.remove(0);
@@ -48,12 +81,14 @@ impl Waiters {
     }
 }
 
-fn is_met(awaited: WaitCondition, step: u64, phase: &Phase) -> bool {
+fn is_met(awaited: &WaitCondition, step: u64, phase: &Phase) -> bool {
     match awaited {
-        WaitCondition::Step(awaited) => step >= awaited || !phase.is_moving(),
-        WaitCondition::Reached(awaited) => step >= awaited || matches!(phase, Phase::Faulted(_)),
+        WaitCondition::Step(awaited) => step >= *awaited || !phase.is_moving(),
+        WaitCondition::Reached(awaited) => step >= *awaited || matches!(phase, Phase::Faulted(_)),
         WaitCondition::Paused => matches!(phase, Phase::Paused(_)),
         WaitCondition::Running => phase.is_moving(),
         WaitCondition::Faulted => matches!(phase, Phase::Faulted(_)),
+        // A playback has no conditions.
+        WaitCondition::Event(_) => false,
     }
 }

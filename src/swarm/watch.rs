@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use jostle_conditions::{Condition, Held};
-use jostle_measures::{Past, View};
+use jostle_measures::{Past, View, check_past};
 use jostle_physics::model::State;
 use jostle_physics::simulation::Change;
 
@@ -19,12 +19,29 @@ const MAX_BYTES: usize = 256 * 1024;
 /// What a swarm does once a condition holds.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Watch {
-    /// The condition. None of its measures needs earlier states.
+    /// The condition.
     pub condition: Condition,
     /// What is executed when it holds.
     pub action: Action,
+    /// The first step at which it is evaluated; without it the one after the next step.
+    pub from: Option<u64>,
+    /// The step at which it no longer waits, if there is one.
+    pub before: Option<u64>,
     /// The verb and the arguments of the internal command that executes it.
     pub fired: Arc<Sender>,
+}
+
+/// What keys the random draws of a command's first change, together with the seed; each further change
+/// adds 1.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Draws {
+    /// The number of the command.
+    #[default]
+    Command,
+    /// This number.
+    From(u64),
+    /// The number of changes by commands of a protocol.
+    Protocol,
 }
 
 /// What is executed when a condition holds.
@@ -32,8 +49,22 @@ pub struct Watch {
 pub enum Action {
     /// Pause.
     Pause,
-    /// Apply all these changes, or none.
-    Batch(Vec<Change>),
+    /// Pause, and remove what a protocol has not executed.
+    Stop,
+    /// Apply all these changes, or none, with this key of their random draws.
+    Batch(Vec<Change>, Draws),
+    /// Do nothing; the event `fired` has this name.
+    Event(Arc<str>),
+}
+
+impl Watch {
+    /// Whether one of them replaces the other: they are equal, or have the same event.
+    fn is_same(&self, other: &Watch) -> bool {
+        match (&self.action, &other.action) {
+            (Action::Event(one), Action::Event(other)) => one == other,
+            _ => self == other,
+        }
+    }
 }
 
 /// A condition that waits.
@@ -60,77 +91,144 @@ impl Waiting {
             text,
         }
     }
+
+    fn is_event(&self, name: &str) -> bool {
+        matches!(&self.watch.action, Action::Event(it) if **it == *name)
+    }
+
+    /// Evaluates the condition on a state, once for each step.
+    fn observe(&mut self, view: &View<'_>) -> bool {
+        let state = view.state();
+        if self.watch.from.is_some_and(|from| state.step < from) {
+            return false;
+        }
+        let (condition, n) = (&self.watch.condition, state.configuration.n());
+        let dt = state.parameters.dt;
+        // As in `get/measures`, which rejects such a measure.
+        let mut comparisons = condition.comparisons().iter();
+        let is_too_costly = comparisons.any(|it| it.measure.is_too_costly(n));
+        if is_too_costly || check_past(condition.lag(dt), n).is_err() {
+            self.held = Held::default();
+            return false;
+        }
+        condition.observe(view, state.step, dt, &mut self.held)
+    }
 }
 
 /// The waiting conditions, in the order of arrival.
 #[derive(Debug, Default)]
-pub struct Watches(Vec<Waiting>);
+pub struct Watches {
+    waiting: Vec<Waiting>,
+    /// The states before each step, as far back as the measures need them.
+    past: Past,
+}
 
 impl Watches {
-    /// Adds a condition, instead of one with the same action.
+    /// Adds a condition, instead of one with the same action. Returns whether it holds in `state`
+    /// already, if that is the first state in which it is evaluated; it is not added then.
     ///
     /// # Errors
     ///
     /// [`SwarmError::TooManyWatches`].
-    pub fn add(&mut self, watch: Watch, sender: Arc<Sender>) -> Result<(), SwarmError> {
-        let others = || self.0.iter().filter(|it| it.watch != watch);
+    pub fn add(
+        &mut self,
+        watch: Watch,
+        sender: Arc<Sender>,
+        state: &State,
+    ) -> Result<bool, SwarmError> {
+        let others = || self.waiting.iter().filter(|it| !it.watch.is_same(&watch));
         let bytes: usize = others().map(|it| it.sender.bytes()).sum();
         let count = others().count();
         if count >= MAX_WATCHES || (count > 0 && bytes + sender.bytes() > MAX_BYTES) {
             return Err(SwarmError::TooManyWatches(count));
         }
-        self.remove(&watch);
-        self.0.push(Waiting::new(watch, Held::default(), sender));
-        Ok(())
+        let is_evaluated = watch.from.is_some_and(|from| from <= state.step);
+        let mut waiting = Waiting::new(watch, Held::default(), sender);
+        if is_evaluated && waiting.observe(&View::new(state, &self.past)) {
+            return Ok(true);
+        }
+        self.waiting.retain(|it| !it.watch.is_same(&waiting.watch));
+        self.waiting.push(waiting);
+        Ok(false)
     }
 
     /// Removes a condition that has been executed.
     pub fn remove(&mut self, watch: &Watch) {
-        self.0.retain(|it| it.watch != *watch);
+        self.waiting.retain(|it| it.watch != *watch);
+    }
+
+    /// Removes the one with this event.
+    pub fn remove_event(&mut self, name: &str) {
+        self.waiting.retain(|it| !it.is_event(name));
+    }
+
+    /// Whether one with this event waits.
+    pub fn has_event(&self, name: &str) -> bool {
+        self.waiting.iter().any(|it| it.is_event(name))
+    }
+
+    /// Removes all but those with an event.
+    pub fn end_protocol(&mut self) {
+        let is_event = |it: &Waiting| matches!(it.watch.action, Action::Event(_));
+        self.waiting.retain(is_event);
     }
 
     /// Removes all.
     pub fn clear(&mut self) {
-        self.0.clear();
+        self.waiting.clear();
+        self.past = Past::default();
     }
 
-    /// Evaluates all conditions on a state, once for each step. Returns those that hold.
-    pub fn observe(&mut self, state: &State) -> Vec<(Watch, Arc<Sender>)> {
-        if self.0.is_empty() {
-            return Vec::new();
+    /// Whether none waits.
+    pub fn is_empty(&self) -> bool {
+        self.waiting.is_empty()
+    }
+
+    /// Stores the state before a step, after the commands there, if a measure needs it afterwards.
+    pub fn record(&mut self, state: &State) {
+        if self.waiting.is_empty() && self.past.lag_steps() == 0 {
+            return;
         }
-        let past = Past::new(0);
-        let view = View::new(state, &past);
-        let (step, dt) = (state.step, state.parameters.dt);
-        let n = state.configuration.n();
-        let holding = self.0.iter_mut().filter_map(|it| {
-            // As in `get/measures`, which rejects such a measure.
-            let comparisons = it.watch.condition.comparisons().iter();
-            if comparisons
-                .into_iter()
-                .any(|it| it.measure.is_too_costly(n))
-            {
-                it.held = Held::default();
-                return None;
-            }
-            let holds = it.watch.condition.observe(&view, step, dt, &mut it.held);
+        let (dt, n) = (state.parameters.dt, state.configuration.n());
+        let lags = self.waiting.iter().map(|it| it.watch.condition.lag(dt));
+        let lag = lags.filter(|lag| check_past(*lag, n).is_ok()).max();
+        self.past.observe_with(state, lag.unwrap_or(0));
+    }
+
+    /// Evaluates all conditions on a state, once for each step. Returns those that hold; if one of them
+    /// ends the protocol, of the others only those with an event.
+    pub fn observe(&mut self, state: &State) -> Vec<(Watch, Arc<Sender>)> {
+        let is_over = |it: &Waiting| it.watch.before.is_some_and(|before| before <= state.step);
+        self.waiting.retain(|it| !is_over(it));
+        let view = View::new(state, &self.past);
+        let holding = self.waiting.iter_mut().filter_map(|it| {
+            let holds = it.observe(&view);
             holds.then(|| (it.watch.clone(), it.sender.clone()))
         });
-        holding.collect()
+        let mut holding: Vec<(Watch, Arc<Sender>)> = holding.collect();
+        if holding.iter().any(|(it, _)| it.action == Action::Stop) {
+            holding.retain(|(it, _)| matches!(it.action, Action::Stop | Action::Event(_)));
+        }
+        holding
     }
 
     /// The texts of the conditions.
     pub fn texts(&self) -> Vec<Arc<str>> {
-        self.0.iter().map(|it| it.text.clone()).collect()
+        self.waiting.iter().map(|it| it.text.clone()).collect()
     }
 
     /// All.
     pub fn list(&self) -> Vec<Waiting> {
-        self.0.clone()
+        self.waiting.clone()
+    }
+
+    /// The states of earlier steps.
+    pub fn past(&self) -> &Past {
+        &self.past
     }
 
     /// Those of a checkpoint.
-    pub fn restore(waiting: Vec<Waiting>) -> Self {
-        Watches(waiting)
+    pub fn restore(waiting: Vec<Waiting>, past: Past) -> Self {
+        Watches { waiting, past }
     }
 }

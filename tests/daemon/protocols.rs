@@ -1,7 +1,7 @@
 //! Runs of experiments and swarms with the same commands have the same states, in both directions:
 //! the commands of a run are sent to a swarm, and those of a swarm become the file of a run.
 
-use jostle_experiment::{LiveRun, Plan, execute_run};
+use jostle_experiment::{LiveCommand, LiveRun, Plan, execute_run};
 use jostle_proto::{ErrorCode, keys};
 use serde_json::{Value, json};
 
@@ -262,7 +262,10 @@ async fn a_swarm_with_the_commands_of_a_run_has_its_hash_although_the_daemon_is_
         let spec = serde_json::to_value(&live.spec).unwrap();
         client.create(&name, spec).await;
         for command in &live.commands {
-            let request = json!({"at_step": command.step, "args": command.args});
+            let LiveCommand::Batch { step, args } = command else {
+                panic!("{command:?}")
+            };
+            let request = json!({"at_step": step, "args": args});
             client.ok(&name, "batch", request).await;
         }
         let before = numbers.below(live.steps);

@@ -1,6 +1,10 @@
 //! Conditions: a swarm pauses or changes at the first step after which one holds, also after kills, in
 //! forks and in restored snapshots.
 
+mod events;
+mod past;
+mod played;
+
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use jostle_experiment::{Plan, execute_run};
@@ -11,6 +15,7 @@ use serde_json::{Value, json};
 
 use crate::commands::fault;
 use crate::support::daemon_process::{killed, start};
+use crate::support::process::Process;
 use crate::support::{Client, Daemon, NODE, PREFIX};
 
 const N: usize = 12;
@@ -31,23 +36,43 @@ fn pause(condition: &str) -> Value {
     json!({"condition": condition, "pause": true})
 }
 
-/// The first step after which the order was above 0.9 for 4 time units, which are 200 steps.
-fn expected_step() -> u64 {
+/// The states after each step: positions and headings.
+type Poses = Vec<[f64; 3]>;
+
+/// The number of steps after which `holds` first holds on the states so far.
+fn first_step(mut holds: impl FnMut(&[Poses]) -> bool) -> u64 {
     let mut simulation = Simulation::new(&Spec::new(N, SEED)).unwrap();
     simulation
         .apply(&Change::inform(Selection::Ids((0..5).collect()), 1.0))
         .unwrap();
-    let (mut in_a_row, mut step) = (0, 0);
-    while in_a_row < 201 {
+    let mut states: Vec<Poses> = Vec::new();
+    loop {
+        let it = &simulation.state.configuration;
+        states.push((0..N).map(|k| [it.x[k], it.y[k], it.alpha[k]]).collect());
+        if states.len() > 1 && holds(&states) {
+            return states.len() as u64 - 1;
+        }
+        assert!(states.len() < 20_000, "it does not hold");
         simulation.step().unwrap();
-        step += 1;
-        let alpha = &simulation.state.configuration.alpha;
-        let sum = |of: fn(f64) -> f64| alpha.iter().copied().map(of).sum::<f64>();
+    }
+}
+
+/// The first step after which the order was above 0.9 for 4 time units, which are 200 steps.
+fn expected_step() -> u64 {
+    let mut in_a_row = 0;
+    first_step(|states| {
+        let sum = |of: fn(f64) -> f64| {
+            states
+                .last()
+                .unwrap()
+                .iter()
+                .map(|it| of(it[2]))
+                .sum::<f64>()
+        };
         let order = sum(f64::cos).hypot(sum(f64::sin)) / N as f64;
         in_a_row = if order > 0.9 { in_a_row + 1 } else { 0 };
-        assert!(step < 20_000, "the order stays low");
-    }
-    step
+        in_a_row == 201
+    })
 }
 
 async fn create_informed(client: &Client, name: &str) {
@@ -127,8 +152,9 @@ async fn a_swarm_pauses_once_at_the_first_step_after_which_the_condition_holds()
     let until = json!({"until_step": step, "rate": null});
     client.ok("ends", "run", until).await;
     let status = client.wait_for_step("ends", step).await;
-    assert_eq!(status["result"]["reason"], "finished");
+    assert_eq!(status["result"]["reason"], "condition");
     assert_eq!(fired(client, "ends").await.len(), 1);
+    verifies(client, "ends").await;
     daemon.stop().await;
 }
 
@@ -326,8 +352,11 @@ async fn bad_conditions_are_rejected_and_change_nothing() {
         ("order > 1e999", "finite"),
         ("order > 0.9 for 0", "above 0"),
         ("order > $share", "$share"),
-        ("msd(5) > 2", "earlier states"),
-        ("order > 0 or turning_rate > 1", "earlier states"),
+        ("msd > 2", "lag"),
+        ("drift > 0 or order > 1.5", "0 to 1"),
+        // 20,834 steps of 12 individuals.
+        ("order > 0 or msd(416.67) > 1", "250008 poses"),
+        ("msd(1e300) > 1", "250000"),
         (&*long, "1000"),
         (&*dense, "1000"),
     ] {
@@ -374,4 +403,56 @@ async fn bad_conditions_are_rejected_and_change_nothing() {
         assert_eq!(code, ErrorCode::IncorrectState);
     }
     daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_condition_ends_the_advance_of_controllers_in_lockstep() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    let advance = |controller: &str, steps: u64| json!({"timeout_secs": 60, "args": {"controller": controller, "steps": steps}});
+    // At the last step of both advances, of one, and of none.
+    for (name, one, other) in [("last", 1, 1), ("one", 1, 5), ("none", 5, 5)] {
+        client.create(name, spec()).await;
+        for controller in ["one", "other"] {
+            let join = json!({"controller": controller, "mode": "lockstep", "deadline_secs": 60});
+            client.ok(name, "join", join).await;
+        }
+        client.ok(name, "when", pause("order >= 0")).await;
+        let (first, second) = tokio::join!(
+            client.ok(name, "advance", advance("one", one)),
+            client.ok(name, "advance", advance("other", other)),
+        );
+        for reply in [first, second] {
+            assert_eq!(reply["result"]["steps"], 1, "{name}: {reply}");
+        }
+        let status = client.get(name, "status").await;
+        assert_eq!(status["result"]["reason"], "condition", "{name}");
+        assert_eq!(fired(client, name).await.len(), 1, "{name}");
+        // They may advance again.
+        let (first, second) = tokio::join!(
+            client.ok(name, "advance", advance("one", 3)),
+            client.ok(name, "advance", advance("other", 3)),
+        );
+        assert_eq!((&first["step"], &second["step"]), (&json!(4), &json!(4)));
+        verifies(client, name).await;
+    }
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_panic_in_a_condition_faults_the_swarm_alone() {
+    let (_process, endpoint) = Process::serve_failing("condition=2*off->panic");
+    let client = Client::open(&endpoint).await;
+    for name in ["a", "b"] {
+        client.create(name, spec()).await;
+    }
+    client.ok("a", "when", pause("order > 0.99999")).await;
+    client.ok("a", "run", json!({"rate": null})).await;
+    let status = client.get("a", "wait?phase=faulted").await;
+    assert_eq!(status["step"], 3, "{status}");
+    let reason = status["result"]["reason"].as_str().unwrap();
+    assert!(reason.contains("condition"), "{reason}");
+    client.ok("b", "step", json!({"steps": 5})).await;
+    client.ok("a", "reset", json!({})).await;
+    client.ok("a", "step", json!({"steps": 5})).await;
 }

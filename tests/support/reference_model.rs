@@ -202,7 +202,7 @@ impl ReferenceModel {
                 },
                 None,
             ) if until < step => None,
-            (Command::Annotate, None) => {
+            (command, None) if command.is_annotation() => {
                 self.annotations += 1;
                 Some(self.seq())
             }

@@ -143,6 +143,15 @@ impl Failure {
         Failure::new("deadline_exceeded", message)
     }
 
+    /// The condition did not hold within the timeout.
+    pub fn not_held(swarm: &str, condition: &str, secs: f64) -> Self {
+        let message = format!(
+            "{condition} did not hold in {swarm} within {secs} s (--timeout): `jostle status {swarm}` \
+             shows whether it runs"
+        );
+        Failure::new("deadline_exceeded", message)
+    }
+
     /// The swarm was reset or restored during the wait.
     pub fn was_reset(swarm: &str, step: u64, epoch: u64) -> Self {
         let message = format!(

@@ -15,7 +15,14 @@ import numpy as np
 import jostle
 from jostle._controller_messages import Controllers, Joined
 from jostle._events import Events, Journal
-from jostle._messages import CreateResult, ExperimentFile, Measures, Parameters, SpecReply
+from jostle._messages import (
+    CreateResult,
+    ExperimentFile,
+    Measures,
+    Parameters,
+    SpecReply,
+    WhenReply,
+)
 from jostle._node import Swarms
 from jostle._recordings import RecordingPiece, RecordingResult, Recordings
 from jostle._replay import ReplayResult
@@ -26,7 +33,7 @@ PROTO = Path(__file__).resolve().parents[3] / "proto"
 READ: dict[str, type[Any]] = {
     "advance.reply": jostle.Advanced,
     "annotate.reply": jostle.Reply,
-    "when.reply": jostle.Reply,
+    "when.reply": WhenReply,
     "batch.reply": jostle.BatchResult,
     "controllers.reply": Controllers,
     "create.reply": CreateResult,

@@ -202,6 +202,7 @@ CALLS = {row.call for row in ROWS}
 WITHOUT_OPTIONS: dict[str, str] = {
     **dict.fromkeys(CALLS, "connects, and what it sends then are other calls"),
     "Swarm.frame": "steps from one state to the next, each expected",
+    "Swarm.wait": "a condition is sent and removed under the timeout of the client",
     "Controller.sync": "joins on the terms that the controller had",
     **{
         f"Experiment.{verb}": "takes nothing: the client's timeout holds"

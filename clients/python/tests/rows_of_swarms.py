@@ -199,6 +199,14 @@ QUESTIONS = [
         call(phase="running", timeout=20.0),
         [Sent(AtMost("jostle/school/get/wait?phase=running;timeout_secs=", 20.0))],
     ),
+    Row(
+        "Swarm.wait",
+        call("order > 0.9", event="mine"),
+        [
+            cmd("when", {"condition": "order > 0.9", "event": "mine", "from_step": 0}),
+            get("get/wait?event=mine;timeout_secs=30.000"),
+        ],
+    ),
     Row("Swarm.states", call(), STATE),
     Row("Swarm.orders", call(), [get("get/status")]),
     Row("Swarm.events", call(), [get("get/events?after=9007199254740991;limit=1000")]),
@@ -257,6 +265,33 @@ COMMANDS = [
     ),
     Row("Swarm.pause", call(), [cmd("pause", {})]),
     Row("Swarm.when", call(cancel=True), [cmd("when", {"cancel": True})]),
+    Row(
+        "Swarm.when",
+        call("order > 0.9", event="mine", from_step=np.int64(3), before_step=9),
+        [
+            cmd(
+                "when",
+                {"condition": "order > 0.9", "event": "mine", "from_step": 3, "before_step": 9},
+            )
+        ],
+    ),
+    Row(
+        "Swarm.when",
+        call(
+            "order > 0.9", commands=[{"verb": "set", "args": {"pi3": 2.0}}], draw=7, protocol=True
+        ),
+        [
+            cmd(
+                "when",
+                {
+                    "condition": "order > 0.9",
+                    "commands": [{"verb": "set", "args": {"pi3": 2.0}}],
+                    "draw": 7,
+                    "protocol": True,
+                },
+            )
+        ],
+    ),
     Row(
         "Swarm.when",
         call("order > 0.9", pause=True),
@@ -368,6 +403,11 @@ COMMANDS = [
         "Swarm.batch",
         call([{"verb": "set", "args": {"pi3": 2.0}}], draw=np.int64(7)),
         [cmd("batch", {"commands": [{"verb": "set", "args": {"pi3": 2.0}}], "draw": 7})],
+    ),
+    Row(
+        "Swarm.batch",
+        call([{"verb": "set", "args": {"pi3": 2.0}}], protocol=True),
+        [cmd("batch", {"commands": [{"verb": "set", "args": {"pi3": 2.0}}], "protocol": True})],
     ),
     Row("Swarm.delete", call(), [cmd("delete", {})]),
     Row("Swarm.fork", call("twin"), [cmd("fork", {"name": "twin"})]),

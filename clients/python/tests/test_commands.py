@@ -151,17 +151,17 @@ def test_a_condition_pauses_or_changes_the_swarm_once(create: Create) -> None:
     assert swarm.status().parameters.pi3 == 2.0
     fired = [entry.step for entry in swarm.journal() if entry.verb == "fired"]
     assert fired == [1, 2, 3]
-    swarm.when("order > 2", pause=True)
+    swarm.when("order > 1", pause=True)
     swarm.when(cancel=True)
     assert swarm.status().when is None
-    for wrong in ("", "ordr > 1", "msd(5) > 1", 7):
+    for wrong in ("", "ordr > 1", "msd > 1", 7):
         with pytest.raises(jostle.InvalidArgument) as caught:
             swarm.when(wrong, pause=True)  # type: ignore[arg-type]
         assert caught.value.details["field"] == "condition"
     with pytest.raises(jostle.InvalidArgument, match="request_id"):
-        swarm.run(until="order > 2", request_id="one")
+        swarm.run(until="order > 1", request_id="one")
     with pytest.raises(jostle.InvalidArgument, match="name one end"):
-        swarm.run(until="order > 2", until_step=9)
+        swarm.run(until="order > 1", until_step=9)
     assert swarm.status().when is None
 
 
@@ -251,6 +251,28 @@ def test_wait_returns_when_the_step_is_reached_and_in_the_phase(create: Create) 
     assert swarm.wait(phase="paused").phase == "paused"
     swarm.run(until_step=50, rate=None)
     assert swarm.wait(step=40, timeout=20.0).step >= 40
+
+
+def test_wait_for_a_condition_changes_nothing(create: Create) -> None:
+    swarm, twin = create(n=12, seed=7), create(n=12, seed=7)
+    assert swarm.wait("order >= 0").step == 0
+    with pytest.raises(jostle.DeadlineExceeded):
+        swarm.wait("msd(1) > 0", timeout=0.05)
+    assert swarm.status().when is None
+    for one in (swarm, twin):
+        one.inform(jostle.count(2), direction=1.0)
+    swarm.run(until_step=400, rate=50.0)
+    assert swarm.wait("msd(1) > 0.01 for 0.5", timeout=20.0).step >= 75
+    swarm.wait(step=400)
+    twin.step(400)
+    assert swarm.status().state_hash == twin.status().state_hash
+    for wrong in ("ordr > 1", ""):
+        with pytest.raises(jostle.InvalidArgument):
+            swarm.wait(wrong)
+    with pytest.raises(jostle.InvalidArgument):
+        swarm.wait("order > 0", step=1)  # type: ignore[call-overload]
+    with pytest.raises(jostle.InvalidArgument):
+        swarm.wait(step=1, event="mine")  # type: ignore[call-overload]
 
 
 def test_wait_gives_the_reason_why_a_step_will_not_be_reached(create: Create) -> None:

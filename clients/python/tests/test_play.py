@@ -109,6 +109,24 @@ def test_the_same_call_continues_after_a_kill(tmp_path: Path, killed_before: int
     assert daemon.stop() == 0
 
 
+def test_a_played_run_with_conditions_has_the_hash_of_the_run(client: jostle.Client) -> None:
+    source = TURN + """[[at]]
+when = "order > 0.02 for 0.4"
+inject = { count = 2 }
+[stop]
+when = "nematic >= 0 for 3.5"
+"""
+    experiment = client.submit(source).wait(MAX_WAIT_SECS)
+    row = experiment.rows()[1]
+    experiment.delete()
+    swarm = client.play(source, 2, name="live")
+    assert len(swarm.status().when or []) == 2
+    swarm.run(until_step=STEPS, rate=None, wait=True)
+    status = swarm.status()
+    assert status.step == row.steps < STEPS
+    assert status.state_hash == row.state_hash
+
+
 @pytest.mark.parametrize(
     ("source", "run", "message"),
     [
@@ -116,7 +134,7 @@ def test_the_same_call_continues_after_a_kill(tmp_path: Path, killed_before: int
         (TURN, 0, "there is no run"),
         (TURN, "share=9 #0", "there is no run"),
         (TURN, -1, "there is no run"),
-        (TURN.replace("time = 2", 'when = "order > 0.9"'), 1, "executed under a condition"),
+        (TURN + '[stop]\nwhen = "order > 0"\n', 1, "holds at step 0"),
         (TURN.replace("time = 2", "time = nan"), 1, "line 19, column 8"),
         ("name = 1\n", 1, "line 1"),
     ],

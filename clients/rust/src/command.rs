@@ -5,7 +5,7 @@ use jostle_proto::verbs::{
     AdvanceArgs, AdvanceResult, AnnotateArgs, BatchArgs, BatchResult, CreateResult, DeleteArgs,
     EmptyResult, ForkArgs, IdsResult, InformArgs, InjectArgs, JoinArgs, JoinResult, LeaveArgs,
     PauseArgs, RemoveArgs, ResetArgs, ResetResult, RunArgs, RunResult, SetArgs, SetResult,
-    StepArgs, StepResult, UninformArgs, WhenArgs,
+    StepArgs, StepResult, UninformArgs, WhenArgs, WhenResult,
 };
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -41,7 +41,7 @@ commands! {
     "advance": AdvanceArgs => AdvanceResult,
     "leave": LeaveArgs => EmptyResult,
     "annotate": AnnotateArgs => EmptyResult,
-    "when": WhenArgs => EmptyResult,
+    "when": WhenArgs => WhenResult,
     "reset": ResetArgs => ResetResult,
     "delete": DeleteArgs => EmptyResult,
     "fork": ForkArgs => CreateResult,

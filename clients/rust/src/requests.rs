@@ -270,15 +270,18 @@ impl Client {
         Ok(())
     }
 
+    /// An id that no other client has used.
+    #[must_use]
+    pub fn new_id(&self) -> String {
+        let number = self.0.next_request.fetch_add(1, Ordering::Relaxed);
+        format!("{}-{number}", self.0.session.zid())
+    }
+
     /// The payload of a command.
     fn request<A: Serialize>(&self, args: &A, options: CommandOptions) -> Result<Vec<u8>, Error> {
-        let new_id = || {
-            let number = self.0.next_request.fetch_add(1, Ordering::Relaxed);
-            format!("{}-{number}", self.0.session.zid())
-        };
         let timeout = options.timeout.unwrap_or(self.0.timeout);
         let request = Request {
-            request_id: Some(options.request_id.unwrap_or_else(new_id)),
+            request_id: Some(options.request_id.unwrap_or_else(|| self.new_id())),
             client: Some(options.client.unwrap_or_else(|| self.0.name.clone())),
             at_step: options.at_step,
             expect_epoch: options.expect_epoch,

@@ -65,7 +65,33 @@ impl Condition {
     }
 }
 
+/// By how much rounding may move a value beyond the range of its measure.
+const ROUNDING: f64 = 1e-9;
+
+impl Condition {
+    /// Returns why a comparison never holds, if one does not: its number is beyond the range of its
+    /// measure.
+    #[must_use]
+    pub fn never_holds(&self) -> Option<String> {
+        let impossible = self.comparisons.iter().find(|it| !it.is_possible())?;
+        let definition = impossible.measure.definition();
+        Some(format!(
+            "{impossible} never holds: the range of {} is {}",
+            definition.name, definition.range
+        ))
+    }
+}
+
 impl Comparison {
+    /// Whether a value in the range of the measure fulfils it, or one beyond it by rounding.
+    fn is_possible(&self) -> bool {
+        let (least, greatest) = self.measure.definition().limits();
+        match self.operator {
+            Operator::Less | Operator::AtMost => self.number >= least - ROUNDING,
+            Operator::Greater | Operator::AtLeast => self.number <= greatest + ROUNDING,
+        }
+    }
+
     /// Returns whether `value`, the measure's, fulfils it; a duration does not count here.
     #[must_use]
     pub fn is_fulfilled_by(&self, value: Option<f64>) -> bool {

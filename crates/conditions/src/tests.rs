@@ -174,3 +174,33 @@ fn a_stored_condition_continues_in_the_middle_of_a_duration() {
     // Without what was stored the duration begins again.
     assert!(!condition.observe(&view, 3, 0.5, &mut Held::default()));
 }
+
+#[test]
+fn a_comparison_beyond_the_range_of_its_measure_never_holds() {
+    for (text, part) in [
+        (
+            "order > 1.5",
+            Some("order > 1.5 never holds: the range of order is 0 to 1"),
+        ),
+        (
+            "milling < 0.5 and (drift >= 2 for 3 or order > 0)",
+            Some("drift >= 2 for 3"),
+        ),
+        ("msd(2) <= -0.1", Some("at least 0")),
+        ("clusters.count(0.1) < 0.5", Some("1 to n")),
+        // Always or by rounding, or without limits.
+        ("order < 1.5", None),
+        ("order > 1", None),
+        ("order < 0", None),
+        ("drift > -2", None),
+        ("clusters.largest > 1e6", None),
+        ("neighbour_gap.median < -5", None),
+    ] {
+        let reason = Condition::parse(text).unwrap().never_holds();
+        let is_expected = match (&reason, part) {
+            (Some(reason), Some(part)) => reason.contains(part),
+            (reason, part) => reason.is_none() && part.is_none(),
+        };
+        assert!(is_expected, "{text}: {reason:?}");
+    }
+}

@@ -1,12 +1,14 @@
 //! Conversions between messages (`jostle_proto`) and physics (`jostle_physics`).
 //!
 //! [`spec`] and [`change`] convert the arguments of requests, and check them as far as they can be
-//! checked without a swarm. [`snapshot`] writes and reads the state of a simulation. [`error`]
+//! checked without a swarm. [`snapshot`] writes and reads the state of a simulation, and [`past`]
+//! the states of earlier steps. [`error`]
 //! gives the code and the details of errors, [`range`] describes the valid values of fields. No
 //! bus, no runtime and no database is needed.
 
 pub mod change;
 pub mod error;
+pub mod past;
 pub mod range;
 pub mod snapshot;
 pub mod spec;

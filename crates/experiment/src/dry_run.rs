@@ -84,6 +84,9 @@ pub struct TriggerOutline {
     pub condition: String,
     /// The step from which it is evaluated.
     pub from_step: u64,
+    /// Why one of its comparisons never holds, if so.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub never_holds: Option<String>,
 }
 
 /// One execution of a block.
@@ -188,6 +191,7 @@ impl TriggerOutline {
         Self {
             condition: trigger.condition.to_string(),
             from_step: trigger.from,
+            never_holds: trigger.condition.never_holds(),
         }
     }
 }
@@ -263,8 +267,12 @@ impl Display for BlockOutline {
 impl Display for TriggerOutline {
     fn fmt(&self, to: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self.from_step {
-            0 => write!(to, "{}", self.condition),
-            from => write!(to, "{}, from step {from}", self.condition),
+            0 => write!(to, "{}", self.condition)?,
+            from => write!(to, "{}, from step {from}", self.condition)?,
+        }
+        match &self.never_holds {
+            Some(reason) => write!(to, " ({reason})"),
+            None => Ok(()),
         }
     }
 }

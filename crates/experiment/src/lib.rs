@@ -41,7 +41,7 @@ pub use jostle_physics::model::MODEL_VERSION;
 pub use limits::{MAX_BLOCKS, MAX_ENTRIES, MAX_INDIVIDUALS, MAX_RUNS, MAX_SET_POINTS, MAX_STEPS};
 pub use merge::{Difference, MergeError, Parts, missing};
 pub use plan::{Columns, Plan, PlannedRun, Point};
-pub use play::{LiveRun, PlayError, ScheduledBatch};
+pub use play::{LiveCommand, LiveRun, PlayError};
 pub use progress::{ExecutionControl, Progress};
 pub use protocol::{Block, Protocol, Trigger, Variables};
 pub use run::{FinishedRun, execute_run, start};

@@ -1,14 +1,17 @@
-//! The swarm of a run, with the commands of its protocol scheduled.
+//! The swarm of a run, with the commands of its protocol scheduled and its conditions waiting.
 
+use jostle_conditions::{Condition, Held};
 use jostle_convert::{change, spec};
+use jostle_measures::{MAX_COSTLY_INDIVIDUALS, Past, View};
+use jostle_physics::model::State;
 use jostle_physics::model::selection::Selection;
-use jostle_physics::simulation::Change;
+use jostle_physics::simulation::{Change, ChangeError};
 use jostle_proto::{Spec, verbs};
 use thiserror::Error;
 
 use crate::plan::{Plan, PlannedRun};
-use crate::protocol::Block;
-use crate::run::{DIRECTION, INFORMED_BY};
+use crate::protocol::{Block, Protocol, Trigger};
+use crate::run::{self, DIRECTION, INFORMED_BY};
 
 /// What a client sends to a daemon so that a swarm has the states of a run.
 #[derive(Clone, Debug, PartialEq)]
@@ -17,30 +20,45 @@ pub struct LiveRun {
     pub spec: Spec,
     /// The number of steps of the run, at most.
     pub steps: u64,
-    /// The commands, in the order in which the run executes them.
-    pub commands: Vec<ScheduledBatch>,
-    /// The condition that ends the run, but not the swarm.
+    /// The commands, in the order in which a client sends them.
+    pub commands: Vec<LiveCommand>,
+    /// The condition that ends the run, and pauses the swarm.
     pub stop: Option<String>,
 }
 
-/// The commands of one execution of an `[[at]]` block.
+/// A command of a run.
 #[derive(Clone, Debug, PartialEq)]
-pub struct ScheduledBatch {
-    /// The step before which they are executed.
-    pub step: u64,
-    /// The commands, with the key of their draws.
-    pub args: verbs::BatchArgs,
+pub enum LiveCommand {
+    /// The changes of one execution of an `[[at]]` block, or of the individuals that are informed from
+    /// the start.
+    Batch {
+        /// The step before which they are executed.
+        step: u64,
+        /// The changes, with the key of their draws.
+        args: verbs::BatchArgs,
+    },
+    /// An `[[at]]` block with a condition, or `[stop]`.
+    When(verbs::WhenArgs),
 }
 
-/// Why a run cannot be scheduled.
+/// Why a run cannot be played.
 #[derive(Debug, Error)]
 pub enum PlayError {
-    /// A block has a condition.
+    /// A condition has a measure that a daemon does not evaluate for so many individuals.
     #[error(
-        "the [[at]] of line {0} is executed under a condition, which cannot be scheduled: give \
-         it a time, or execute the run with `jostle experiment run`"
+        "the condition {condition:?} has a measure with a cost above n, which a daemon evaluates for \
+         at most {MAX_COSTLY_INDIVIDUALS} individuals: execute the run with `jostle experiment run`"
     )]
-    Condition(usize),
+    Costly {
+        /// The condition.
+        condition: String,
+    },
+    /// The condition of `[stop]` holds at the start.
+    #[error("the condition of [stop] holds at step 0, which is a fault of the run: give from")]
+    StopsAtStart,
+    /// The run has no start.
+    #[error(transparent)]
+    NoStart(#[from] ChangeError),
     /// The run starts from a snapshot.
     #[error(
         "the run starts from a snapshot with another seed: `jostle restore` creates a swarm from a \
@@ -70,9 +88,9 @@ impl LiveRun {
     ///
     /// # Errors
     ///
-    /// [`PlayError::Start`] if the file has `start`, [`PlayError::SetPoints`] if it has
-    /// `setpoints`, [`PlayError::Condition`] if a block has a
-    /// condition.
+    /// [`PlayError::Start`] if the file has `start`, [`PlayError::SetPoints`] if it has `setpoints`,
+    /// [`PlayError::StopsAtStart`] if the run ends with a fault at step 0, [`PlayError::Costly`] if a
+    /// daemon does not evaluate a condition.
     pub fn new(plan: &Plan, run: &PlannedRun) -> Result<Self, PlayError> {
         if plan.base.is_some() {
             return Err(PlayError::Start);
@@ -81,48 +99,150 @@ impl LiveRun {
             return Err(PlayError::SetPoints);
         }
         let point = plan.point(run);
-        let (dt, steps) = (point.spec.parameters.dt, point.steps);
-        let (mut commands, mut draw) = (Vec::new(), INFORMED_BY);
+        let empty = Protocol::default();
+        let protocol = point.protocol.as_deref().unwrap_or(&empty);
+        let mut player = Player {
+            protocol,
+            dt: point.spec.parameters.dt,
+            steps: point.steps,
+            has_conditions: protocol.blocks.iter().any(|it| it.trigger().is_some()),
+            draw: INFORMED_BY,
+            commands: Vec::new(),
+        };
         if point.informed > 0 {
             let inform = Change::inform(Selection::Count(point.informed), DIRECTION);
-            commands.push(batch(0, draw, &[inform]));
-            draw += 1;
+            player.push(0, None, &[inform]);
         }
-        let blocks = point.protocol.iter().flat_map(|it| &it.blocks);
-        let mut executions = Vec::new();
-        for (index, block) in blocks.enumerate() {
-            if block.trigger().is_some() {
-                return Err(PlayError::Condition(block.line));
-            }
-            for (executed, step) in steps_of(block, dt, steps) {
-                executions.push((step, index, executed, block));
-            }
-        }
-        executions.sort_by_key(|&(step, index, ..)| (step, index));
-        for (step, _, executed, block) in executions {
-            let changes = block.changes(executed);
-            let changes = changes.map_err(|reason| PlayError::Invalid {
-                line: block.line,
-                step,
-                reason,
-            })?;
-            let count = changes.len() as u64;
-            match block.draw {
-                Some(first) => commands.push(batch(step, first + executed * count, &changes)),
-                None => {
-                    commands.push(batch(step, draw, &changes));
-                    draw += count;
-                }
-            }
-        }
-        let stop = point.protocol.as_ref().and_then(|it| it.stop.as_ref());
+        let at_once = player.push_conditions(&run::start(plan, run)?)?;
+        player.push_executions(at_once)?;
         Ok(Self {
             spec: spec::to_proto(&point.spec, run.seed),
-            steps,
-            commands,
-            stop: stop.map(|stop| stop.condition.to_string()),
+            steps: point.steps,
+            commands: player.commands,
+            stop: protocol.stop.as_ref().map(|it| it.condition.to_string()),
         })
     }
+}
+
+/// Collects the commands of a run.
+struct Player<'a> {
+    protocol: &'a Protocol,
+    dt: f64,
+    steps: u64,
+    /// Whether blocks have conditions: the daemon counts the changes then, and otherwise they are counted
+    /// here.
+    has_conditions: bool,
+    /// The key of the draws of the next change.
+    draw: u64,
+    commands: Vec<LiveCommand>,
+}
+
+impl<'a> Player<'a> {
+    /// Adds the conditions that do not hold at the start. Returns the blocks whose condition does.
+    fn push_conditions(&mut self, start: &State) -> Result<Vec<(usize, &'a Block)>, PlayError> {
+        let (protocol, steps) = (self.protocol, self.steps);
+        let past = Past::default();
+        let view = View::new(start, &past);
+        let holds = |trigger: &Trigger| {
+            check_cost(&trigger.condition, start.configuration.n())?;
+            Ok::<_, PlayError>(trigger.observe(&view, 0, self.dt, &mut Held::default()))
+        };
+        let mut at_once = Vec::new();
+        let mut conditions = Vec::new();
+        if let Some(stop) = &protocol.stop {
+            if holds(stop)? {
+                return Err(PlayError::StopsAtStart);
+            }
+            conditions.push(verbs::WhenArgs {
+                pause: true,
+                // It is evaluated on the last state too.
+                ..when(stop, steps + 1)
+            });
+        }
+        for (index, block) in protocol.blocks.iter().enumerate() {
+            let Some(trigger) = block.trigger() else {
+                continue;
+            };
+            if holds(trigger)? {
+                at_once.push((index, block));
+                continue;
+            }
+            let changes = changes(block, 0, 0)?;
+            conditions.push(verbs::WhenArgs {
+                commands: Some(changes.iter().map(change::to_proto).collect()),
+                draw: block.draw,
+                ..when(trigger, steps)
+            });
+        }
+        self.commands
+            .extend(conditions.into_iter().map(LiveCommand::When));
+        Ok(at_once)
+    }
+
+    /// Adds the executions of the blocks without conditions, after those that are executed at once.
+    fn push_executions(&mut self, at_once: Vec<(usize, &Block)>) -> Result<(), PlayError> {
+        let mut executions = Vec::new();
+        for (index, block) in at_once {
+            executions.push((0, false, index, 0, block));
+        }
+        for (index, block) in self.protocol.blocks.iter().enumerate() {
+            for (executed, step) in steps_of(block, self.dt, self.steps) {
+                executions.push((step, true, index, executed, block));
+            }
+        }
+        executions.sort_by_key(|&(step, is_scheduled, index, ..)| (step, is_scheduled, index));
+        for (step, _, _, executed, block) in executions {
+            let changes = changes(block, executed, step)?;
+            let count = changes.len() as u64;
+            self.push(step, block.draw.map(|it| it + executed * count), &changes);
+        }
+        Ok(())
+    }
+
+    fn push(&mut self, step: u64, draw: Option<u64>, changes: &[Change]) {
+        let next = self.draw;
+        if draw.is_none() {
+            self.draw += changes.len() as u64;
+        }
+        let args = verbs::BatchArgs {
+            commands: changes.iter().map(change::to_proto).collect(),
+            draw: draw.or_else(|| (!self.has_conditions).then_some(next)),
+            protocol: self.has_conditions,
+        };
+        self.commands.push(LiveCommand::Batch { step, args });
+    }
+}
+
+/// Returns a condition of a protocol, without its action. `before` is the first step at which it does
+/// not wait.
+fn when(trigger: &Trigger, before: u64) -> verbs::WhenArgs {
+    verbs::WhenArgs {
+        condition: Some(trigger.condition.to_string()),
+        from_step: Some(trigger.from),
+        before_step: Some(before),
+        protocol: true,
+        ..verbs::WhenArgs::default()
+    }
+}
+
+fn check_cost(condition: &Condition, n: usize) -> Result<(), PlayError> {
+    let mut comparisons = condition.comparisons().iter();
+    match comparisons.any(|it| it.measure.is_too_costly(n)) {
+        true => Err(PlayError::Costly {
+            condition: condition.to_string(),
+        }),
+        false => Ok(()),
+    }
+}
+
+fn changes(block: &Block, executed: u64, step: u64) -> Result<Vec<Change>, PlayError> {
+    block
+        .changes(executed)
+        .map_err(|reason| PlayError::Invalid {
+            line: block.line,
+            step,
+            reason,
+        })
 }
 
 /// Returns the executions of a block, each with the number of executions before it and its step.
@@ -134,16 +254,6 @@ fn steps_of(block: &Block, dt: f64, end: u64) -> impl Iterator<Item = (u64, u64)
         earliest = step + 1;
         (step < end).then_some((executed, step))
     })
-}
-
-fn batch(step: u64, draw: u64, changes: &[Change]) -> ScheduledBatch {
-    ScheduledBatch {
-        step,
-        args: verbs::BatchArgs {
-            commands: changes.iter().map(change::to_proto).collect(),
-            draw: Some(draw),
-        },
-    }
 }
 
 #[cfg(test)]
@@ -189,12 +299,17 @@ uninform = { select = { fraction = 0.5 } }
         let n = usize::try_from(live.spec.n).unwrap();
         let spec = spec::from_proto(&live.spec, n).unwrap();
         let mut simulation = Simulation::new(&spec).unwrap();
-        let mut commands = live.commands.iter().peekable();
+        let commands = live.commands.iter().map(|command| match command {
+            LiveCommand::Batch { step, args } => (*step, args),
+            LiveCommand::When(args) => panic!("{args:?}"),
+        });
+        let mut commands = commands.peekable();
         for step in 0..live.steps {
-            while let Some(command) = commands.next_if(|it| it.step == step) {
-                let changes = command.args.commands.iter().cloned();
+            while let Some((_, args)) = commands.next_if(|it| it.0 == step) {
+                assert!(!args.protocol);
+                let changes = args.commands.iter().cloned();
                 let changes: Vec<Change> = changes.map(|it| change::change(it).unwrap()).collect();
-                simulation.seq = command.args.draw.unwrap();
+                simulation.seq = args.draw.unwrap();
                 simulation.apply_all(&changes).unwrap();
             }
             simulation.step().unwrap();
@@ -215,19 +330,68 @@ uninform = { select = { fraction = 0.5 } }
         }
     }
 
+    /// The commands of the first run of the file with more blocks.
+    fn commands(more: &str) -> Result<Vec<LiveCommand>, PlayError> {
+        let plan = Plan::parse(&format!("{FILE}{more}")).unwrap();
+        let live = LiveRun::new(&plan, &plan.runs()[0])?;
+        assert_eq!(live.stop.is_some(), more.contains("[stop]"));
+        Ok(live.commands)
+    }
+
+    /// The conditions among the commands before the first batch, and whether others follow.
+    fn conditions(commands: &[LiveCommand]) -> Vec<verbs::WhenArgs> {
+        let conditions = commands.iter().map_while(|it| match it {
+            LiveCommand::When(args) => Some(args.clone()),
+            LiveCommand::Batch { .. } => None,
+        });
+        conditions.collect()
+    }
+
     #[test]
-    fn a_block_with_a_condition_is_rejected_and_a_stop_is_reported() {
-        let stop = format!("{FILE}[stop]\nwhen = \"order > 0.99  for 100\"\n");
-        let plan = Plan::parse(&stop).unwrap();
-        let live = LiveRun::new(&plan, &plan.runs()[0]).unwrap();
-        assert_eq!(live.stop.as_deref(), Some("order > 0.99 for 100"));
-        let when = format!("{FILE}[[at]]\nwhen = \"order > 0.9\"\nset = {{ pi2 = 1 }}\n");
-        let line = when.lines().count() - 2;
-        let plan = Plan::parse(&when).unwrap();
-        let error = LiveRun::new(&plan, &plan.runs()[0]).unwrap_err();
-        assert!(
-            matches!(error, PlayError::Condition(at) if at == line + 1),
-            "{error}"
+    fn conditions_are_sent_first_and_the_daemon_counts_the_changes() {
+        let stop = "[stop]\nfrom = 1\nwhen = \"order > 0.99  for 100\"\n";
+        let all = commands(stop).unwrap();
+        let expected = verbs::WhenArgs {
+            condition: Some("order > 0.99 for 100".to_owned()),
+            pause: true,
+            protocol: true,
+            from_step: Some(20),
+            before_step: Some(121),
+            ..verbs::WhenArgs::default()
+        };
+        assert_eq!(conditions(&all), [expected]);
+        let when = "[[at]]\ndraw = 9\nwhen = \"order > 0.99999\"\nset = { pi2 = 1 }\n";
+        let all = commands(when).unwrap();
+        let [condition] = &conditions(&all)[..] else {
+            panic!("{all:?}")
+        };
+        assert_eq!(
+            (condition.draw, condition.from_step, condition.before_step),
+            (Some(9), Some(0), Some(120))
         );
+        assert_eq!(condition.commands.as_ref().map(Vec::len), Some(1));
+        let batches = all[1..].iter().map(|it| match it {
+            LiveCommand::Batch { args, .. } => args,
+            LiveCommand::When(args) => panic!("{args:?}"),
+        });
+        let draws: Vec<Option<u64>> = batches.map(|it| it.draw.filter(|_| it.protocol)).collect();
+        assert_eq!(draws.iter().flatten().collect::<Vec<_>>(), [&77]);
+    }
+
+    #[test]
+    fn what_holds_at_the_start_is_executed_before_the_blocks_of_step_0() {
+        let more = "[[at]]\nstep = 0\nset = { pi3 = 2 }\n[[at]]\nwhen = \"order >= 0\"\nset = { pi2 = 1 }\n";
+        let all = commands(more).unwrap();
+        let at_start = all.iter().map_while(|it| match it {
+            LiveCommand::Batch { step: 0, args } => Some(args.commands.len()),
+            _ => None,
+        });
+        assert_eq!(at_start.collect::<Vec<_>>(), [1, 1]);
+        let LiveCommand::Batch { args, .. } = &all[0] else {
+            panic!("{all:?}")
+        };
+        assert!(matches!(&args.commands[0], verbs::Change::Set(set) if set.pi2 == Some(1.0)));
+        let stops = commands("[stop]\nwhen = \"order >= 0\"\n").unwrap_err();
+        assert!(matches!(stops, PlayError::StopsAtStart), "{stops}");
     }
 }

@@ -1,6 +1,6 @@
 //! One run, from its start to its row in the table of results.
 
-use jostle_convert::snapshot;
+use jostle_convert::{past, snapshot};
 use jostle_measures::{Past, View, check_past};
 use jostle_physics::model::State;
 use jostle_physics::model::selection::{Candidates, Selection, select};
@@ -17,7 +17,6 @@ use crate::limits::MAX_INDIVIDUALS;
 use crate::plan::{Plan, PlannedRun};
 use crate::protocol::{Boundary, ProtocolRun};
 
-use self::checkpoint::PastFrame;
 pub use self::checkpoint::RunCheckpoint;
 use self::measures::Measures;
 
@@ -149,7 +148,7 @@ impl<'a> CurrentRun<'a> {
             snapshot: snapshot::to_proto("run", &checkpoint, doing),
             measures: self.measures.clone(),
             meter: self.meter.clone(),
-            past: PastFrame::of(&self.past),
+            past: past::to_proto(&self.past),
             protocol: self.protocol.as_ref().map(|it| it.progress.clone()),
         }
     }
@@ -168,7 +167,7 @@ impl<'a> CurrentRun<'a> {
             Some((protocol, progress)) => Some(ProtocolRun::resume(protocol, progress)?),
             None => None,
         };
-        let past = PastFrame::restored(lag(plan, run), checkpoint.past)?;
+        let past = past::from_proto(lag(plan, run), checkpoint.past).ok()?;
         is_of_run.then(|| Self {
             plan,
             run,

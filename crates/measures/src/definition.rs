@@ -71,6 +71,21 @@ impl Definition {
 }
 
 impl Definition {
+    /// The least and the greatest value that [`Definition::range`] names for a group of any size; infinite
+    /// where it names none.
+    #[must_use]
+    pub fn limits(&self) -> (f64, f64) {
+        let number = |text: Option<&str>| text.and_then(|it| it.parse::<f64>().ok());
+        let (least, greatest) = match self.range.split_once(" to ") {
+            Some((least, greatest)) => (number(Some(least)), number(Some(greatest))),
+            None => (number(self.range.strip_prefix("at least ")), None),
+        };
+        (
+            least.unwrap_or(f64::NEG_INFINITY),
+            greatest.unwrap_or(f64::INFINITY),
+        )
+    }
+
     /// Whether it needs states before the one of which it is a measure.
     #[must_use]
     pub fn needs_past(&self) -> bool {
@@ -99,4 +114,28 @@ impl Argument {
 pub(crate) fn shortest(number: f64) -> String {
     let text = format!("{number:?}");
     text.strip_suffix(".0").map_or(text.clone(), str::to_owned)
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::definitions;
+
+    #[test]
+    fn the_limits_are_those_of_the_range() {
+        let limits = |name: &str| {
+            let mut all = definitions().iter();
+            all.find(|it| it.name == name)
+                .map(super::Definition::limits)
+        };
+        for (name, expected) in [
+            ("order", (0.0, 1.0)),
+            ("drift", (-1.0, 1.0)),
+            ("clusters.largest", (1.0, f64::INFINITY)),
+            ("contacts_per_body", (0.0, f64::INFINITY)),
+            ("msd", (0.0, f64::INFINITY)),
+            ("neighbour_gap.q05", (f64::NEG_INFINITY, f64::INFINITY)),
+        ] {
+            assert_eq!(limits(name), Some(expected), "{name}");
+        }
+    }
 }

@@ -80,13 +80,15 @@ impl Frame {
 
     fn check(&self) -> Result<(), PastError> {
         let n = self.id.len();
-        let is_rectangular = [&self.x, &self.y, &self.alpha]
-            .iter()
-            .all(|column| column.len() == n);
+        let columns = [&self.x, &self.y, &self.alpha];
+        let is_rectangular = columns.iter().all(|column| column.len() == n);
+        let mut numbers = columns.into_iter().flatten();
         let reason = if !is_rectangular {
             "its columns have different lengths"
         } else if !self.id.is_sorted_by(|one, next| one < next) {
             "its ids do not increase"
+        } else if !numbers.all(|number| number.is_finite()) {
+            "it has a number that is not finite"
         } else {
             return Ok(());
         };
@@ -126,6 +128,8 @@ pub struct Past {
     lag_steps: u64,
     /// Their steps strictly increase.
     frames: VecDeque<Frame>,
+    /// The number of poses in the frames.
+    poses: usize,
 }
 
 impl Past {
@@ -133,15 +137,18 @@ impl Past {
     /// ([`Measure::lag`](crate::Measure::lag)). With 0 it stores nothing.
     #[must_use]
     pub fn new(lag_steps: u64) -> Self {
-        let frames = VecDeque::new();
-        Self { lag_steps, frames }
+        Self {
+            lag_steps,
+            ..Self::default()
+        }
     }
 
     /// Restores a past from the frames of an earlier one.
     ///
     /// # Errors
     ///
-    /// [`PastError::Frame`] if columns have different lengths, or if ids or steps do not increase.
+    /// [`PastError::Frame`] if columns have different lengths or numbers that are not finite, or if ids
+    /// or steps do not increase.
     pub fn from_frames(
         lag_steps: u64,
         frames: impl IntoIterator<Item = Frame>,
@@ -158,7 +165,7 @@ impl Past {
             last = Some(step);
             past.drop_before(step);
             if lag_steps > 0 {
-                past.frames.push_back(frame);
+                past.push(frame);
             }
         }
         Ok(past)
@@ -175,15 +182,51 @@ impl Past {
         }
         let mut replaced = None;
         match self.frames.back().map(|last| last.step.cmp(&state.step)) {
-            Some(Ordering::Greater) => self.frames.clear(),
-            Some(Ordering::Equal) => replaced = self.frames.pop_back(),
+            Some(Ordering::Greater) => self.clear(),
+            Some(Ordering::Equal) => replaced = self.pop(VecDeque::pop_back),
             Some(Ordering::Less) | None => {}
         }
         // The buffers of a frame that is no longer needed are used again.
         let dropped = self.drop_before(state.step);
         let mut frame = replaced.or(dropped).unwrap_or_default();
         frame.copy(state);
+        self.push(frame);
+    }
+
+    /// Appends a state as [`Past::observe`], and changes how far the past reaches back. So that it
+    /// never has more than [`MAX_PAST`] poses beside those of `state`, it drops the oldest ones.
+    pub fn observe_with(&mut self, state: &State, lag_steps: u64) {
+        self.lag_steps = lag_steps;
+        if lag_steps == 0 {
+            return self.clear();
+        }
+        self.observe(state);
+        while self.earlier_poses() > MAX_PAST {
+            self.pop(VecDeque::pop_front);
+        }
+    }
+
+    /// Returns the number of poses before those of the newest frame.
+    #[must_use]
+    pub fn earlier_poses(&self) -> u64 {
+        let newest = self.frames.back().map_or(0, |frame| frame.id.len());
+        (self.poses - newest) as u64
+    }
+
+    fn push(&mut self, frame: Frame) {
+        self.poses += frame.id.len();
         self.frames.push_back(frame);
+    }
+
+    fn pop(&mut self, end: fn(&mut VecDeque<Frame>) -> Option<Frame>) -> Option<Frame> {
+        let frame = end(&mut self.frames)?;
+        self.poses -= frame.id.len();
+        Some(frame)
+    }
+
+    fn clear(&mut self) {
+        self.frames.clear();
+        self.poses = 0;
     }
 
     /// Drops the frames that `step` does not need; returns one of them.
@@ -191,7 +234,7 @@ impl Past {
         let oldest = step.saturating_sub(self.lag_steps);
         let mut dropped = None;
         while self.frames.front().is_some_and(|first| first.step < oldest) {
-            dropped = self.frames.pop_front();
+            dropped = self.pop(VecDeque::pop_front);
         }
         dropped
     }

@@ -184,13 +184,19 @@ pub const CHANNELS: &[Channel] = &{
                      this phase",
                 ),
                 (
+                    "event",
+                    "the name of a condition, given to `when` as `event`: the reply is sent once it \
+                     has held, or if the swarm has faulted; it is `not_found` if no such condition \
+                     waits and none of the newest commands is that it held",
+                ),
+                (
                     "timeout_secs",
                     "a number above 0, at most 30: the reply is `deadline_exceeded` after this \
                      time, or earlier if more than 1024 requests wait for the swarm",
                 ),
             ],
-            doc: "The status, when the swarm reaches a step or a phase; requires either `step` or \
-                 `phase`.",
+            doc: "The status, when the swarm reaches a step or a phase or a condition has held; \
+                 requires one of `step`, `phase` and `event`.",
         },
         plain(
             "{swarm}/cmd/delete",
@@ -282,7 +288,7 @@ pub const CHANNELS: &[Channel] = &{
         plain(
             "{swarm}/cmd/when",
             Command("when.args", "when.reply"),
-            "Pauses the swarm or changes it once a condition holds.",
+            "Pauses the swarm, changes it or publishes an event once a condition holds.",
         ),
         plain(
             "{swarm}/ctl/{controller}",

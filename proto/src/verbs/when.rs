@@ -3,11 +3,13 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::verbs::changes::no_more_changes_if_given;
+use crate::LARGEST_WHOLE;
+use crate::verbs::changes::{is_false, no_more_changes_if_given};
 use crate::verbs::{Change, MAX_CHANGES};
 
-/// Pauses a swarm, or applies changes, once, at the first step after which a condition holds. Exactly
-/// one of `condition` and `cancel`; with a condition exactly one of `pause` and `commands`.
+/// Pauses a swarm, applies changes or publishes an event, once, at the first step after which a
+/// condition holds. `condition`, `cancel` or `cancel` with `event`; with a condition exactly one of
+/// `pause`, `commands` and `event`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct WhenArgs {
@@ -26,15 +28,40 @@ pub struct WhenArgs {
     )]
     #[schemars(length(min = 1, max = MAX_CHANGES))]
     pub commands: Option<Vec<Change>>,
-    /// Remove all waiting conditions.
+    /// Only publish the event `fired`, with this name, 1 to 64 characters; `get/wait` waits for it. A
+    /// waiting condition with the same name is replaced. Such a command counts as an annotation:
+    /// it changes no random draw.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub event: Option<String>,
+    /// Evaluate states from this step on. If the swarm is there already, its present state is the
+    /// first: if the condition holds in it, nothing waits. Left out, the first is that after the
+    /// next step.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(range(max = LARGEST_WHOLE))]
+    pub from_step: Option<u64>,
+    /// Remove the condition at this step, without evaluating it there.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(range(max = LARGEST_WHOLE))]
+    pub before_step: Option<u64>,
+    /// With `commands`: as `draw` of `batch`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(range(max = LARGEST_WHOLE))]
+    pub draw: Option<u64>,
+    /// The command is part of a protocol. With `commands`: as `protocol` of `batch`. With `pause`: the
+    /// condition ends the protocol: the commands of this step are not executed, and the scheduled
+    /// commands and the other conditions, except those with `event`, are removed.
+    #[serde(default, skip_serializing_if = "is_false")]
+    pub protocol: bool,
+    /// Remove all waiting conditions, or with `event` the one with this name.
     #[serde(default, skip_serializing_if = "is_false")]
     pub cancel: bool,
 }
 
-#[expect(
-    clippy::trivially_copy_pass_by_ref,
-    reason = "serde passes a reference"
-)]
-fn is_false(value: &bool) -> bool {
-    !value
+/// The result of `when`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct WhenResult {
+    /// With `event` and `from_step`: whether the condition holds in the present state. It does not
+    /// wait then.
+    #[serde(default, skip_serializing_if = "is_false")]
+    pub holds: bool,
 }

@@ -23,6 +23,7 @@ use crate::api::responder::Responder;
 use crate::convert::commands::{self, CommandError, DEFAULT_TIMEOUT, truncate};
 use crate::convert::digest::RequestIdentity;
 use crate::convert::{self, Payload};
+use crate::swarm::command::Command;
 use crate::swarm::frame::Stamp;
 use crate::swarm::handle::{CommandMessage, Handle, Message, Outcome};
 
@@ -54,6 +55,12 @@ impl Context {
     ) -> Result<(), CommandError> {
         let request = self.request(incoming)?;
         let (mut message, returns_state) = commands::read(verb, &request)?;
+        // The journal may have such a condition, of an earlier version.
+        if let Command::Watch(watch) = &message.command
+            && let Some(reason) = watch.condition.never_holds()
+        {
+            return Err(CommandError::NeverHolds(reason));
+        }
         let timeout = commands::timeout(&request)?;
         if let Some(controller) = message.command.controller()
             && let rights = self.rights.current()

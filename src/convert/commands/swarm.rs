@@ -15,13 +15,16 @@ use crate::convert::commands::{CommandError, check_name, is_plain};
 use crate::swarm::command::{Command, Seek, Until};
 use crate::swarm::membership::{self, ControllerSettings, JoinOptions};
 use crate::swarm::sender::Sender;
-use crate::swarm::watch::{Action, Watch};
+use crate::swarm::watch::{Action, Draws, Watch};
 
 /// Maximum steps of one command.
 const MAX_STEPS: u64 = 1_000_000_000;
 
 /// Maximum end of a run, and time to seek: longer than any run, and exact as a number of steps.
 const MAX_TIME: f64 = 1e12;
+
+/// Maximum length of the name of an event.
+const MAX_EVENT_CHARS: usize = 64;
 
 /// Parameters of a spec that cannot change.
 const CHOSEN_AT_CREATION: [&str; 4] = ["n", "dt", "seed", "start"];
@@ -63,11 +66,16 @@ pub fn count(steps: u64) -> Result<u64, CommandError> {
 /// `batch`: all of several changes at one step, or none.
 pub fn batch(args: BatchArgs) -> Result<Command, CommandError> {
     let changes = changes(args.commands)?;
-    let draw = args
-        .draw
-        .map(|draw| value::whole("draw", draw))
-        .transpose()?;
-    Ok(Command::Batch { changes, draw })
+    let draws = draws(args.draw, args.protocol)?;
+    Ok(Command::Batch { changes, draws })
+}
+
+fn draws(draw: Option<u64>, is_of_protocol: bool) -> Result<Draws, CommandError> {
+    Ok(match draw {
+        Some(draw) => Draws::From(value::whole("draw", draw)?),
+        None if is_of_protocol => Draws::Protocol,
+        None => Draws::Command,
+    })
 }
 
 fn changes(commands: Vec<proto::Change>) -> Result<Vec<Change>, CommandError> {
@@ -84,57 +92,87 @@ fn changes(commands: Vec<proto::Change>) -> Result<Vec<Change>, CommandError> {
     Ok(changes)
 }
 
-/// `when`: an action once a condition holds, or the end of all that wait.
+/// `when`: an action once a condition holds, or the end of those that wait.
 pub fn when(args: WhenArgs) -> Result<Command, CommandError> {
-    let WhenArgs {
-        condition,
-        pause,
-        commands,
-        cancel,
-    } = args;
-    let Some(text) = condition else {
-        if cancel && !pause && commands.is_none() {
-            return Ok(Command::Unwatch);
-        }
-        let problem = "is missing: give a condition, such as \"order > 0.9\", or cancel alone";
-        return Err(CommandError::field("condition", problem));
+    if let Some(event) = &args.event {
+        check_event(event)?;
+    }
+    let Some(text) = &args.condition else {
+        return cancel(args);
     };
-    if cancel {
-        let problem = "removes all waiting conditions: give it without condition";
+    if args.cancel {
+        let problem = "removes waiting conditions: give it without condition";
         return Err(CommandError::field("cancel", problem));
     }
-    let condition = Condition::parse(&text)?;
-    if condition.lag(1.0) > 0 {
-        return Err(CommandError::ConditionOnPast);
-    }
+    let condition = Condition::parse(text)?;
     // The journal and checkpoints have the normal form, which may be longer than the text.
     let normal = condition.to_string();
     Condition::parse(&normal)?;
     let fired = WhenArgs {
         condition: Some(normal),
-        pause,
-        commands,
-        cancel: false,
+        ..args
     };
     // Arguments that were read can be written.
     let text = serde_json::to_string(&fired).map_err(|_| CommandError::Internal)?;
-    let action = match (pause, fired.commands) {
-        (true, None) => Action::Pause,
-        (false, Some(commands)) => Action::Batch(changes(commands)?),
+    let step = |field, step: Option<u64>| step.map(|it| value::whole(field, it)).transpose();
+    let (from, before) = (
+        step("from_step", fired.from_step)?,
+        step("before_step", fired.before_step)?,
+    );
+    if before.is_some_and(|before| before <= from.unwrap_or(0)) {
+        let problem = "is not after from_step: no state lies between them";
+        return Err(CommandError::field("before_step", problem));
+    }
+    if fired.draw.is_some() && fired.commands.is_none() {
+        let problem = "is the key of the draws of commands: give it with commands";
+        return Err(CommandError::field("draw", problem));
+    }
+    let draws = draws(fired.draw, fired.protocol)?;
+    let action = match (fired.pause, fired.commands, fired.event) {
+        (true, None, None) if fired.protocol => Action::Stop,
+        (true, None, None) => Action::Pause,
+        (false, Some(commands), None) => Action::Batch(changes(commands)?, draws),
+        (false, None, Some(event)) if !fired.protocol => Action::Event(event.into()),
         _ => {
-            let problem = "and commands are alternatives: give \"pause\": true, or commands";
+            let problem = "commands and event are alternatives: give \"pause\": true, commands, or event \
+                           without protocol";
             return Err(CommandError::field("pause", problem));
         }
     };
     Ok(Command::Watch(Box::new(Watch {
         condition,
         action,
+        from,
+        before,
         fired: Arc::new(Sender {
             verb: "fired",
             args: text,
             ..Sender::default()
         }),
     })))
+}
+
+/// `when` without a condition: the end of all that wait, or of the one with an event.
+fn cancel(args: WhenArgs) -> Result<Command, CommandError> {
+    let alone = WhenArgs {
+        cancel: true,
+        event: args.event.clone(),
+        ..WhenArgs::default()
+    };
+    if args == alone {
+        return Ok(Command::Unwatch(args.event.map(Into::into)));
+    }
+    let problem = "is missing: give a condition, such as \"order > 0.9\", or cancel alone";
+    Err(CommandError::field("condition", problem))
+}
+
+/// Checks the name of an event.
+pub fn check_event(event: &str) -> Result<(), CommandError> {
+    if (1..=MAX_EVENT_CHARS).contains(&event.chars().count()) && event.chars().all(is_plain) {
+        return Ok(());
+    }
+    let problem = "must have 1 to 64 characters, none of them invisible";
+    Err(CommandError::field("event", problem))
 }
 
 /// `fired`, from the journal: the condition of a `when` holds.

@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use crate::convert::commands::swarm::check_event;
 use crate::convert::commands::{CommandError, selector};
 use crate::swarm::command::WaitCondition;
 
@@ -12,12 +13,16 @@ pub const MAX_WAIT: Duration = Duration::from_secs(30);
 pub fn read<'a>(
     parameters: impl Iterator<Item = (&'a str, &'a str)>,
 ) -> Result<(WaitCondition, Duration), CommandError> {
-    let (mut step, mut phase, mut timeout) = (None, None, MAX_WAIT);
-    for (name, value) in selector(parameters, &["step", "phase", "timeout_secs"])? {
+    let (mut step, mut phase, mut event, mut timeout) = (None, None, None, MAX_WAIT);
+    for (name, value) in selector(parameters, &["step", "phase", "event", "timeout_secs"])? {
         match name {
             "step" => {
                 let wrong = |_| CommandError::field("step", "is not a whole number");
                 step = Some(WaitCondition::Step(value.parse().map_err(wrong)?));
+            }
+            "event" => {
+                check_event(value)?;
+                event = Some(WaitCondition::Event(value.into()));
             }
             "phase" => {
                 phase = Some(match value {
@@ -36,10 +41,12 @@ pub fn read<'a>(
             }
         }
     }
-    match (step, phase) {
-        (Some(awaited), None) | (None, Some(awaited)) => Ok((awaited, timeout)),
+    match (step, phase, event) {
+        (Some(awaited), None, None) | (None, Some(awaited), None) | (None, None, Some(awaited)) => {
+            Ok((awaited, timeout))
+        }
         _ => {
-            let problem = "or phase is required, and only one of them: wait?step=100";
+            let problem = "phase or event is required, and only one of them: wait?step=100";
             Err(CommandError::field("step", problem))
         }
     }

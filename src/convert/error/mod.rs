@@ -37,11 +37,8 @@ pub enum CommandError {
     },
     #[error("condition: {0}")]
     Condition(#[from] ConditionError),
-    #[error(
-        "condition: a swarm stores no earlier states for msd and other measures of a past: leave them out, or \
-         use the condition in an experiment"
-    )]
-    ConditionOnPast,
+    #[error("condition: {0}")]
+    NeverHolds(String),
     #[error("invalid {field} {name:?}")]
     Name {
         field: &'static str,
@@ -243,7 +240,7 @@ impl WireCode for CommandError {
             CommandError::Measures(error) => error.code(),
             CommandError::Field { .. }
             | CommandError::Condition(_)
-            | CommandError::ConditionOnPast
+            | CommandError::NeverHolds(_)
             | CommandError::Name { .. }
             | CommandError::Individuals { .. }
             | CommandError::Parameter { .. }
@@ -286,7 +283,7 @@ impl WireCode for CommandError {
             CommandError::Condition(error) => {
                 object(json!({"field": "condition", "column": error.column}))
             }
-            CommandError::ConditionOnPast => object(json!({"field": "condition"})),
+            CommandError::NeverHolds(_) => object(json!({"field": "condition"})),
             CommandError::Name { field, name } => named(field, json!(name), Some(keys::NAME_RULE)),
             CommandError::Individuals { n, limit } => {
                 object(json!({"field": "n", "value": n, "range": format!("[1, {limit}]")}))

@@ -39,6 +39,7 @@ impl WireCode for SwarmError {
             SwarmError::InBatch { error, .. } => error.code(),
             SwarmError::NotClaimed { .. }
             | SwarmError::NotDriving(_)
+            | SwarmError::TooMuchPast(_)
             | SwarmError::Playback(_)
             | SwarmError::OutsideRecording { .. } => ErrorCode::InvalidArgument,
             SwarmError::Phase(_)
@@ -50,11 +51,15 @@ impl WireCode for SwarmError {
             | SwarmError::Past { .. }
             | SwarmError::Late { .. }
             | SwarmError::Overtaken(_)
+            | SwarmError::Ended(_)
+            | SwarmError::HoldsAlready
             | SwarmError::Claimed { .. }
             | SwarmError::Advancing { .. }
             | SwarmError::Superseded
             | SwarmError::RejectedBefore => ErrorCode::Conflict,
-            SwarmError::NotJoined { .. } | SwarmError::Gone => ErrorCode::NotFound,
+            SwarmError::NotJoined { .. } | SwarmError::NoEvent(_) | SwarmError::Gone => {
+                ErrorCode::NotFound
+            }
             SwarmError::HasJoined(_) => ErrorCode::AlreadyExists,
             SwarmError::TooManyControllers(_)
             | SwarmError::TooManyScheduled(_)
@@ -89,10 +94,15 @@ impl WireCode for SwarmError {
             SwarmError::Late { at_step, step } => {
                 json!({"field": "at_step", "at_step": at_step, "step": step})
             }
-            SwarmError::Overtaken(at_step) => json!({"field": "at_step", "at_step": at_step}),
+            SwarmError::HoldsAlready => json!({"field": "condition"}),
+            SwarmError::NoEvent(event) => json!({"field": "event", "value": **event}),
+            SwarmError::Overtaken(at_step) | SwarmError::Ended(at_step) => {
+                json!({"field": "at_step", "at_step": at_step})
+            }
             SwarmError::Displaced { after_secs, limit } => {
                 json!({"after_secs": after_secs, "limit": limit})
             }
+            SwarmError::TooMuchPast(_) => json!({"field": "condition"}),
             SwarmError::TooManyWatches(limit) => json!({"field": "condition", "limit": limit}),
             SwarmError::TooManyScheduled(limit) => json!({"field": "at_step", "limit": limit}),
             SwarmError::NotJoined { controller, .. }

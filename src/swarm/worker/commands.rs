@@ -18,6 +18,7 @@ use crate::swarm::journal::Record;
 use crate::swarm::phase::{self, PauseReason, Phase, PhaseInput};
 use crate::swarm::scheduler::Pace;
 use crate::swarm::sender::Sender;
+use crate::swarm::watch::Draws;
 use crate::swarm::worker::{End, Pending, Worker};
 
 impl Worker {
@@ -157,12 +158,12 @@ impl Worker {
             return None;
         }
         let before = self.phase.clone();
-        let seq = self.simulation.seq;
+        let (seq, annotations) = (self.simulation.seq, self.annotations);
         let is_group_committed = command.is_group_committed();
-        match command {
-            Command::Annotate => self.annotations += 1,
+        match command.is_annotation() {
+            true => self.annotations += 1,
             // The number of a command is the key of its random draws.
-            _ => self.simulation.seq += 1,
+            false => self.simulation.seq += 1,
         }
         let outcome = match command {
             Command::Delete => match self.delete(&sender) {
@@ -173,15 +174,17 @@ impl Worker {
             Command::Run { until, rate } => self.begin_run(until, rate),
             Command::Pause => self.pause(PauseReason::Requested),
             Command::Reset(seed) => self.reset(seed),
-            Command::Change(change) => match self.change(std::slice::from_ref(&change), None) {
-                Ok(mut changed) => Ok(Outcome::Changed(changed.remove(0).1)),
-                Err(SwarmError::InBatch { error, .. }) => Err(*error),
-                Err(error) => Err(error),
-            },
-            Command::Batch { changes, draw } => self.change(&changes, draw).map(Outcome::Batch),
+            Command::Change(change) => {
+                match self.change(std::slice::from_ref(&change), Draws::Command) {
+                    Ok(mut changed) => Ok(Outcome::Changed(changed.remove(0).1)),
+                    Err(SwarmError::InBatch { error, .. }) => Err(*error),
+                    Err(error) => Err(error),
+                }
+            }
+            Command::Batch { changes, draws } => self.change(&changes, draws).map(Outcome::Batch),
             Command::Annotate => Ok(Outcome::Done),
             Command::Watch(watch) => self.watch(*watch, sender.clone()),
-            Command::Unwatch => self.unwatch(),
+            Command::Unwatch(event) => self.unwatch(event.as_deref()),
             Command::Fired(watch) => self.fire(&watch),
             Command::Join(_)
             | Command::Leave(_)
@@ -201,7 +204,7 @@ impl Worker {
                 self.record_outcome(input, Ok(self.seq()));
                 self.push_event(EventKind::Command(sender));
                 if is_reset {
-                    self.drop_scheduled();
+                    self.drop_scheduled(SwarmError::Overtaken);
                     self.journal.interrupt(0);
                     self.save_checkpoint();
                 }
@@ -216,6 +219,7 @@ impl Worker {
             }
             Err(error) => {
                 self.simulation.seq = seq;
+                self.annotations = annotations;
                 if input > 0 {
                     self.record_outcome(input, Err(&error));
                 }
@@ -225,25 +229,33 @@ impl Worker {
         None
     }
 
-    /// Applies all changes or none; a panic rolls back too. `draw` is the key of the random draws of
-    /// the first change, if it is not the number of the command.
+    /// Applies all changes or none; a panic rolls back too. `draws` is the key of their random draws.
     pub(super) fn change(
         &mut self,
         changes: &[Change],
-        draw: Option<u64>,
+        draws: Draws,
     ) -> Result<Vec<(ChangeKind, ChangeOutcome)>, SwarmError> {
         phase::next(&self.phase, PhaseInput::Change)?;
         let before = self.simulation.save();
         let simulation = &mut self.simulation;
         let seq = simulation.seq;
+        let first_draw = match draws {
+            Draws::Command => seq,
+            Draws::From(first) => first,
+            Draws::Protocol => self.protocol_draws + 1,
+        };
         let changed = catch_unwind(AssertUnwindSafe(|| {
             fail_point!("command");
-            simulation.seq = draw.unwrap_or(seq);
+            simulation.seq = first_draw;
             simulation.apply_all(changes)
         }));
         let error = match changed {
             Ok(Ok(outcomes)) => {
-                self.simulation.seq = seq + outcomes.len() as u64 - 1;
+                let count = outcomes.len() as u64;
+                self.simulation.seq = seq + count - 1;
+                if draws == Draws::Protocol {
+                    self.protocol_draws += count;
+                }
                 self.notify_controllers(Input::Changed);
                 return Ok(outcomes);
             }
@@ -303,11 +315,14 @@ impl Worker {
         Ok(Outcome::Runs(until, self.rate))
     }
 
-    /// Pauses for this reason, unless it is paused already.
+    /// Pauses for this reason. A swarm that is paused already keeps its reason, unless a condition that
+    /// holds at the end of its run is the new one.
     pub(super) fn pause(&mut self, reason: PauseReason) -> Result<Outcome, SwarmError> {
         let is_moving = self.phase.is_moving();
         let next = match phase::next(&self.phase, PhaseInput::Pause)? {
-            Phase::Paused(_) if is_moving => Phase::Paused(reason),
+            Phase::Paused(_) if is_moving || reason == PauseReason::Condition => {
+                Phase::Paused(reason)
+            }
             next => next,
         };
         self.reply_to_pending(&next);
@@ -325,6 +340,7 @@ impl Worker {
         self.notify_controllers(Input::Interrupted(next.clone()));
         self.simulation.restart(fresh);
         self.watches.clear();
+        self.protocol_draws = 0;
         self.notify_controllers(Input::Restarted(next.clone()));
         self.enter(next);
         self.record_state();

@@ -5,6 +5,8 @@ use std::time::Instant;
 
 use crate::swarm::frame::{self, Event, EventKind, Frame, Stamp, Summary};
 use crate::swarm::handle::Outcome;
+use crate::swarm::history::Entry;
+use crate::swarm::waiters::EventStatus;
 use crate::swarm::worker::Worker;
 
 impl Worker {
@@ -25,11 +27,27 @@ impl Worker {
     pub(super) fn reply_to_waiters(&mut self) {
         let mut waiters = std::mem::take(&mut self.waiters);
         let step = self.simulation.state.step;
-        waiters.reply(step, &self.phase, || {
+        let state = || {
             let (stamp, frame) = self.state_with_controllers();
             Ok((stamp, Outcome::State(frame)))
-        });
+        };
+        waiters.reply(step, &self.phase, state, |event| self.event_status(event));
         self.waiters = waiters;
+    }
+
+    fn event_status(&self, event: &str) -> EventStatus {
+        if self.watches.has_event(event) {
+            return EventStatus::Waits;
+        }
+        let has = |entry: &Entry| {
+            let args = (entry.sender.verb == "fired").then_some(&*entry.sender.args);
+            args.and_then(|args| serde_json::from_str::<serde_json::Value>(args).ok())
+                .is_some_and(|args| args["event"] == event)
+        };
+        match self.history.entries(0, usize::MAX).records.iter().any(has) {
+            true => EventStatus::Held,
+            false => EventStatus::Unknown,
+        }
     }
 
     pub(super) fn stamp(&self) -> Stamp {

@@ -77,10 +77,11 @@ impl Worker {
         })
     }
 
-    /// Rejects all scheduled commands: after a reset, their steps belong to another run.
-    pub(super) fn drop_scheduled(&mut self) {
+    /// Rejects all scheduled commands, each with the error for its step: after a reset or the end of a
+    /// protocol, their steps belong to another run.
+    pub(super) fn drop_scheduled(&mut self, to_error: fn(u64) -> SwarmError) {
         for (at_step, Scheduled { input, sender, .. }) in self.schedule.clear() {
-            let error = SwarmError::Overtaken(at_step);
+            let error = to_error(at_step);
             self.record_outcome(input, Err(&error));
             self.push_event(EventKind::Rejected(sender, error));
         }

@@ -25,6 +25,7 @@ impl Worker {
     /// Takes one step, and executes the commands that are scheduled for the step it reaches.
     pub(super) fn step(&mut self) -> Option<End> {
         self.apply_puts();
+        self.watches.record(&self.simulation.state);
         let began = Instant::now();
         let late = self.pace.late_by(began);
         let simulation = &mut self.simulation;

@@ -3,9 +3,13 @@
 //! When one holds, the swarm journals the internal command `fired` and executes it. A replay evaluates
 //! the conditions too, so that it knows since when they hold, but executes only the journaled commands.
 
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::time::Instant;
 
+use fail::fail_point;
+use jostle_measures::check_past;
+use jostle_physics::model::State;
 use jostle_physics::simulation::{Change, ChangeError};
 
 use crate::swarm::command::Command;
@@ -22,9 +26,20 @@ use crate::swarm::worker::{End, Worker};
 impl Worker {
     /// Evaluates the conditions on the state after a step, and executes the actions of those that hold.
     pub(super) fn execute_watches(&mut self) -> Option<End> {
+        if self.watches.is_empty() {
+            return None;
+        }
         let began = Instant::now();
-        let holding = self.watches.observe(&self.simulation.state);
+        let (watches, state) = (&mut self.watches, &self.simulation.state);
+        let observed = catch_unwind(AssertUnwindSafe(|| {
+            fail_point!("condition");
+            watches.observe(state)
+        }));
         self.since_checkpoint.work += began.elapsed();
+        let Ok(holding) = observed else {
+            self.fault("a defect: the evaluation of a condition panicked".into());
+            return None;
+        };
         let at = self.at();
         let fired = match self.journal.is_replaying() {
             true => self.journal.take_fired(at),
@@ -76,15 +91,26 @@ impl Worker {
     ) -> Result<Outcome, SwarmError> {
         phase::next(&self.phase, PhaseInput::Change)?;
         self.check_watch(&watch)?;
-        self.watches.add(watch, sender)?;
-        Ok(Outcome::Done)
+        let is_event = matches!(watch.action, Action::Event(_));
+        let (watches, state) = (&mut self.watches, &self.simulation.state);
+        let added = catch_unwind(AssertUnwindSafe(|| watches.add(watch, sender, state)));
+        match added.unwrap_or(Err(SwarmError::Panicked))? {
+            true if !is_event => Err(SwarmError::HoldsAlready),
+            holds => Ok(Outcome::Waits { holds }),
+        }
     }
 
-    /// Checks the changes of a condition, as those of a scheduled command.
+    /// Checks the changes of a condition, as those of a scheduled command, and the past of its measures.
     pub(super) fn check_watch(&self, watch: &Watch) -> Result<(), SwarmError> {
+        let State {
+            parameters,
+            configuration,
+            ..
+        } = &self.simulation.state;
+        check_past(watch.condition.lag(parameters.dt), configuration.n())?;
         match &watch.action {
-            Action::Pause => Ok(()),
-            Action::Batch(changes) => self.check_changes(changes),
+            Action::Pause | Action::Stop | Action::Event(_) => Ok(()),
+            Action::Batch(changes, _) => self.check_changes(changes),
         }
     }
 
@@ -99,20 +125,31 @@ impl Worker {
         Ok(())
     }
 
-    /// Removes all conditions.
-    pub(super) fn unwatch(&mut self) -> Result<Outcome, SwarmError> {
+    /// Removes all conditions, or the one with this event.
+    pub(super) fn unwatch(&mut self, event: Option<&str>) -> Result<Outcome, SwarmError> {
         phase::next(&self.phase, PhaseInput::Change)?;
-        self.watches.clear();
-        Ok(Outcome::Done)
+        match event {
+            Some(event) => self.watches.remove_event(event),
+            None => self.watches.clear(),
+        }
+        Ok(Outcome::Waits { holds: false })
     }
 
     /// Executes the action of a condition that holds.
     pub(super) fn fire(&mut self, watch: &Watch) -> Result<Outcome, SwarmError> {
         match &watch.action {
-            // At the end of its run the swarm is paused already.
-            Action::Pause if !self.phase.is_moving() => Ok(Outcome::Done),
             Action::Pause => self.pause(PauseReason::Condition),
-            Action::Batch(changes) => self.change(changes, None).map(Outcome::Batch),
+            Action::Stop => {
+                let paused = self.pause(PauseReason::Condition)?;
+                self.watches.end_protocol();
+                self.drop_scheduled(SwarmError::Ended);
+                Ok(paused)
+            }
+            Action::Batch(changes, draws) => self.change(changes, *draws).map(Outcome::Batch),
+            Action::Event(_) => {
+                phase::next(&self.phase, PhaseInput::Change)?;
+                Ok(Outcome::Done)
+            }
         }
     }
 }

@@ -119,7 +119,7 @@ impl Request {
             "leave" => json!({"controller": "cleo"}),
             "annotate" => json!({"text": "note"}),
             "seek" => json!({"fraction": 1.0}),
-            "when" => json!({"condition": "order > 2", "pause": true}),
+            "when" => json!({"condition": "order > 1", "pause": true}),
             _ => panic!("{verb} has no request here"),
         };
         match verb {

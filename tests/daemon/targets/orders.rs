@@ -135,7 +135,7 @@ fn is_in_range(message: &CommandMessage, timeout: Duration) {
                 Ok(&watch.condition),
                 "{text}"
             );
-            if let Action::Batch(changes) = &watch.action {
+            if let Action::Batch(changes, _) = &watch.action {
                 assert!((1..=256).contains(&changes.len()));
                 changes.iter().for_each(can_be_tried);
             }
@@ -149,7 +149,7 @@ fn is_in_range(message: &CommandMessage, timeout: Duration) {
             assert!((1..=1000).contains(&text.chars().count()), "{text:?}");
             assert!(!text.chars().any(char::is_control), "{text:?}");
         }
-        Command::Pause | Command::Delete | Command::Unwatch => {}
+        Command::Pause | Command::Delete | Command::Unwatch(_) => {}
     }
 }
 

@@ -13,6 +13,7 @@ use std::sync::mpsc::{Receiver, channel};
 use std::sync::{Arc, OnceLock, Weak};
 use std::time::{Duration, Instant};
 
+use jostle_conditions::Condition;
 use jostle_physics::model::Parameters;
 use jostle_physics::model::selection::Selection;
 use jostle_physics::simulation::{Change, ChangeError, Placement, Settings, Spec, Start};
@@ -29,8 +30,9 @@ use jostled::swarm::phase::Phase;
 use jostled::swarm::registry::{Created, Limits, SwarmRegistry};
 use jostled::swarm::runner::{JournalFactory, PersistNew, SwarmObserver};
 use jostled::swarm::sender::Sender;
+use jostled::swarm::watch::{Action, Draws, Watch};
 
-use model::{Expected, FAST, Input, LIMIT, Model, ModelPhase, SLOW, Step};
+use model::{Effect, Expected, FAST, Input, LIMIT, Model, ModelPhase, SLOW, Step};
 
 /// Maximum number of commands in one sequence.
 const MAX_COMMANDS: usize = 24;
@@ -116,10 +118,28 @@ fn order(input: &Input) -> Command {
         Input::Change(step) => Command::Change(change(*step)),
         Input::Batch(steps) => Command::Batch {
             changes: steps.iter().map(|step| change(*step)).collect(),
-            draw: None,
+            draws: Draws::Command,
         },
+        Input::When(effect) => Command::Watch(Box::new(watch(*effect))),
+        Input::Cancel => Command::Unwatch(None),
         Input::Reset => Command::Reset(None),
         Input::Delete => Command::Delete,
+    }
+}
+
+/// A condition that holds in every state.
+fn watch(effect: Effect) -> Watch {
+    Watch {
+        condition: Condition::parse("order >= 0").expect("it is valid"),
+        action: match effect {
+            Effect::Pause => Action::Pause,
+            Effect::Change => Action::Batch(vec![change(Step::Set(true))], Draws::Protocol),
+            Effect::Event => Action::Event("mine".into()),
+            Effect::Stop => Action::Stop,
+        },
+        from: None,
+        before: None,
+        fired: Arc::new(Sender::default()),
     }
 }
 
@@ -154,7 +174,7 @@ fn next(bytes: &mut Bytes, model: &Model) -> (Input, When) {
         4 => Step::Remove(bytes.count(LIMIT + 2)),
         _ => Step::Set(false),
     };
-    let input = match bytes.below(9) {
+    let input = match bytes.below(11) {
         0 | 1 => Input::Step(1 + bytes.below(6)),
         2 => Input::Run {
             // Without an end the swarm would run for ever.
@@ -169,6 +189,14 @@ fn next(bytes: &mut Bytes, model: &Model) -> (Input, When) {
         5 => Input::Change(step(bytes)),
         6 => Input::Batch((0..=bytes.below(3)).map(|_| step(bytes)).collect()),
         7 => Input::Reset,
+        9 => Input::When(match bytes.below(4) {
+            0 => Effect::Pause,
+            1 => Effect::Change,
+            2 => Effect::Event,
+            _ => Effect::Stop,
+        }),
+        10 if bytes.one_in_eight() => Input::Cancel,
+        10 => Input::When(Effect::Pause),
         _ if bytes.one_in_eight() => Input::Delete,
         _ => Input::Change(step(bytes)),
     };
@@ -235,7 +263,7 @@ fn wait_until_idle(handle: &Handle, model: &Model) -> (Stamp, Arc<Frame>) {
     loop {
         let (answer, arrived) = answers();
         handle.send(Message::Wait(Waiter {
-            condition: awaited,
+            condition: awaited.clone(),
             is_abandoned: Box::new(|| false),
             reply_to: answer,
         }));

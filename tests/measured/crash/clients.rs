@@ -258,6 +258,12 @@ impl Sender {
                     {"verb": "inform", "args": inform},
                 ]}),
             ),
+            // It never holds, and counts as a note.
+            5 if self.count.is_multiple_of(2) => (
+                "when",
+                None,
+                json!({"condition": "msd(0.5) >= 0 and order > 1 for 1000", "event": "mine"}),
+            ),
             5 => (
                 "annotate",
                 None,

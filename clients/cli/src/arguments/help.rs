@@ -140,7 +140,7 @@ pub fn topics() -> String {
 }
 
 /// One example of each verb.
-pub const EXAMPLES: [(&str, &str); 56] = [
+pub const EXAMPLES: [(&str, &str); 57] = [
     ("create", "create school --n 50 --seed 1"),
     ("list", "list"),
     ("status", "status school"),
@@ -169,6 +169,7 @@ pub const EXAMPLES: [(&str, &str); 56] = [
     ("leave", "leave school pilot"),
     ("annotate", "annotate school 'camera 2 replaced'"),
     ("when", "when school 'order>0.9' pause"),
+    ("wait", "wait school 'drift>0.9' --timeout 60"),
     ("delete", "delete 'test-*' --yes"),
     ("fork", "fork school other --at-step 5000"),
     ("diff", "diff school other"),

@@ -106,6 +106,8 @@ pub enum Verb {
     Annotate(AnnotateArguments),
     /// Pauses or changes a swarm once a condition holds
     When(WhenArguments),
+    /// Waits until a condition holds in a swarm; a --timeout that is given bounds the wait
+    Wait(WaitArguments),
     /// Deletes swarms
     Delete(DeleteArguments),
     /// Creates a paused copy of a swarm, at its current or an earlier step

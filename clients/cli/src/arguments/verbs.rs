@@ -267,6 +267,20 @@ pub struct WhenArguments {
     pub cancel: bool,
 }
 
+#[derive(Debug, Args)]
+pub struct WaitArguments {
+    /// The swarm
+    #[arg(value_parser = values::name, add = ArgValueCompleter::new(completion::swarms))]
+    pub name: String,
+    /// The condition, such as 'drift > 0.9 for 20'
+    pub condition: String,
+    /// The name of the event by which the daemon reports that it holds [default: a unique name]
+    #[arg(long, value_name = "NAME", value_parser = values::name)]
+    pub event: Option<String>,
+    #[command(flatten)]
+    pub sender: SenderArguments,
+}
+
 /// What a swarm does when a condition holds.
 #[derive(Clone, Copy, Debug, ValueEnum)]
 pub enum WhenAction {

@@ -25,6 +25,7 @@ mod shell;
 mod snapshot;
 mod steer;
 mod verify;
+mod wait;
 mod watch;
 mod when;
 
@@ -99,6 +100,7 @@ async fn connected(global: GlobalArguments, output: Output, verb: Verb) -> Resul
     let outcome = match verb {
         // These handle interrupts themselves.
         Verb::Run(arguments) => run::run(&context, &arguments, timeout).await,
+        Verb::Wait(arguments) => wait::wait(&context, &arguments, timeout).await,
         Verb::Step(arguments) => steer::step(&context, &arguments).await,
         Verb::Watch(arguments) => watch::watch(&context, &arguments).await,
         Verb::Record(arguments) => record::record(&context, &arguments).await,
@@ -158,6 +160,7 @@ async fn interruptible(context: &Context, verb: Verb) -> Result<(), Failure> {
         Verb::Plot(arguments) => plot::of_daemon(context, &arguments).await,
         Verb::Schema(arguments) => schema::schema(context, &arguments).await,
         Verb::Run(_)
+        | Verb::Wait(_)
         | Verb::Step(_)
         | Verb::Watch(_)
         | Verb::Record(_)

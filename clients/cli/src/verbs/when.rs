@@ -2,7 +2,7 @@
 
 use jostle_client::Payload;
 use jostle_proto::Reply;
-use jostle_proto::verbs::{EmptyResult, WhenArgs};
+use jostle_proto::verbs::{WhenArgs, WhenResult};
 use serde_json::Value;
 use serde_json::value::RawValue;
 
@@ -26,7 +26,7 @@ pub async fn when(context: &Context, arguments: &WhenArguments) -> Result<(), Fa
             cancel: *cancel,
             ..WhenArgs::default()
         };
-        let describe = |reply: &Reply<EmptyResult>| {
+        let describe = |reply: &Reply<WhenResult>| {
             format!(
                 "{} waits for no condition; {}",
                 reply.swarm,
@@ -45,7 +45,7 @@ pub async fn when(context: &Context, arguments: &WhenArguments) -> Result<(), Fa
             context.client.command(name, "when", &args, sending).await?
         }
     };
-    let describe = |reply: &Reply<EmptyResult>| {
+    let describe = |reply: &Reply<WhenResult>| {
         format!("{} waits for {condition}; {}", reply.swarm, standing(reply))
     };
     context.output.outcome(&answer, "when", describe)

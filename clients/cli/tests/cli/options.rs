@@ -15,7 +15,7 @@ use tokio::task::JoinSet;
 use crate::support::{Daemon, Ended, Running};
 
 /// A command line for each verb and nested verb. `{}` is a folder.
-const LINES: [&str; 55] = [
+const LINES: [&str; 56] = [
     "annotate demo note",
     "auth can pause",
     "auth link",
@@ -69,6 +69,7 @@ const LINES: [&str; 55] = [
     "top -n 1 --interval 0.1",
     "uninform demo --count 0",
     "verify twin",
+    "wait demo order>=0",
     "watch demo --count 1",
     "when demo --cancel",
 ];

@@ -455,6 +455,7 @@ class Commands(Queries):
         changes: Iterable[Change | Mapping[str, Any]],
         *,
         draw: SupportsIndex | None = None,
+        protocol: bool = False,
         **options: Unpack[Options],
     ) -> BatchResult:
         """Applies several changes at one step, or none of them.
@@ -466,6 +467,8 @@ class Commands(Queries):
                 order; or mappings with `verb` and `args`, as on the wire.
             draw: With the seed of the swarm, the key of the random draws of the first change; each
                 further change adds 1. None is the `seq` of the change.
+            protocol: The command is part of a protocol: without `draw` the key is the number of the
+                swarm's changes so far by such commands without `draw`, plus 1.
             options: See `Options`.
 
         Returns:
@@ -478,6 +481,8 @@ class Commands(Queries):
         args: dict[str, Any] = {"commands": encode_changes(changes)}
         if draw is not None:
             args["draw"] = whole_from_0("draw", draw)
+        if protocol:
+            args["protocol"] = True
         payload = self._request("batch", args, options)
         result = read_batch(payload)
         for changed in result.results:
@@ -508,6 +513,11 @@ class Commands(Queries):
         *,
         pause: bool = False,
         commands: Iterable[Change | Mapping[str, Any]] | None = None,
+        event: str | None = None,
+        from_step: SupportsIndex | None = None,
+        before_step: SupportsIndex | None = None,
+        draw: SupportsIndex | None = None,
+        protocol: bool = False,
         cancel: bool = False,
         **options: Unpack[Options],
     ) -> Reply:
@@ -524,18 +534,31 @@ class Commands(Queries):
         Args:
             condition: The condition, such as `drift > 0.9 for 20 and order > 0.5`; times are in
                 body sizes over free speed.
-            pause: Pause the swarm; give exactly one of `pause` and `commands`.
+            pause: Pause the swarm; give exactly one of `pause`, `commands` and `event`.
             commands: Apply these changes, as `batch` does: all at one step, or none.
-            cancel: Remove all waiting conditions; give it alone.
+            event: Only publish the event `fired`, with this name of 1 to 64 characters; it changes
+                no random draw. See `wait`.
+            from_step: Evaluate states from this step on; if the swarm is there already, its
+                present state is the first. None is the step after the next one.
+            before_step: Remove the condition at this step.
+            draw: With `commands`: as in `batch`.
+            protocol: With `commands`: as in `batch`. With `pause`: end the protocol; the scheduled
+                commands and the other conditions without `event` are removed.
+            cancel: Remove all waiting conditions, or with `event` that one; give it without others.
             options: See `Options`.
 
         Raises:
+            Conflict: With `from_step`: the condition holds in the present state already.
             InvalidArgument: The condition is invalid (the message has the column), a measure in it
-                needs earlier states, or a change is invalid.
+                needs too many earlier states, or a change is invalid.
             ResourceExhausted: 16 conditions wait already.
             IncorrectState: The swarm is faulted.
         """
-        args = _given(condition=condition)
+        steps = _given(from_step=from_step, before_step=before_step, draw=draw)
+        args = _given(condition=condition, event=event)
+        args.update({name: whole_from_0(name, step) for name, step in steps.items()})
+        if protocol:
+            args["protocol"] = True
         if pause:
             args["pause"] = True
         if commands is not None:

@@ -144,6 +144,16 @@ class RunResult(Reply, frozen=True, kw_only=True):
     rate: float | None = None
 
 
+class WhenReply(Reply, frozen=True, kw_only=True):
+    """The reply to `when`.
+
+    Attributes:
+        holds: Whether the condition holds already, so that it does not wait.
+    """
+
+    holds: bool | None = None
+
+
 class StepResult(Reply, frozen=True, kw_only=True):
     """The reply to `Swarm.step`.
 

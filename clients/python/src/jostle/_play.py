@@ -41,8 +41,8 @@ class Player:
             swarm.run(until=100.0, wait=True)
             swarm.inform(jostle.count(2), direction=3.0)
 
-        Without other commands the swarm has the states of the run. It does not end when the
-        condition of `[stop]` holds.
+        Without other commands the swarm has the states of the run. It pauses when the condition of
+        `[stop]` holds.
 
         Args:
             source: An experiment as in `submit`, which need not be submitted.
@@ -56,7 +56,8 @@ class Player:
         Raises:
             AlreadyExists: The name of the swarm is taken.
             InvalidArgument: The experiment is invalid, has no such run, or that run cannot be
-                scheduled: it has a block with `when`, set-points or a start from a snapshot.
+                scheduled: it has set-points or a start from a snapshot, or its `[stop]` holds at
+                the start.
             OSError: The file cannot be read.
             ResourceExhausted: There are more commands than can be scheduled.
         """
@@ -78,8 +79,8 @@ class Player:
         for number, command in enumerate(expanded.commands, start=1):
             try:
                 self._session.command(
-                    self._session.swarm_key(name, "cmd/batch"),
-                    command.args,
+                    self._session.swarm_key(name, f"cmd/{command.command.verb}"),
+                    command.command.args,
                     swarm=name,
                     at_step=command.at_step,
                     timeout=timeout,
@@ -87,14 +88,14 @@ class Player:
                 )
             except (Busy, DeadlineExceeded, Unavailable) as error:
                 error.add_note(
-                    f"the command for step {command.at_step} may not be scheduled: call again with "
-                    f"the same request_id, or delete {name}"
+                    f"command {number} of the run may not be scheduled: call again with the same "
+                    f"request_id, or delete {name}"
                 )
                 raise
             except JostleError as error:
                 with contextlib.suppress(JostleError):
                     swarm.delete()
-                error.add_note(f"the command for step {command.at_step} was not scheduled")
+                error.add_note(f"command {number} of the run was not scheduled")
                 raise
         return swarm
 

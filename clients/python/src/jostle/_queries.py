@@ -6,6 +6,7 @@ import contextlib
 import math
 import os
 import time
+import uuid
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import SupportsIndex, overload
@@ -34,6 +35,7 @@ from ._messages import (
     SpecReply,
     Status,
     Verified,
+    WhenReply,
 )
 from ._progress import Bar
 from ._repr import HtmlList
@@ -296,20 +298,33 @@ class Queries:
     ) -> Status: ...
     @overload
     def wait(self, *, phase: Phase, timeout: float | None = None) -> Status: ...
+    @overload
+    def wait(
+        self, condition: str, *, event: str | None = None, timeout: float | None = None
+    ) -> Status: ...
     def wait(
         self,
+        condition: str | None = None,
         *,
         step: SupportsIndex | None = None,
         phase: Phase | None = None,
+        event: str | None = None,
         timeout: float | None = None,
         show: bool | None = None,
     ) -> Status:
-        """Waits until the swarm reaches a step or enters a phase; give exactly one of the two.
+        """Waits until a condition holds, or until the swarm reaches a step or enters a phase.
 
             swarm.run(rate=None)
+            swarm.wait("drift > 0.9 for 20", timeout=60.0)
             swarm.wait(step=10_000, timeout=60.0)
 
+        Give exactly one of the three. A condition waits in the daemon, as one of the 16 of `when`,
+        and does not change the swarm; it is removed if this call ends before it holds.
+
         Args:
+            condition: Return when this condition holds in the present state or after a later step,
+                see `when`; a duration begins with the present state.
+            event: With a condition: the name of its event `fired`; None is a unique one.
             step: Return at this step or a later one.
             phase: Return in this phase.
             timeout: Seconds; None is no timeout.
@@ -317,17 +332,26 @@ class Queries:
 
         Raises:
             DeadlineExceeded: Not within `timeout`.
-            Faulted: The swarm faulted before `step`.
+            Faulted: The swarm faulted before `step`, or before the condition held.
             IncorrectState: The swarm was paused before `step`.
-            NotFound: There is no such swarm.
+            InvalidArgument: The condition is invalid.
+            NotFound: There is no such swarm, or the condition was removed, by `when(cancel=True)`
+                or `reset`.
+            PermissionDenied: A condition requires the role operator.
+            ResourceExhausted: 16 conditions wait already.
         """
-        if (step is None) == (phase is None):
-            raise InvalidArgument("wait for a `step` or for a `phase`: exactly one of them")
+        if (condition is not None) + (step is not None) + (phase is not None) != 1:
+            what = "wait for a condition, for a `step` or for a `phase`: exactly one of them"
+            raise InvalidArgument(what)
+        if condition is not None:
+            return self._wait_for(condition, event, timeout)
+        if event is not None:
+            raise InvalidArgument("`event` is the name of a condition: give a condition")
         target = None if step is None else whole("step", step)
-        condition = f"phase={phase}" if target is None else f"step={target}"
+        awaited = f"phase={phase}" if target is None else f"step={target}"
         seconds = None if timeout is None else check_seconds("timeout", timeout)
         with Bar(self._name, False if target is None else show) as bar:
-            status = self._wait(condition, seconds, bar, target or 0)
+            status = self._wait(awaited, seconds, bar, target or 0)
             if target is not None and status.step >= target:
                 bar.end(f"step {target}")
         if target is not None and status.step < target:
@@ -339,6 +363,43 @@ class Queries:
                 step=status.step,
             )
         return self._remember(status)
+
+    def _wait_for(self, condition: str, event: str | None, timeout: float | None) -> Status:
+        """Waits for a condition, which is removed if that fails."""
+        seconds = None if timeout is None else check_seconds("timeout", timeout)
+        began = time.monotonic()
+        event = f"wait-{uuid.uuid4().hex}" if event is None else check_name("event", event)
+        args = {"condition": condition, "event": event, "from_step": 0}
+        reply = self._session.swarm_command(self._name, "when", args, WhenReply)
+        if reply.holds:
+            return self.status()
+        try:
+            if seconds is not None:
+                seconds = max(began + seconds - time.monotonic(), 0.001)
+            with Bar(self._name, False) as bar:
+                status = self._wait(f"event={event}", seconds, bar, 0)
+        except BaseException:
+            self._cancel_event(event)
+            raise
+        if status.phase == "faulted":
+            raise Faulted(
+                f"swarm {self._name!r} faulted at step {status.step} before {condition} held: "
+                f"{status.reason or 'no reason given'}",
+                details={"phase": status.phase, "reason": status.reason},
+                step=status.step,
+            )
+        return self._remember(status)
+
+    def _cancel_event(self, event: str) -> None:
+        """Removes a condition, also if this call is being cancelled."""
+        canceller = _cancel.current.set(None)
+        args = {"event": event, "cancel": True}
+        try:
+            # Without a daemon or a swarm there is nothing to remove.
+            with contextlib.suppress(JostleError):
+                self._session.swarm_command(self._name, "when", args, WhenReply)
+        finally:
+            _cancel.current.reset(canceller)
 
     def _wait(self, condition: str, seconds: float | None, bar: Bar, target: int) -> Status:
         """Sends `get/wait` until the condition holds; `bar` shows the progress to `target`."""

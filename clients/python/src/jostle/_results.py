@@ -75,11 +75,18 @@ class Progress(msgspec.Struct, frozen=True, kw_only=True):
         return self.phase in ("finished", "cancelled", "failed")
 
 
-class ScheduledCommands(msgspec.Struct, frozen=True, kw_only=True):
-    """Commands of a run that are executed together: the arguments of `batch`, and its step."""
+class RunVerb(msgspec.Struct, frozen=True, kw_only=True):
+    """A verb that a run consists of, `batch` or `when`, with its arguments."""
 
-    at_step: int
+    verb: str
     args: dict[str, Any]
+
+
+class RunCommand(msgspec.Struct, frozen=True, kw_only=True):
+    """A command of a run, and the step before which it is executed; None is at once."""
+
+    at_step: int | None
+    command: RunVerb
 
 
 class ExpandedRun(msgspec.Struct, frozen=True, kw_only=True):
@@ -89,14 +96,14 @@ class ExpandedRun(msgspec.Struct, frozen=True, kw_only=True):
         run: Its name.
         spec: The spec of the swarm, with the seed of the run.
         steps: The number of its steps, at most.
-        commands: The commands to schedule, in this order.
-        stop: The condition that ends the run, but not the swarm.
+        commands: The commands to send, in this order.
+        stop: The condition that ends the run and pauses the swarm.
     """
 
     run: str
     spec: dict[str, Any]
     steps: int
-    commands: list[ScheduledCommands]
+    commands: list[RunCommand]
     stop: str | None
 
 

@@ -66,3 +66,12 @@ fn long_lists_are_abbreviated() {
     assert!(shown.contains("\n  … 10 more\n"), "{shown}");
     assert!(!shown.contains("at most"), "{shown}");
 }
+
+#[test]
+fn a_condition_that_never_holds_is_marked() {
+    let text = "name = \"a\"\nduration = 2\n[[grid]]\nn = 5\n[stop]\nwhen = \"order > 1.5\"\n";
+    let plan = Plan::parse(text).unwrap();
+    let shown = DryRun::of(&plan, &Subset::all(&plan)).unwrap().to_string();
+    let expected = "when order > 1.5 (order > 1.5 never holds: the range of order is 0 to 1)";
+    assert!(shown.contains(expected), "{shown}");
+}

@@ -1,7 +1,7 @@
 //! Checkpoints of a run: files from which another process resumes it.
 
-use jostle_measures::{Frame, Past};
 use jostle_proto::Snapshot;
+use jostle_proto::snapshot::PastFrame;
 use serde::{Deserialize, Serialize};
 
 use super::measures::Measures;
@@ -19,47 +19,6 @@ pub struct RunCheckpoint {
     pub(super) past: Vec<PastFrame>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) protocol: Option<ProtocolProgress>,
-}
-
-/// The positions and headings of one earlier step, which measures with a lag need.
-#[derive(Clone, Deserialize, Serialize)]
-pub(super) struct PastFrame {
-    step: u64,
-    origin: [i64; 2],
-    id: Vec<u32>,
-    x: Vec<f64>,
-    y: Vec<f64>,
-    alpha: Vec<f64>,
-}
-
-impl PastFrame {
-    pub(super) fn of(past: &Past) -> Vec<Self> {
-        let frames = past.frames();
-        frames
-            .map(|frame| Self {
-                step: frame.step,
-                origin: frame.origin,
-                id: frame.id.clone(),
-                x: frame.x.clone(),
-                y: frame.y.clone(),
-                alpha: frame.alpha.clone(),
-            })
-            .collect()
-    }
-
-    /// Returns the past with these frames; none if one is invalid.
-    pub(super) fn restored(lag: u64, frames: Vec<Self>) -> Option<Past> {
-        let frames = frames.into_iter();
-        let frames = frames.map(|frame| Frame {
-            step: frame.step,
-            origin: frame.origin,
-            id: frame.id,
-            x: frame.x,
-            y: frame.y,
-            alpha: frame.alpha,
-        });
-        Past::from_frames(lag, frames).ok()
-    }
 }
 
 impl RunCheckpoint {

@@ -53,7 +53,8 @@ fn frames_restore_it_and_damaged_ones_are_rejected() {
         [3, 4]
     );
     assert_eq!(Past::from_frames(0, frames.clone()).unwrap(), Past::new(0));
-    let damages: [fn(&mut [Frame]); 3] = [
+    let damages: [fn(&mut [Frame]); 4] = [
+        |frames| frames[1].y[0] = f64::NAN,
         |frames| frames[1].step = 2,
         |frames| frames[1].alpha.clear(),
         |frames| {
@@ -105,4 +106,31 @@ fn the_limit_is_of_steps_times_individuals() {
             .to_string()
             .contains("shorter lag")
     );
+}
+
+#[test]
+fn its_lag_may_change_and_its_poses_are_limited() {
+    let mut past = Past::default();
+    past.observe_with(&at_step(0), 0);
+    assert_eq!(steps(&past), [0; 0]);
+    (1..6).for_each(|step| past.observe_with(&at_step(step), 10));
+    assert_eq!(steps(&past), [1, 2, 3, 4, 5]);
+    past.observe_with(&at_step(6), 2);
+    assert_eq!(steps(&past), [4, 5, 6]);
+    past.observe_with(&at_step(7), 3);
+    assert_eq!(steps(&past), [4, 5, 6, 7]);
+    assert_eq!(past.earlier_poses(), 3);
+    past.observe_with(&at_step(8), 0);
+    assert_eq!((steps(&past), past.earlier_poses()), (vec![], 0));
+
+    let poses = vec![[0.0; 3]; 100_000];
+    for step in 10..15 {
+        let large = State {
+            step,
+            ..state(&poses)
+        };
+        past.observe_with(&large, 4);
+    }
+    assert_eq!(steps(&past), [12, 13, 14]);
+    assert_eq!(past.earlier_poses(), 200_000);
 }

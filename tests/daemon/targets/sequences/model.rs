@@ -32,6 +32,17 @@ pub enum Step {
     Remove(usize),
 }
 
+/// What a condition does.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Effect {
+    Pause,
+    /// Apply one change, which is valid.
+    Change,
+    Event,
+    /// As `Pause`, and remove the scheduled commands and the conditions without events.
+    Stop,
+}
+
 /// A command of the model.
 #[derive(Clone, Debug)]
 pub enum Input {
@@ -43,6 +54,10 @@ pub enum Input {
     Step(u64),
     Change(Step),
     Batch(Vec<Step>),
+    /// A condition that holds in every state.
+    When(Effect),
+    /// Remove all conditions.
+    Cancel,
     Reset,
     Delete,
 }
@@ -74,6 +89,8 @@ pub struct Model {
     pub is_due: bool,
     pub waiting: BTreeMap<(u64, u64), Input>,
     pub arrived: u64,
+    /// The conditions, in the order of arrival.
+    pub conditions: Vec<Effect>,
     /// The step at which the pending `step` began, and its reply.
     pub pending: Option<u64>,
     pub stepped: Option<Expected>,
@@ -97,6 +114,7 @@ impl Model {
             is_due: false,
             waiting: BTreeMap::new(),
             arrived: 0,
+            conditions: Vec::new(),
             pending: None,
             stepped: None,
             journal: Vec::new(),
@@ -185,7 +203,17 @@ impl Model {
                 self.n = n;
                 changes.len() as u64
             }
+            Input::When(effect) => {
+                self.conditions.retain(|it| it != effect);
+                self.conditions.push(*effect);
+                1
+            }
+            Input::Cancel => {
+                self.conditions.clear();
+                1
+            }
             Input::Reset => {
+                self.conditions.clear();
                 self.answer_pending();
                 self.phase = ModelPhase::Paused;
                 self.step = 0;
@@ -220,6 +248,7 @@ impl Model {
             self.is_due = false;
             self.step += 1;
             let had_ended = self.pause_at_end();
+            self.fire();
             while let Some(first) = self.waiting.first_entry() {
                 if first.key().0 > self.step {
                     break;
@@ -234,6 +263,30 @@ impl Model {
             }
             if had_ended && !matches!(self.phase, ModelPhase::Stepping(_)) {
                 self.answer_pending();
+            }
+        }
+    }
+
+    /// Executes all conditions, once: each holds. One that stops is executed without the others, except
+    /// for events.
+    fn fire(&mut self) {
+        let mut firing = std::mem::take(&mut self.conditions);
+        if firing.contains(&Effect::Stop) {
+            firing.retain(|it| matches!(it, Effect::Stop | Effect::Event));
+        }
+        for effect in firing {
+            match effect {
+                Effect::Pause | Effect::Stop => {
+                    self.answer_pending();
+                    self.phase = ModelPhase::Paused;
+                }
+                Effect::Change | Effect::Event => {}
+            }
+            self.seq += 1;
+            self.journal.push((self.seq, self.epoch, self.step));
+            if effect == Effect::Stop {
+                self.rejected_later += self.waiting.len();
+                self.waiting.clear();
             }
         }
     }

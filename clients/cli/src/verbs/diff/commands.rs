@@ -56,7 +56,10 @@ impl History {
         let mut annotations = 0;
         let commands = self.commands.iter().filter(move |it| it.seq > seq);
         commands.filter_map(move |command| {
-            if command.verb == "annotate" {
+            // A condition that only publishes an event counts as one.
+            let is_condition = ["when", "fired"].contains(&command.verb.as_str());
+            let is_event = is_condition && command.args.get("event").is_some();
+            if command.verb == "annotate" || is_event {
                 annotations += 1;
                 return None;
             }
@@ -132,6 +135,23 @@ mod tests {
         let divergence = divergence.unwrap();
         let seq = |command: Option<Command>| command.map(|it| it.seq);
         (seq(divergence.one), seq(divergence.other))
+    }
+
+    #[test]
+    fn conditions_with_events_change_no_draw() {
+        let draw = json!({"select": {"count": 1}});
+        let wait = json!({"condition": "order > 0", "event": "mine"});
+        let one = history(0, &[(1, 4, "remove", draw.clone())]);
+        let other = history(
+            0,
+            &[
+                (1, 0, "when", wait.clone()),
+                (2, 4, "fired", wait),
+                (3, 4, "when", json!({"event": "other", "cancel": true})),
+                (4, 4, "remove", draw),
+            ],
+        );
+        assert!(diverge(&one, &other).1.is_none());
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! `experiment play`: the swarm of a run, with the commands of its protocol scheduled.
 
 use jostle_client::{Client, CommandOptions};
-use jostle_experiment::{LiveRun, Plan, PlannedRun};
+use jostle_experiment::{LiveCommand, LiveRun, Plan, PlannedRun};
 use jostle_proto::Reply;
 use jostle_proto::verbs::{CreateArgs, CreateResult, DeleteArgs};
 use serde_json::json;
@@ -45,13 +45,27 @@ pub async fn play(context: &Context, arguments: &PlayArguments) -> Result<(), Fa
     })?;
     let reply: Reply<CreateResult> = answer.read()?;
     for (k, command) in (1..).zip(&live.commands) {
-        let options = CommandOptions {
-            at_step: Some(command.step),
-            ..options(k)
+        let (step, sent) = match command {
+            LiveCommand::Batch { step, args } => {
+                let options = CommandOptions {
+                    at_step: Some(*step),
+                    ..options(k)
+                };
+                (
+                    *step,
+                    client
+                        .command(swarm, "batch", args, options)
+                        .await
+                        .map(drop),
+                )
+            }
+            LiveCommand::When(args) => {
+                let sent = client.command(swarm, "when", args, options(k)).await;
+                (args.from_step.unwrap_or(0), sent.map(drop))
+            }
         };
-        let sent = client.command(swarm, "batch", &command.args, options).await;
         if let Err(error) = sent {
-            return Err(undone(client, swarm, command.step, error.into()).await);
+            return Err(undone(client, swarm, step, error.into()).await);
         }
     }
     if output.json {
@@ -73,7 +87,7 @@ pub async fn play(context: &Context, arguments: &PlayArguments) -> Result<(), Fa
     ))?;
     if let Some(condition) = &live.stop {
         output.note(&format!(
-            "the run ends when {condition}; the swarm does not"
+            "the run ends when {condition}: the swarm pauses then"
         ));
     }
     Ok(())

@@ -117,6 +117,14 @@ pub fn steering() -> Vec<Row> {
             ],
         ),
         row(
+            "wait <name>demo <condition>order>0.9 --event mine",
+            &[
+                r#"demo/cmd/when {"condition": "order>0.9", "event": "mine", "from_step": 0}"#,
+                "demo/get/wait?event=mine;timeout_secs=30",
+            ],
+        )
+        .says("order>0.9 holds"),
+        row(
             "annotate <name>demo <text>ready",
             &[r#"demo/cmd/annotate {"text": "ready"}"#],
         )

@@ -1,0 +1,131 @@
+//! Conditions that only cause an event, and states from which and up to which one is evaluated.
+
+use jostle_proto::{ErrorCode, keys};
+use serde_json::{Value, json};
+
+use super::{create_informed, fired, spec, verifies, waiting};
+use crate::support::daemon_process::{killed, start};
+use crate::support::{Client, Daemon, PREFIX};
+
+fn event(condition: &str, name: &str) -> Value {
+    json!({"condition": condition, "event": name, "from_step": 0})
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_event_is_waited_for_across_a_kill_and_changes_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut daemon = start(folder.path()).await;
+    let step = 300;
+    // It holds 50 steps before that, and began to hold at step 0.
+    let lasting = format!("order >= 0 for {}", (step - 50) as f64 * 0.02);
+    let draw = json!({"select": {"count": 3}, "direction": -1.0});
+    for name in ["a", "twin"] {
+        create_informed(&daemon.1, name).await;
+        if name == "a" {
+            let reply = daemon.1.ok(name, "when", event(&lasting, "mine")).await;
+            assert_eq!(reply["result"], json!({}));
+            // Of the same name it replaces the first one, of another name it does not.
+            daemon.1.ok(name, "when", event("order > 1", "mine")).await;
+            daemon.1.ok(name, "when", event(&lasting, "mine")).await;
+            daemon.1.ok(name, "when", event(&lasting, "theirs")).await;
+            assert_eq!(waiting(&daemon.1, name).await, json!([lasting, lasting]));
+        }
+        daemon.1.ok(name, "inform", draw.clone()).await;
+        let before = json!({"timeout_secs": 60, "args": {"steps": step - 100}});
+        daemon.1.ok(name, "step", before).await;
+    }
+    // The draws of the twin are the same, and so is the step.
+    assert_eq!(daemon.1.hash("a").await, daemon.1.hash("twin").await);
+    daemon = killed(folder.path(), daemon).await;
+    let cancel = json!({"event": "theirs", "cancel": true});
+    daemon.1.ok("a", "when", cancel.clone()).await;
+    daemon.1.ok("a", "when", cancel).await;
+    let path = |event: &str| keys::get(PREFIX, "a", &format!("wait?event={event};timeout_secs=10"));
+    let gone = daemon.1.query(&path("theirs"), None).await.unwrap_err();
+    assert_eq!(gone.code, ErrorCode::NotFound, "{gone:?}");
+    let another = Client::open(&daemon.0.endpoint).await;
+    let mine = path("mine");
+    let held = another.query(&mine, None);
+    let (held, _) = tokio::join!(
+        held,
+        daemon
+            .1
+            .ok("a", "run", json!({"until_step": 2000, "rate": 50}))
+    );
+    assert!(held.unwrap()["step"].as_u64().unwrap() >= 1);
+    let [(at, args)] = &fired(&daemon.1, "a").await[..] else {
+        panic!("not once")
+    };
+    assert_eq!(args["event"], "mine");
+    daemon.1.ok("a", "pause", json!({})).await;
+    // Once it has held, the reply is immediate, also after a restart.
+    daemon = killed(folder.path(), daemon).await;
+    daemon.1.query(&path("mine"), None).await.unwrap();
+    verifies(&daemon.1, "a").await;
+    // A kill may undo the last steps of the twin.
+    let mut steps = [0; 2];
+    for (k, name) in ["a", "twin"].into_iter().enumerate() {
+        daemon.1.ok(name, "pause", json!({})).await;
+        steps[k] = daemon.1.get(name, "status").await["step"].as_u64().unwrap();
+    }
+    let rest = json!({"timeout_secs": 60, "args": {"steps": steps[0] - steps[1]}});
+    daemon.1.ok("twin", "step", rest).await;
+    assert_eq!(daemon.1.hash("a").await, daemon.1.hash("twin").await);
+    assert_eq!(*at, step - 50);
+    daemon.0.kill();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_condition_that_holds_already_does_not_wait() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    client.create("a", spec()).await;
+    let reply = client.ok("a", "when", event("order >= 0", "now")).await;
+    assert_eq!(reply["result"], json!({"holds": true}));
+    let at_once = json!({"condition": "order >= 0", "pause": true, "from_step": 0});
+    let (code, message) = client.err("a", "when", at_once).await;
+    assert_eq!(code, ErrorCode::Conflict, "{message}");
+    for args in [
+        event("order > 0", ""),
+        event("order > 0", &"x".repeat(65)),
+        json!({"condition": "order > 0", "event": "a", "pause": true}),
+        json!({"condition": "order > 0", "event": "a", "protocol": true}),
+        json!({"condition": "order > 0", "pause": true, "draw": 3}),
+        json!({"condition": "order > 0", "pause": true, "from_step": 5, "before_step": 5}),
+        json!({"condition": "order > 0", "pause": true, "from_step": 1.5}),
+        json!({"condition": "order > 0", "event": "a", "cancel": true}),
+        json!({"event": "a"}),
+    ] {
+        let (code, message) = client.err("a", "when", args.clone()).await;
+        assert_eq!(code, ErrorCode::InvalidArgument, "{args}: {message}");
+    }
+    assert_eq!(waiting(client, "a").await, Value::Null);
+    // From a step on, and up to one.
+    client
+        .ok(
+            "a",
+            "when",
+            json!({"condition": "order >= 0", "pause": true, "from_step": 7}),
+        )
+        .await;
+    client
+        .ok(
+            "a",
+            "when",
+            json!({"condition": "order >= 0", "pause": true, "from_step": 9, "before_step": 10}),
+        )
+        .await;
+    client
+        .ok(
+            "a",
+            "when",
+            json!({"condition": "order > 1", "pause": true, "before_step": 4}),
+        )
+        .await;
+    let reply = client.ok("a", "step", json!({"steps": 20})).await;
+    assert_eq!(reply["result"]["steps"], 7, "{reply}");
+    assert_eq!(waiting(client, "a").await, json!(["order >= 0"]));
+    let reply = client.ok("a", "step", json!({"steps": 20})).await;
+    assert_eq!(reply["result"]["steps"], 2, "{reply}");
+    daemon.stop().await;
+}
