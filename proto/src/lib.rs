@@ -43,9 +43,9 @@ pub use experiment::{
 };
 pub use metrics::{Metrics, RecordingMetrics, StoreMetrics, SwarmMetrics};
 pub use queries::{
-    Awaited, Controller, ControllerList, Events, ExperimentFile, Hello, HistoryFrom, Journal,
-    JournalEntry, Limits, MeasureValue, Measures, NodeStatus, Parameter, ParameterKind, Parameters,
-    Puts, Schemas, Status, SwarmSummary, Swarms, Verified,
+    Awaited, Controller, ControllerList, Events, ExperimentFile, Hello, Histogram, HistoryFrom,
+    Journal, JournalEntry, Limits, MeasureValue, Measures, NodeStatus, Parameter, ParameterKind,
+    Parameters, Puts, Schemas, Status, SwarmSummary, Swarms, Verified,
 };
 pub use recording::{
     BeginRecordingArgs, DEFAULT_MAX_RECORDING_BYTES, RecordArgs, Recording, RecordingFormat,
@@ -56,7 +56,9 @@ pub use result_row::{COLUMNS, Column, ExtraValue, Measure, ResultRow};
 pub use role::{Credentials, Role, WhoAmI};
 pub use snapshot::Snapshot;
 pub use spec::{Attraction, ContactRule, Spec, Start, Stepping};
-pub use state::{Certificate, Order, OrderSample, ParameterValues, Phase, State, to_cbor};
+pub use state::{
+    Certificate, MAX_PUBLISHED_MEASURES, Order, OrderSample, ParameterValues, Phase, State, to_cbor,
+};
 pub use walk::{Arguments, Lenient};
 
 /// The version of this contract; it grows when a message changes its meaning.

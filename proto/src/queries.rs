@@ -211,11 +211,31 @@ pub enum ParameterKind {
     Choice,
 }
 
-/// A swarm's reply to `get/measures?names=NAME,...`.
+/// A swarm's reply to `get/measures?names=NAME,...`, or with a histogram to
+/// `get/measures?histogram=NAME;bins=COUNT;max=LENGTH`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Measures {
     /// The requested measures of the newest state, in the requested order.
     pub measures: Vec<MeasureValue>,
+    /// The requested histogram of the newest state.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub histogram: Option<Histogram>,
+}
+
+/// A histogram of a state.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Histogram {
+    /// Its name: `pair_correlation` or `neighbour_density`.
+    pub name: String,
+    /// The unit of its values; `1` if they have none.
+    pub unit: String,
+    /// The edges of the bins of one axis, body sizes: one more than the axis has bins.
+    pub edges: Vec<f64>,
+    /// The number of ordered pairs of individuals in each bin. The bins of `neighbour_density` are
+    /// squares: rows from the back to the front, each from the right to the left.
+    pub counts: Vec<u64>,
+    /// The value of each bin.
+    pub values: Vec<f64>,
 }
 
 /// A measure of a state.

@@ -151,6 +151,9 @@ pub struct SnapshotParameters {
     pub noise: Option<f64>,
     /// Steps between two published states.
     pub publish_every: u64,
+    /// The measures in each published order; left out without any.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub measures: Option<Vec<String>>,
 }
 
 /// The phase of a swarm in detail.

@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::LARGEST_WHOLE;
+use crate::{LARGEST_WHOLE, MAX_PUBLISHED_MEASURES};
 
 /// The description of a swarm: same spec, same seed, same bytes.
 ///
@@ -67,6 +67,11 @@ pub struct Spec {
     #[serde(default = "default::publish_every")]
     #[schemars(range(min = 1, max = 1_000_000_000), extend("x-unit" = "steps", "x-changed-by" = ["set"]))]
     pub publish_every: u64,
+    /// The measures in each published order, such as `milling`, at most 16 that need no earlier
+    /// state; none if left out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(length(max = MAX_PUBLISHED_MEASURES), extend("x-unit" = "1", "x-changed-by" = ["set"]))]
+    pub measures: Option<Vec<String>>,
     /// Time units per second of wall clock; `null` is as fast as possible.
     #[serde(default = "default::rate")]
     #[schemars(extend("exclusiveMinimum" = 0, "x-unit" = "time units / s", "x-changed-by" = ["run"]), range(max = 1e6))]
@@ -91,6 +96,7 @@ impl Spec {
             attraction: Attraction::default(),
             noise: 0.0,
             publish_every: default::publish_every(),
+            measures: None,
             rate: default::rate(),
         }
     }

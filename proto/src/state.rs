@@ -1,10 +1,15 @@
 //! The states that a swarm publishes.
 
+use std::collections::BTreeMap;
+
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::walk::lenient;
 use crate::{Attraction, ContactRule, Stepping, column};
+
+/// Maximum number of measures in a published order.
+pub const MAX_PUBLISHED_MEASURES: usize = 16;
 
 /// The phase of a swarm.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -173,10 +178,14 @@ pub struct OrderSample {
     pub rate: Option<f64>,
     /// The rate that was reached lately; `null` while it does not run.
     pub real_time_factor: Option<f64>,
+    /// The measures that the swarm publishes, by name, each in its unit; `null` where one is
+    /// undefined or the group is too large for it. Left out without any.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub measures: Option<BTreeMap<String, Option<f64>>>,
 }
 
 /// The values of the parameters that commands can change.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ParameterValues {
     /// Length over width of a body.
     pub pi1: f64,
@@ -199,6 +208,9 @@ pub struct ParameterValues {
     pub noise: f64,
     /// Steps between two published states.
     pub publish_every: u64,
+    /// The measures in each published order; left out without any.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub measures: Option<Vec<String>>,
 }
 
 #[cfg(test)]

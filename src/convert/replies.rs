@@ -84,7 +84,7 @@ pub fn outcome(swarm: &str, stamp: &Stamp, outcome: Outcome, frame: Option<u64>)
             before,
             now,
             scaled_by,
-        }) => json(swarm, stamp, set_result(before, now, scaled_by)),
+        }) => json(swarm, stamp, set_result(&before, &now, scaled_by)),
         Outcome::Changed(ChangeOutcome::Ids { ids, n }) => json(swarm, stamp, ids_result(ids, n)),
         Outcome::Batch(outcomes) => {
             let results = outcomes.into_iter();

@@ -46,6 +46,7 @@ pub fn order_sample(swarm: &str, seen: &Frame, frame: u64) -> proto::OrderSample
         certificate: certificate(seen),
         rate: seen.rate,
         real_time_factor: seen.real_time_factor,
+        measures: (!seen.measures.is_empty()).then(|| seen.values().clone()),
     }
 }
 
@@ -60,7 +61,7 @@ pub fn status(seen: &Frame, history_from: Option<proto::HistoryFrom>) -> proto::
         informed: informed(seen),
         seed: seen.seed,
         dt: seen.parameters.dt,
-        parameters: parameter_values(seen.parameters, seen.publish_every),
+        parameters: parameter_values(seen.parameters, seen.publish_every, &seen.measures),
         scheduled: seen.scheduled as u64,
         when: (!seen.conditions.is_empty())
             .then(|| seen.conditions.iter().map(ToString::to_string).collect()),
@@ -107,7 +108,7 @@ pub fn parameters(seen: &Frame, limits: Limits) -> proto::Parameters {
     let mut parameters = proto::contract::parameters();
     let now = seen.parameters;
     // All numbers are finite and all keys are strings, so this cannot fail.
-    let values = serde_json::to_value(parameter_values(now, seen.publish_every))
+    let values = serde_json::to_value(parameter_values(now, seen.publish_every, &seen.measures))
         .expect("parameters are JSON");
     for parameter in &mut parameters {
         match parameter.name.as_str() {

@@ -1,13 +1,14 @@
 //! The current metrics of the daemon.
 
 use std::fs;
+use std::sync::Arc;
 use std::thread;
 
 use rustix::time::{ClockId, clock_gettime};
 
 use crate::health::{Bus, HealthMonitor, Reason, RecordingCounts};
 use crate::store;
-use crate::swarm::frame::Summary;
+use crate::swarm::frame::{Frame, Summary};
 use crate::swarm::metrics::{LastStep, Totals};
 
 /// The metrics of the daemon.
@@ -62,6 +63,8 @@ pub struct PerSwarmMetrics {
     pub totals: Totals,
     /// Its last step.
     pub last: LastStep,
+    /// A recent state, if it publishes measures.
+    pub measured: Option<Arc<Frame>>,
 }
 
 impl HealthMonitor {
@@ -78,6 +81,7 @@ impl HealthMonitor {
                     summary,
                     totals: own,
                     last: handle.metrics.last_step(),
+                    measured: handle.metrics.measured(),
                 });
             }
         }

@@ -323,6 +323,7 @@ impl Player {
             stamp: self.stamp(),
             parameters: recorded.parameters,
             publish_every: self.spec.publish_every,
+            measures: Vec::new(),
             seed: self.spec.seed,
             scheduled: 0,
             conditions: Vec::new(),
@@ -335,6 +336,7 @@ impl Player {
             controllers: Vec::new(),
             hash: None,
             gaps: OnceLock::from(recorded.gaps),
+            values: OnceLock::new(),
             replay: Some(Replay {
                 of: self.source.swarm.clone(),
                 frame: self.at as u64 + 1,

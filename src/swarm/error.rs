@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use jostle_measures::PastError;
+use jostle_measures::{PastError, TooCostly};
 use jostle_physics::simulation::{ChangeError, ReserveError};
 use thiserror::Error;
 
@@ -47,6 +47,9 @@ pub enum SwarmError {
         index: usize,
         error: Box<SwarmError>,
     },
+    /// The group is too large for a measure that it would publish.
+    #[error(transparent)]
+    TooCostly(#[from] TooCostly),
     /// The command panicked.
     #[error("a defect of the daemon: nothing was changed; please report what you sent")]
     Panicked,

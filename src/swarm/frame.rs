@@ -1,11 +1,14 @@
 //! Frames, summaries and events of a swarm.
 
+use std::collections::BTreeMap;
 use std::sync::{Arc, OnceLock};
 use std::time::{SystemTime, UNIX_EPOCH};
 
+use jostle_measures::{Measure, Past, TooCostly, View};
 use jostle_physics::model::body::{self, Gaps};
 use jostle_physics::model::configuration::Configuration;
 use jostle_physics::model::parameters::Parameters;
+use jostle_physics::model::{State, WarmStart};
 use jostle_physics::observables::{Order, RunningMeans};
 use jostle_physics::simulation::{Exactness, Rate};
 
@@ -38,6 +41,8 @@ pub struct Frame {
     pub parameters: Parameters,
     /// Steps between two published states.
     pub publish_every: u64,
+    /// The names of the measures that are published.
+    pub measures: Vec<String>,
     /// The seed of every draw.
     pub seed: u64,
     /// The number of scheduled commands.
@@ -64,6 +69,8 @@ pub struct Frame {
     pub hash: Option<[u8; 32]>,
     /// Computed by the first reader, not on the thread of the swarm.
     pub(crate) gaps: OnceLock<Gaps>,
+    /// Computed by the thread of the swarm if the frame is published, otherwise by the first reader.
+    pub(crate) values: OnceLock<BTreeMap<String, Option<f64>>>,
 }
 
 impl Frame {
@@ -72,6 +79,36 @@ impl Frame {
         *self
             .gaps
             .get_or_init(|| body::gaps(&self.parameters, &self.configuration))
+    }
+
+    /// The state, without what only steps need.
+    pub fn state(&self) -> State {
+        State {
+            parameters: self.parameters,
+            seed: self.seed,
+            step: self.stamp.step,
+            configuration: self.configuration.clone(),
+            warm_start: WarmStart::default(),
+        }
+    }
+
+    /// The values of the published measures by name: `None` where one is undefined or the group too
+    /// large for it.
+    pub fn values(&self) -> &BTreeMap<String, Option<f64>> {
+        self.values.get_or_init(|| {
+            if self.measures.is_empty() {
+                return BTreeMap::new();
+            }
+            let (state, past) = (self.state(), Past::new(0));
+            let view = View::new(&state, &past);
+            let value = |name: &String| {
+                let measure = name.parse::<Measure>().ok()?;
+                measure.check_size(self.configuration.n()).ok()?;
+                measure.evaluate(&view)
+            };
+            let values = self.measures.iter().map(|it| (it.clone(), value(it)));
+            values.collect()
+        })
     }
 }
 
@@ -145,6 +182,16 @@ pub enum EventKind {
     Recorded(Arc<str>),
     /// It was deleted.
     Deleted,
+}
+
+/// Checks that a group of `n` is not too large for measures of these names.
+///
+/// # Errors
+///
+/// [`TooCostly`].
+pub fn check_sizes(names: &[String], n: usize) -> Result<(), TooCostly> {
+    let measures = names.iter().filter_map(|it| it.parse::<Measure>().ok());
+    measures.into_iter().try_for_each(|it| it.check_size(n))
 }
 
 /// The wall-clock time in events and in the journal: seconds since 1970, UTC, to the millisecond; `None`

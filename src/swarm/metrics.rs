@@ -1,13 +1,16 @@
 //! Metrics of a swarm, written by its thread and read by others.
 
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
 
 use jostle_physics::stepper::StepReport;
+use parking_lot::Mutex;
 
 use crate::metrics::{Activity, Durations, Histogram, add};
+use crate::swarm::frame::Frame;
 
-/// Metrics of one swarm. Only its thread writes them, without locks.
+/// Metrics of one swarm. Only its thread writes them.
 #[derive(Debug, Default)]
 pub struct SwarmMetrics {
     /// Whether the thread is working, for the watchdog.
@@ -20,6 +23,9 @@ pub struct SwarmMetrics {
     // Bits of nonnegative doubles, whose order is the order of the numbers.
     residual: AtomicU64,
     residual_max: AtomicU64,
+    is_measured: AtomicBool,
+    /// A recent state of a swarm that publishes measures.
+    measured: Mutex<Option<Arc<Frame>>>,
 }
 
 /// Totals of one swarm or of several.
@@ -67,6 +73,19 @@ impl SwarmMetrics {
         if report.degraded {
             add(&self.degraded, 1);
         }
+    }
+
+    /// Replaces the state of which [`Self::measured`] evaluates measures; takes no lock without one.
+    pub fn set_measured(&self, frame: Option<Arc<Frame>>) {
+        let is_measured = frame.is_some();
+        if self.is_measured.swap(is_measured, Ordering::Relaxed) || is_measured {
+            *self.measured.lock() = frame;
+        }
+    }
+
+    /// A recent state, if the swarm publishes measures.
+    pub fn measured(&self) -> Option<Arc<Frame>> {
+        self.measured.lock().clone()
     }
 
     /// Counts a fault.

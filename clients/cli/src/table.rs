@@ -245,7 +245,12 @@ fn fields(values: &ParameterValues) -> Vec<(String, String)> {
         let value = fields.get(&parameter.name)?;
         Some((parameter.name, format::value(value, false)))
     });
-    written.collect()
+    let measures = values.measures.as_deref().unwrap_or_default();
+    let measures = match measures {
+        [] => "none".to_owned(),
+        names => names.join(","),
+    };
+    written.chain([("measures".to_owned(), measures)]).collect()
 }
 
 fn with_mean(now: Option<f64>, mean: Option<f64>) -> String {

@@ -321,6 +321,12 @@ pub fn assignment(text: &str) -> Result<Assignment, String> {
         let field = field.to_owned();
         return law(value).map(|Law(value)| Assignment { field, value });
     }
+    if field == "measures" {
+        return Ok(Assignment {
+            field: field.to_owned(),
+            value: measures(value).into(),
+        });
+    }
     // An integer stays one: counts are rejected as 5.0.
     let value = serde_json::from_str::<serde_json::Number>(value)
         .map(Value::Number)
@@ -330,6 +336,12 @@ pub fn assignment(text: &str) -> Result<Assignment, String> {
         field: field.replace('-', "_"),
         value,
     })
+}
+
+/// The names of measures, separated by commas; none of an empty text.
+pub fn measures(text: &str) -> Vec<String> {
+    let names = text.split(',').map(str::trim).filter(|_| !text.is_empty());
+    names.map(str::to_owned).collect()
 }
 
 fn triple(text: &str, shape: &str) -> Result<[f64; 3], String> {
@@ -463,6 +475,9 @@ mod tests {
             assignment("publish-every=5").unwrap().field,
             "publish_every"
         );
+        let names = serde_json::json!(["drift", "clusters.count(0.1)"]);
+        assert_eq!(value("measures=drift, clusters.count(0.1)"), names);
+        assert_eq!(value("measures="), serde_json::json!([]));
         for text in ["pi1", "=3", ""] {
             assert!(assignment(text).is_err(), "{text:?}");
         }

@@ -218,10 +218,17 @@ class Checker:
             may_default = not self.is_asked and (nullable or hint is jostle.Spec)
             if is_required and not needed[name] and not may_default:
                 self.problems.append(f"{at} is required, but not in {hint.__name__}")
-            takes_none = type(None) in typing.get_args(hints[name]) or hints[name] is Any
+            absent = {type(None), msgspec.UnsetType}
+            takes_none = bool(absent & {*typing.get_args(hints[name])}) or hints[name] is Any
             if takes_none != nullable:
                 self.problems.append(f"{at}: None in the contract is {nullable}, not {takes_none}")
             self.check(at, hints[name], field)
+
+    def is_map(self, hint: Any, schema: dict[str, Any]) -> bool:
+        """Whether an object of arbitrary names has numbers or null, as in the type."""
+        values = schema.get("additionalProperties", {})
+        is_number = set(values.get("type", [])) == {"number", "null"}
+        return is_number and hint == dict[str, float | None]
 
     def check(self, where: str, hint: Any, schema: dict[str, Any]) -> None:
         """Compares a value that is not None."""
@@ -232,7 +239,7 @@ class Checker:
                 self.problems.append(f"{where} is {kind} and not {hint}")
             return
         if isinstance(hint, types.UnionType) or typing.get_origin(hint) is typing.Union:
-            hints = [one for one in typing.get_args(hint) if one is not type(None)]
+            hints = [one for one in typing.get_args(hint) if one not in (type(None), msgspec.UnsetType)]
             if len(hints) > 1:
                 self.check_union(where, hints, schema)
                 return
@@ -244,7 +251,7 @@ class Checker:
         elif kind == "object":
             if schema.keys() & {"properties", "oneOf"} and not where.endswith(LOOSE):
                 self.check_object(where, hint, schema)
-            elif hint != dict[str, Any]:
+            elif hint != dict[str, Any] and not self.is_map(hint, schema):
                 self.problems.append(f"{where} is an object and not {hint}")
         elif typing.get_origin(hint) is Literal:
             words = {variant["const"] for variant in schema.get("oneOf", [])}

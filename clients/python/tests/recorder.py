@@ -276,6 +276,11 @@ class Recorder:
                 names = parameters["names"].split(",")
                 values = [{"name": it, "value": 0.5, "unit": "1"} for it in names]
                 return {**reply, "result": {"measures": values}}
+            case ["get", "measures"] if "histogram" in parameters:
+                bins = {"edges": [0.0, 1.0], "counts": [2], "values": [0.5]}
+                histogram = {"name": parameters["histogram"], "unit": "1", **bins}
+                reply = fixture("measures.reply")
+                return {**reply, "result": {"measures": [], "histogram": histogram}}
             case ["get", "experiment"]:
                 return fixture("experiment.file.reply")
             case ["get", noun]:

@@ -44,6 +44,7 @@ OTHERS: dict[str, Any] = {
     "attraction": {"kind": "voronoi"},
     "noise": 0.125,
     "publish_every": 2,
+    "measures": ["drift", "milling"],
     "rate": None,
 }
 GIVEN = {"kind": "given", "x": [0.0, 2.0, 4.0], "y": [1.0, 1.5, 2.0], "alpha": [0.0, 0.5, 1.0]}

@@ -43,6 +43,7 @@ ALL_SET: dict[str, Any] = {
     "attraction": {"kind": "voronoi"},
     "noise": 0.125,
     "publish_every": 2,
+    "measures": ["drift", "milling"],
     "make_room": True,
 }
 
@@ -149,6 +150,11 @@ QUESTIONS = [
         "Swarm.measures",
         call("order", "clusters.count(0.1)"),
         [get("get/measures?names=order,clusters.count(0.1)")],
+    ),
+    Row(
+        "Swarm.histogram",
+        call("pair_correlation", bins=4, max=2.5),
+        [get("get/measures?histogram=pair_correlation;bins=4;max=2.5")],
     ),
     Row("Swarm.controllers", call(), [get("get/controllers")]),
     Row("Swarm.snapshot", call(), [get("get/snapshot")]),

@@ -1,10 +1,9 @@
 //! Converts the arguments of verbs to changes, and the outcomes of changes to results.
 
-use jostle_physics::model::parameters::Parameters;
 use jostle_physics::model::selection::Selection;
 use jostle_physics::model::{Drive, body, injection};
 use jostle_physics::simulation::{
-    Change, ChangeKind, ChangeOutcome, Placement, SetPoints, Settings,
+    Change, ChangeKind, ChangeOutcome, Placement, SetPoints, SettingValues, Settings,
 };
 use jostle_proto::verbs::{
     self, Changed, Foremost, IdsResult, InformArgs, InjectArgs, Pose, Region, RemoveArgs, Select,
@@ -12,6 +11,7 @@ use jostle_proto::verbs::{
 };
 use thiserror::Error;
 
+use crate::measures::published;
 use crate::spec::{self, parameter_values};
 use crate::value::{self, WireError};
 
@@ -63,6 +63,7 @@ pub fn to_proto(change: &Change) -> verbs::Change {
             attraction: settings.attraction.map(spec::attraction_to_proto),
             noise: settings.noise,
             publish_every: settings.publish_every,
+            measures: settings.measures.clone(),
             make_room: settings.make_room,
         }),
         Change::Inform {
@@ -137,6 +138,7 @@ fn selection_to_proto(selection: &Selection) -> Select {
 /// [`ArgsError`] if no parameter is given, or `make_room` without `pi1`. The simulation checks
 /// ranges, since they depend on its state.
 pub fn set(args: SetArgs) -> Result<Change, ArgsError> {
+    let is_empty = args == SetArgs::default();
     let SetArgs {
         pi1,
         pi2,
@@ -148,6 +150,7 @@ pub fn set(args: SetArgs) -> Result<Change, ArgsError> {
         attraction,
         noise,
         publish_every,
+        measures,
         make_room,
     } = args;
     if make_room && pi1.is_none() {
@@ -156,14 +159,15 @@ pub fn set(args: SetArgs) -> Result<Change, ArgsError> {
             problem: "requires a new pi1: give both",
         });
     }
-    if args == SetArgs::default() {
+    if is_empty {
         return Err(ArgsError::Field {
             field: "args",
             problem: "has no parameter: give pi1, pi2, pi3, pi4, contacts, stepping, relinearise, \
-                      attraction, noise or publish_every",
+                      attraction, noise, publish_every or measures",
         });
     }
     let publish_every = publish_every.map(value::publish_every).transpose()?;
+    let measures = measures.as_deref().map(published).transpose()?;
     Ok(Change::Set(Settings {
         pi1,
         pi2,
@@ -175,6 +179,7 @@ pub fn set(args: SetArgs) -> Result<Change, ArgsError> {
         attraction: attraction.map(spec::attraction),
         noise,
         publish_every,
+        measures,
         make_room,
     }))
 }
@@ -343,7 +348,7 @@ pub fn changed(kind: ChangeKind, outcome: ChangeOutcome) -> Changed {
             before,
             now,
             scaled_by,
-        } => Changed::Set(set_result(before, now, scaled_by)),
+        } => Changed::Set(set_result(&before, &now, scaled_by)),
         ChangeOutcome::Ids { ids, n } => {
             let result = ids_result(ids, n);
             match kind {
@@ -357,11 +362,13 @@ pub fn changed(kind: ChangeKind, outcome: ChangeOutcome) -> Changed {
     }
 }
 
-/// Returns the result of `set`; `before` and `now` are parameters and `publish_every`.
-pub fn set_result(before: (Parameters, u64), now: (Parameters, u64), scaled_by: f64) -> SetResult {
+/// Returns the result of `set`.
+pub fn set_result(before: &SettingValues, now: &SettingValues, scaled_by: f64) -> SetResult {
+    let values =
+        |it: &SettingValues| parameter_values(it.parameters, it.publish_every, &it.measures);
     SetResult {
-        before: parameter_values(before.0, before.1),
-        now: parameter_values(now.0, now.1),
+        before: values(before),
+        now: values(now),
         scaled_by,
     }
 }

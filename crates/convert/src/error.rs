@@ -47,6 +47,7 @@ impl WireCode for WireError {
     fn details(&self) -> Map<String, Value> {
         match self {
             WireError::OutOfRange { field, value } => named(field, value.clone(), range_of(field)),
+            WireError::Measures(_) => object(json!({"field": "measures"})),
             WireError::Length { field, length, n } => {
                 object(json!({"field": field, "length": length, "n": n}))
             }

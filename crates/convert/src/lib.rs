@@ -8,6 +8,7 @@
 
 pub mod change;
 pub mod error;
+pub mod measures;
 pub mod past;
 pub mod range;
 pub mod snapshot;
@@ -16,5 +17,6 @@ pub mod value;
 
 pub use change::ArgsError;
 pub use error::WireCode;
+pub use measures::MeasuresError;
 pub use snapshot::{SnapshotError, hexadecimal};
 pub use value::WireError;

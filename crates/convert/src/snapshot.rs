@@ -11,6 +11,7 @@ use jostle_proto::snapshot::{
 use jostle_proto::{self as proto, LARGEST_WHOLE, Lenient};
 use thiserror::Error;
 
+use crate::measures::published;
 use crate::spec::{self, parameter_values};
 use crate::value::{WireError, count, publish_every};
 
@@ -56,6 +57,7 @@ pub fn to_proto(swarm: &str, checkpoint: &Checkpoint, doing: SnapshotPhase) -> p
         spec,
         state,
         publish_every,
+        measures,
         epoch,
         seq,
         means,
@@ -73,7 +75,7 @@ pub fn to_proto(swarm: &str, checkpoint: &Checkpoint, doing: SnapshotPhase) -> p
         model_version: MODEL_VERSION,
         swarm: swarm.to_owned(),
         spec: spec::to_proto(spec, spec.seed),
-        parameters: parameters_to_proto(state.parameters, *publish_every),
+        parameters: parameters_to_proto(state.parameters, *publish_every, measures),
         epoch: *epoch,
         step: state.step,
         seq: *seq,
@@ -155,6 +157,7 @@ pub fn from_proto(snapshot: &proto::Snapshot) -> Result<Checkpoint, SnapshotErro
         spec,
         state,
         publish_every: snapshot.parameters.publish_every,
+        measures: snapshot.parameters.measures.clone().unwrap_or_default(),
         epoch: snapshot.epoch,
         seq,
         means: RunningMeans {
@@ -248,8 +251,12 @@ pub fn state(snapshot: &proto::Snapshot) -> Result<(Spec, State), SnapshotError>
     Ok((spec, state))
 }
 
-fn parameters_to_proto(now: model::Parameters, publish_every: u64) -> SnapshotParameters {
-    let now = parameter_values(now, publish_every);
+fn parameters_to_proto(
+    now: model::Parameters,
+    publish_every: u64,
+    measures: &[String],
+) -> SnapshotParameters {
+    let now = parameter_values(now, publish_every, measures);
     SnapshotParameters {
         pi1: now.pi1,
         pi2: now.pi2,
@@ -261,6 +268,7 @@ fn parameters_to_proto(now: model::Parameters, publish_every: u64) -> SnapshotPa
         attraction: Some(Lenient(now.attraction)),
         noise: Some(now.noise),
         publish_every,
+        measures: now.measures,
     }
 }
 
@@ -344,6 +352,7 @@ pub fn check(checkpoint: &Checkpoint) -> Result<(), SnapshotError> {
         .check(configuration.largest_weight())
         .map_err(|error| rejected(&error))?;
     publish_every(checkpoint.publish_every).map_err(|error| rejected(&error))?;
+    published(&checkpoint.measures).map_err(|error| rejected(&error))?;
     let counts = [state.step, checkpoint.seq, means.count, means.directed];
     if counts.into_iter().any(|it| it > LARGEST_WHOLE) {
         return impossible("it has a count that is too large");

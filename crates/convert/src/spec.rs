@@ -4,6 +4,7 @@ use jostle_physics::model::parameters::{Attraction, ContactRule, Parameters, Ste
 use jostle_physics::simulation::{Spec, Start};
 use jostle_proto as proto;
 
+use crate::measures::{published, published_to_proto};
 use crate::value::{WireError, publish_every, rate, whole};
 
 /// Converts the spec in a message. `n` is its number of individuals, which the caller has checked.
@@ -58,6 +59,7 @@ pub fn from_proto(spec: &proto::Spec, n: usize) -> Result<Spec, WireError> {
         seed: whole("seed", spec.seed)?,
         start,
         publish_every: publish_every(spec.publish_every)?,
+        measures: published(spec.measures.as_deref().unwrap_or_default())?,
         rate: rate(spec.rate)?,
     })
 }
@@ -139,6 +141,7 @@ pub fn to_proto(spec: &Spec, seed: u64) -> proto::Spec {
         attraction: attraction_to_proto(attraction),
         noise,
         publish_every: spec.publish_every,
+        measures: published_to_proto(&spec.measures),
         rate: spec.rate,
     }
 }
@@ -171,8 +174,12 @@ pub fn attraction_to_proto(law: Attraction) -> proto::Attraction {
     }
 }
 
-/// Returns the message of parameters and `publish_every`.
-pub fn parameter_values(parameters: Parameters, publish_every: u64) -> proto::ParameterValues {
+/// Returns the message of parameters, `publish_every` and the published measures.
+pub fn parameter_values(
+    parameters: Parameters,
+    publish_every: u64,
+    measures: &[String],
+) -> proto::ParameterValues {
     proto::ParameterValues {
         pi1: parameters.pi1,
         pi2: parameters.pi2,
@@ -184,5 +191,6 @@ pub fn parameter_values(parameters: Parameters, publish_every: u64) -> proto::Pa
         attraction: attraction_to_proto(parameters.attraction),
         noise: parameters.noise,
         publish_every,
+        measures: published_to_proto(measures),
     }
 }

@@ -5,6 +5,8 @@ use jostle_proto::LARGEST_WHOLE;
 use serde_json::Value;
 use thiserror::Error;
 
+use crate::measures::MeasuresError;
+
 /// Maximum rate, in time units per second of wall clock.
 const MAX_RATE: f64 = 1e6;
 
@@ -22,6 +24,9 @@ pub enum WireError {
         /// Its value.
         value: Value,
     },
+    /// The published measures are invalid.
+    #[error("measures: {0}")]
+    Measures(#[from] MeasuresError),
     /// A column does not have one number for each individual.
     #[error("{field} has {length} numbers, n is {n}")]
     Length {

@@ -76,7 +76,7 @@ fn every_field_of_a_spec_is_read_and_written() {
         let message = json!({
             "n": 2, "pi1": 3.0, "pi2": 0.25, "pi3": 2.0, "pi4": 5.0, "dt": 0.01, "contacts": rule,
             "stepping": kind, "relinearise": 1, "seed": 9, "start": disc, "attraction": law,
-            "noise": 0.5, "publish_every": 4, "rate": 2.5,
+            "noise": 0.5, "publish_every": 4, "rate": 2.5, "measures": ["milling", "drift"],
         });
         let expected = Spec {
             n: 2,
@@ -96,6 +96,7 @@ fn every_field_of_a_spec_is_read_and_written() {
             start,
             publish_every: 4,
             rate: Some(2.5),
+            measures: vec!["milling".into(), "drift".into()],
         };
         let found = spec::from_proto(&serde_json::from_value(message.clone()).unwrap(), 2).unwrap();
         assert_eq!(found, expected);
@@ -165,7 +166,7 @@ fn every_change_is_read() {
     let settings = json!({
         "pi1": 3.0, "pi2": 0.25, "pi3": 2.0, "pi4": 5.0, "contacts": "closest", "stepping": "velocity",
         "relinearise": 0, "attraction": {"kind": "voronoi"}, "noise": 0.5, "publish_every": 4,
-        "make_room": true,
+        "make_room": true, "measures": ["nematic"],
     });
     let expected = Settings {
         pi1: Some(3.0),
@@ -179,6 +180,7 @@ fn every_change_is_read() {
         noise: Some(0.5),
         publish_every: Some(4),
         make_room: true,
+        measures: Some(vec!["nematic".into()]),
     };
     assert_eq!(
         read(json!({"verb": "set", "args": settings})),

@@ -14,7 +14,7 @@ use crate::plan::Plan;
 use crate::set_points::SetPointLog;
 
 /// Fields of a spec that change no step, and the one that the file has as `seeds`.
-const OMITTED: [&str; 3] = ["publish_every", "rate", "seed"];
+const OMITTED: [&str; 4] = ["measures", "publish_every", "rate", "seed"];
 
 /// A change that was applied to a swarm.
 #[derive(Clone, Debug, PartialEq)]

@@ -131,6 +131,7 @@ impl Base {
         }))?;
         simulation.state.seed = spec.seed;
         simulation.publish_every = spec.publish_every;
+        simulation.measures.clone_from(&spec.measures);
         simulation.spec = spec.clone();
         Ok(simulation)
     }

@@ -3,10 +3,24 @@
 use thiserror::Error;
 
 use crate::definition::Argument;
+use crate::measure::MAX_COSTLY_INDIVIDUALS;
 use crate::registry::definitions;
 
 /// The least similarity of a name that is suggested for an unknown one, from 0 to 1.
 const MIN_SIMILARITY: f64 = 0.7;
+
+/// The group is too large for a measure.
+#[derive(Clone, Debug, Error, PartialEq, Eq)]
+#[error(
+    "`{measure}` is computed for at most {MAX_COSTLY_INDIVIDUALS} individuals, the swarm has {n}: \
+     leave it out"
+)]
+pub struct TooCostly {
+    /// The measure.
+    pub measure: String,
+    /// The number of individuals.
+    pub n: usize,
+}
 
 /// Why the text of a measure is rejected.
 #[derive(Clone, Debug, Error, PartialEq)]

@@ -48,7 +48,7 @@ mod testing;
 mod view;
 
 pub use definition::{Argument, Definition};
-pub use error::MeasureError;
+pub use error::{MeasureError, TooCostly};
 pub use families::alignment::nematic_order;
 pub use families::histograms;
 pub use gaps::{TOUCHING, cluster_sizes};

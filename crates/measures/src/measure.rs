@@ -7,7 +7,7 @@ use std::str::FromStr;
 use jostle_physics::simulation::steps_in;
 
 use crate::definition::{Argument, Definition, Lag, shortest};
-use crate::error::MeasureError;
+use crate::error::{MeasureError, TooCostly};
 use crate::registry::definitions;
 use crate::view::View;
 
@@ -30,6 +30,21 @@ impl Measure {
     #[must_use]
     pub fn is_too_costly(&self, n: usize) -> bool {
         n > MAX_COSTLY_INDIVIDUALS && self.definition().cost != "n"
+    }
+
+    /// Checks that the measure is evaluated for `n` individuals beside live swarms.
+    ///
+    /// # Errors
+    ///
+    /// [`TooCostly`].
+    pub fn check_size(&self, n: usize) -> Result<(), TooCostly> {
+        match self.is_too_costly(n) {
+            true => Err(TooCostly {
+                measure: self.to_string(),
+                n,
+            }),
+            false => Ok(()),
+        }
     }
 
     /// Returns all measures that need no past, in the order of [`definitions`]; each has the default

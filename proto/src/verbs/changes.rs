@@ -6,10 +6,12 @@ use schemars::JsonSchema;
 use serde::de::{Error as _, IgnoredAny, SeqAccess, Visitor};
 use serde::{Deserialize, Serialize};
 
-use crate::{Attraction, ContactRule, LARGEST_WHOLE, ParameterValues, Stepping};
+use crate::{
+    Attraction, ContactRule, LARGEST_WHOLE, MAX_PUBLISHED_MEASURES, ParameterValues, Stepping,
+};
 
 /// Changes the given parameters, at least one.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SetArgs {
     /// Length over width of a body: 1 to 32.
@@ -49,13 +51,18 @@ pub struct SetArgs {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(range(min = 1, max = 1_000_000_000))]
     pub publish_every: Option<u64>,
+    /// The measures in each published order, such as `milling`, at most 16 that need no earlier
+    /// state; none if empty.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(length(max = MAX_PUBLISHED_MEASURES))]
+    pub measures: Option<Vec<String>>,
     /// With `pi1`: scale positions about the centroid by the least factor that makes room.
     #[serde(default)]
     pub make_room: bool,
 }
 
 /// The result of `set`.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct SetResult {
     /// The values before.
     pub before: ParameterValues,

@@ -1,20 +1,18 @@
 //! Why a request is rejected, and the error reply.
 
 mod jobs;
-pub mod measures;
 mod swarm;
 
 use jostle_conditions::ConditionError;
 use jostle_convert::error::{named, object};
 use jostle_convert::range::range_of;
-use jostle_convert::{ArgsError, WireCode, WireError};
+use jostle_convert::{ArgsError, MeasuresError, WireCode, WireError};
 use jostle_physics::simulation::ChangeError;
 use jostle_proto::role::rejection;
 use jostle_proto::{Claimant, Error, ErrorCode, RequestError, claim, keys};
 use serde_json::{Map, Value, json};
 use thiserror::Error as ThisError;
 
-use self::measures::MeasuresError;
 use crate::auth::NotPermitted;
 use crate::experiments::ExperimentError;
 use crate::playback::ReplayError;

@@ -37,6 +37,7 @@ impl WireCode for SwarmError {
         match self {
             SwarmError::Change(error) => error.code(),
             SwarmError::InBatch { error, .. } => error.code(),
+            SwarmError::TooCostly(error) => error.code(),
             SwarmError::NotClaimed { .. }
             | SwarmError::NotDriving(_)
             | SwarmError::TooMuchPast(_)

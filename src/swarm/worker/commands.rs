@@ -5,14 +5,14 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use fail::fail_point;
-use jostle_physics::simulation::{Change, ChangeKind, ChangeOutcome, steps_in};
+use jostle_physics::simulation::{Change, ChangeKind, ChangeOutcome, Settings, steps_in};
 use tracing::warn;
 
 use crate::swarm::command::{Command, Until, When};
 use crate::swarm::controllers::Input;
 use crate::swarm::error::SwarmError;
 use crate::swarm::failpoint;
-use crate::swarm::frame::{EventKind, Stamp};
+use crate::swarm::frame::{self, EventKind, Stamp};
 use crate::swarm::handle::{CommandMessage, DeferredReply, Outcome, ReplyTo};
 use crate::swarm::journal::Record;
 use crate::swarm::phase::{self, PauseReason, Phase, PhaseInput};
@@ -236,6 +236,7 @@ impl Worker {
         draws: Draws,
     ) -> Result<Vec<(ChangeKind, ChangeOutcome)>, SwarmError> {
         phase::next(&self.phase, PhaseInput::Change)?;
+        self.check_measures(changes)?;
         let before = self.simulation.save();
         let simulation = &mut self.simulation;
         let seq = simulation.seq;
@@ -267,6 +268,24 @@ impl Worker {
         };
         self.simulation.rollback(before);
         Err(error)
+    }
+
+    /// Checks that the group is not too large for the measures that it would publish.
+    fn check_measures(&self, changes: &[Change]) -> Result<(), SwarmError> {
+        let n = self.simulation.state.configuration.n();
+        for (index, change) in changes.iter().enumerate() {
+            if let Change::Set(Settings {
+                measures: Some(names),
+                ..
+            }) = change
+            {
+                frame::check_sizes(names, n).map_err(|error| SwarmError::InBatch {
+                    index,
+                    error: Box::new(error.into()),
+                })?;
+            }
+        }
+        Ok(())
     }
 
     fn check(&mut self, command: &Command, when: When) -> Result<(), SwarmError> {

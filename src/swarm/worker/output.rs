@@ -66,6 +66,7 @@ impl Worker {
             stamp: self.stamp(),
             parameters: simulation.state.parameters,
             publish_every: simulation.publish_every,
+            measures: simulation.measures.clone(),
             seed: simulation.state.seed,
             scheduled: self.schedule.count(),
             conditions: self.watches.texts(),
@@ -79,6 +80,7 @@ impl Worker {
             controllers: Vec::new(),
             hash: hashed.then(|| simulation.state.hash()),
             gaps: OnceLock::new(),
+            values: OnceLock::new(),
         })
     }
 
@@ -91,7 +93,12 @@ impl Worker {
 
     pub(super) fn push_frame(&self) {
         let is_moving = self.phase.is_moving();
-        self.output.push_frame(is_moving, || self.frame(false));
+        self.output.push_frame(is_moving, || {
+            let frame = self.frame(false);
+            // Here, so that costly measures delay only this swarm and not the publisher of all.
+            frame.values();
+            frame
+        });
     }
 
     /// The wall-clock time of what happens now, in seconds since 1970. During a replay only the times
@@ -149,5 +156,8 @@ impl Worker {
             is_replay: false,
         };
         *self.summary.lock() = Some(summary);
+        let is_measured = !self.simulation.measures.is_empty();
+        self.metrics
+            .set_measured(is_measured.then(|| self.frame(false)));
     }
 }

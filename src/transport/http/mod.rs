@@ -248,7 +248,12 @@ async fn metrics(
     headers: HeaderMap,
 ) -> Result<impl IntoResponse, Response> {
     server.authorize(server.credentials.may_watch(&headers))?;
-    let text = openmetrics::encode(server.watch.metrics(), server.connections.metrics());
+    let (watch, http) = (server.watch.clone(), server.connections.metrics());
+    // It may evaluate measures, which takes longer than other requests may wait.
+    let text = tokio::task::spawn_blocking(move || openmetrics::encode(watch.metrics(), http));
+    let text = text
+        .await
+        .map_err(|_| StatusCode::INTERNAL_SERVER_ERROR.into_response())?;
     Ok(([(CONTENT_TYPE, openmetrics::CONTENT_TYPE)], text))
 }
 

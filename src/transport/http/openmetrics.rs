@@ -12,7 +12,7 @@ use crate::transport::http::connections::HttpMetrics;
 /// The media type.
 pub const CONTENT_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
 
-/// Only the first swarms by name have series of their own, seven each; all are in the sums.
+/// Only the first swarms by name have series of their own, seven each, and one for each measure; all are in the sums.
 const MAX_LABELLED: usize = 1000;
 
 /// What the metrics are computed from.
@@ -32,9 +32,14 @@ enum Value {
     Counters(&'static str, fn(&Input) -> Vec<(&'static str, f64)>),
     SwarmGauge(fn(&PerSwarmMetrics) -> Option<f64>),
     SwarmCounter(fn(&PerSwarmMetrics) -> Option<f64>),
+    /// A gauge for each measure that a swarm publishes.
+    SwarmMeasures,
 }
 
-use Value::{Counter, Counters, Gauge, Gauges, Histogram, OptionalGauge, SwarmCounter, SwarmGauge};
+use Value::{
+    Counter, Counters, Gauge, Gauges, Histogram, OptionalGauge, SwarmCounter, SwarmGauge,
+    SwarmMeasures,
+};
 
 /// Each metric: its name without `jostle_`, its description and its value. A suffix `_seconds` or
 /// `_bytes` is the unit.
@@ -92,6 +97,7 @@ const METRICS: &[(&str, &str, Value)] = &[
     ("swarm_real_time_factor", "Recent time units per second of wall clock, while it runs", SwarmGauge(|swarm| swarm.summary.real_time_factor)),
     ("swarm_individuals", "Individuals of the swarm", SwarmGauge(|swarm| Some(swarm.summary.n as f64))),
     ("swarm_contacts", "Contacts of its last step", SwarmGauge(|swarm| Some(swarm.last.contacts as f64))),
+    ("swarm_measure", "Value of a measure that the swarm publishes, in the unit of the measure, of a recent state", SwarmMeasures),
     ("swarm_residual", "Residual of its last step, in body sizes", SwarmGauge(|swarm| Some(swarm.last.residual))),
 ];
 
@@ -110,7 +116,7 @@ pub fn encode(daemon: DaemonMetrics, http: HttpMetrics) -> String {
     let mut text = String::new();
     for (name, help, value) in METRICS {
         let kind = match value {
-            Gauge(_) | OptionalGauge(_) | Gauges(..) | SwarmGauge(_) => "gauge",
+            Gauge(_) | OptionalGauge(_) | Gauges(..) | SwarmGauge(_) | SwarmMeasures => "gauge",
             Counter(_) | Counters(..) | SwarmCounter(_) => "counter",
             Histogram(_) => "histogram",
         };
@@ -141,6 +147,15 @@ pub fn encode(daemon: DaemonMetrics, http: HttpMetrics) -> String {
                 for swarm in labelled {
                     let labels = format!("{{swarm=\"{}\"}}", swarm.name);
                     value(swarm).into_iter().for_each(|it| sample(&labels, it));
+                }
+            }
+            SwarmMeasures => {
+                for swarm in labelled {
+                    let values = swarm.measured.iter().flat_map(|frame| frame.values());
+                    for (measure, value) in values {
+                        let labels = format!("{{swarm=\"{}\",measure=\"{measure}\"}}", swarm.name);
+                        value.iter().for_each(|it| sample(&labels, *it));
+                    }
                 }
             }
             Histogram(durations) => histogram(&mut text, name, durations(&input)),

@@ -289,6 +289,7 @@ fn recipe(n: usize) -> Spec {
         },
         publish_every: 1,
         rate: SLOW,
+        measures: Vec::new(),
     }
 }
 

@@ -42,6 +42,15 @@ pub struct MeasuresArguments {
     /// The measures, such as order or 'clusters.count(0.1)' [default: all of one state]
     #[arg(value_name = "MEASURE", add = ArgValueCompleter::new(completion::measures))]
     pub measures: Vec<String>,
+    /// Print a histogram instead: pair_correlation or neighbour_density
+    #[arg(long, value_name = "NAME", requires = "name", conflicts_with_all = ["measures", "list"], value_parser = PossibleValuesParser::new(["pair_correlation", "neighbour_density"]))]
+    pub histogram: Option<String>,
+    /// With --histogram: bins of an axis [default: 50]
+    #[arg(long, requires = "histogram", value_name = "COUNT", value_parser = values::positive, allow_negative_numbers = true)]
+    pub bins: Option<u64>,
+    /// With --histogram: the largest distance, body sizes [default: 10]
+    #[arg(long, requires = "histogram", value_name = "LENGTH", value_parser = values::number, allow_hyphen_values = true)]
+    pub max: Option<f64>,
     /// List all measures: units, ranges, definitions
     #[arg(long, conflicts_with = "name")]
     pub list: bool,

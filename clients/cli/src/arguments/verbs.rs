@@ -95,6 +95,9 @@ pub struct CreateArguments {
     /// Steps between two published states [default: 5]
     #[arg(long, value_name = "STEPS", allow_negative_numbers = true, value_parser = values::whole_in::<1, LARGEST_WHOLE>)]
     pub publish_every: Option<u64>,
+    /// The measures in each published order, such as `drift,milling` [default: none]
+    #[arg(long, value_name = "MEASURES", add = ArgValueCompleter::new(completion::measures))]
+    pub measures: Option<String>,
     /// Time units per second of wall clock, or `max` [default: 1]
     #[arg(long, value_name = "RATE", value_parser = values::rate, allow_hyphen_values = true)]
     pub rate: Option<Rate>,
@@ -159,8 +162,8 @@ pub struct ResetArguments {
 pub struct SetArguments {
     #[command(flatten)]
     pub command: CommandArguments,
-    /// pi1 to pi4, contacts, stepping, relinearise, attraction, noise or publish_every, such as
-    /// pi1=6 or attraction=metric=3
+    /// pi1 to pi4, contacts, stepping, relinearise, attraction, noise, publish_every or measures,
+    /// such as pi1=6, attraction=metric=3 or measures=drift,milling
     #[arg(required = true, value_name = "NAME=VALUE", value_parser = values::assignment, add = ArgValueCompleter::new(completion::assignments))]
     pub assignments: Vec<Assignment>,
     /// With pi1: scale the positions by the least factor that avoids overlap

@@ -11,7 +11,7 @@ use crate::context::Context;
 use crate::failure::Failure;
 use crate::file;
 use crate::format;
-use crate::values::{Law, Rate};
+use crate::values::{self, Law, Rate};
 
 pub async fn create(context: &Context, arguments: &CreateArguments) -> Result<(), Failure> {
     let Context { client, output } = context;
@@ -73,6 +73,8 @@ fn spec(arguments: &CreateArguments) -> Result<Map<String, Value>, Failure> {
     put("attraction", arguments.accuracy.map(all));
     put("seed", arguments.seed.map(Value::from));
     put("publish_every", arguments.publish_every.map(Value::from));
+    let measures = arguments.measures.as_deref().map(values::measures);
+    put("measures", measures.map(Value::from));
     put("rate", arguments.rate.map(|Rate(rate)| Value::from(rate)));
     let disc = |radius| json!({"kind": "disc", "radius": radius});
     put("start", arguments.radius.map(disc));

@@ -304,6 +304,19 @@ def check_measure(name: str) -> str:
     return name
 
 
+def measure_names(names: Sequence[str]) -> list[str]:
+    """The names of published measures as a list; the daemon knows the measures.
+
+    Raises:
+        InvalidArgument: It is a single text, or has something else than texts.
+    """
+    if isinstance(names, str) or not all(isinstance(name, str) for name in names):
+        raise invalid(
+            "measures", f"{names!r} is no list of measures: give one such as ['drift', 'milling']"
+        )
+    return list(names)
+
+
 def check_label(what: str, label: str) -> str:
     """Returns `label` if a request may contain it.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, ClassVar
 
 import msgspec
@@ -27,6 +27,7 @@ class Set(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
         attraction: See `Swarm.set`.
         noise: See `Swarm.set`.
         publish_every: See `Swarm.set`.
+        measures: See `Swarm.set`.
         make_room: See `Swarm.set`.
     """
 
@@ -42,6 +43,7 @@ class Set(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     attraction: dict[str, Any] | None = None
     noise: float | None = None
     publish_every: int | None = None
+    measures: Sequence[str] | None = None
     make_room: bool = False
 
 

@@ -4,13 +4,21 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from types import EllipsisType
 from typing import Any, Literal, SupportsIndex, TypedDict, TypeVar, Unpack, overload
 
 from numpy.typing import ArrayLike
 
-from ._arguments import Region, Select, check_select, poses, whole, whole_from_0
+from ._arguments import (
+    Region,
+    Select,
+    check_select,
+    measure_names,
+    poses,
+    whole,
+    whole_from_0,
+)
 from ._changes import Change, Inform, Inject, Remove, Set, Uninform
 from ._changes import commands as encode_changes
 from ._decode import read_batch, read_reply, read_scheduled
@@ -277,6 +285,7 @@ class Commands(Queries):
         attraction: dict[str, Any] | None = None,
         noise: float | None = None,
         publish_every: SupportsIndex | None = None,
+        measures: Sequence[str] | None = None,
         make_room: bool = False,
         **options: Unpack[Options],
     ) -> SetResult:
@@ -300,6 +309,8 @@ class Commands(Queries):
             noise: Intensity of white noise on the turning rate, squared radians per time unit:
                 0 to 10⁶.
             publish_every: Number of steps between two published states: 1 or more.
+            measures: The measures in each published order (`OrderSample.measures`), at most 16 that
+                need no earlier state, such as `["drift", "milling"]`; none if empty.
             make_room: With `pi1`: scale all positions about the centroid by the smallest factor
                 that lets longer bodies fit.
             options: See `Options`.
@@ -310,7 +321,8 @@ class Commands(Queries):
         Raises:
             InvalidArgument: A value is out of range, or no parameter is given.
             IncorrectState: The swarm is faulted, or axes cross and the contact rule forbids that.
-            ResourceExhausted: Longer bodies would overlap; see `make_room`.
+            ResourceExhausted: Longer bodies would overlap; see `make_room`. Or the group is too
+                large for a measure.
         """
         check_options("set", options)
         change = Set(
@@ -324,13 +336,14 @@ class Commands(Queries):
             attraction=attraction,
             noise=noise,
             publish_every=_whole("publish_every", publish_every),
+            measures=None if measures is None else measure_names(measures),
             make_room=make_room,
         )
         if change == Set():
             raise invalid(
                 "args",
                 "nothing to set: give pi1, pi2, pi3, pi4, contacts, stepping, relinearise, "
-                "attraction, noise or publish_every; None leaves a parameter as it is",
+                "attraction, noise, publish_every or measures; None leaves a parameter as it is",
             )
         result = self._change(change, SetResult, options)
         self._shape.pi1 = result.now.pi1

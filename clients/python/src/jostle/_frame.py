@@ -47,7 +47,8 @@ def frame(records: State | OrderSample | Iterable[State | OrderSample]) -> panda
     for the uninformed), `informed`, and of the group `order, drift` (NaN if there is no common
     direction), `worst_gap` (NaN if no two bodies are near), `residual, contacts`. Of orders it has
     a row for each: `swarm, epoch, frame, step, time, phase, n, informed, order, drift, mean_order,
-    mean_drift, velocity_x, velocity_y, worst_gap, residual`. Units are those of `State` and
+    mean_drift, velocity_x, velocity_y, worst_gap, residual`, and the measures that the swarm
+    publishes. Units are those of `State` and
     `Order`.
 
     Args:
@@ -138,8 +139,21 @@ def of_orders(samples: Sequence[OrderSample]) -> pandas.DataFrame:
             for name, kind in kinds.items()
         },
         **{name: np.array(values, float) for name, values in numbers.items()},
+        **_measures(samples),
     }
     return _table(columns, "pandas")
+
+
+def _measures(samples: Sequence[OrderSample]) -> Columns:
+    """A column for each published measure, NaN where a sample has no value."""
+    found = [sample.measures or {} for sample in samples]
+    names = dict.fromkeys(name for measures in found for name in measures)
+    # `order` and `drift` have columns already, of the same values.
+    return {
+        name: np.array([_number(measures.get(name)) for measures in found])
+        for name in names
+        if name not in ("order", "drift")
+    }
 
 
 def _table(columns: Columns, extra: str) -> pandas.DataFrame:

@@ -79,6 +79,7 @@ class ParameterValues(HtmlStruct, frozen=True, kw_only=True):
     attraction: dict[str, Any]
     noise: float
     publish_every: int
+    measures: list[str] | None = None
 
 
 class Reply(HtmlStruct, frozen=True, kw_only=True):
@@ -412,10 +413,21 @@ class MeasureValue(HtmlStruct, frozen=True, kw_only=True):
     unit: str
 
 
+class HistogramMessage(HtmlStruct, frozen=True, kw_only=True):
+    """A histogram as it is sent."""
+
+    name: str
+    unit: str
+    edges: list[float]
+    counts: list[int]
+    values: list[float]
+
+
 class Measures(Reply, frozen=True, kw_only=True):
     """Measures of the newest state of a swarm, in the requested order."""
 
     measures: list[MeasureValue]
+    histogram: HistogramMessage | None = None
 
 
 class SpecReply(Reply, frozen=True, kw_only=True):
@@ -425,7 +437,12 @@ class SpecReply(Reply, frozen=True, kw_only=True):
 
 
 class OrderSample(HtmlStruct, frozen=True, kw_only=True):
-    """A published order; the fields are those of `State` and `Status`."""
+    """A published order; the other fields are those of `State` and `Status`.
+
+    Attributes:
+        measures: The measures that the swarm publishes (`Swarm.set`) by name, each in its unit; a
+            value is None where it is undefined or the group too large. None without any.
+    """
 
     swarm: str
     epoch: int
@@ -439,3 +456,4 @@ class OrderSample(HtmlStruct, frozen=True, kw_only=True):
     certificate: Certificate
     rate: float | None = None
     real_time_factor: float | None = None
+    measures: dict[str, float | None] | None = None

@@ -11,6 +11,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import SupportsIndex, overload
 
+import numpy as np
+from numpy.typing import NDArray
+
 from . import _cancel
 from ._arguments import check_measure, check_name, check_seconds, whole, whole_from_0
 from ._atomic_file import atomic_file
@@ -22,6 +25,7 @@ from ._errors import (
     IncorrectState,
     InvalidArgument,
     JostleError,
+    Unavailable,
     late,
 )
 from ._events import Event, Journal, JournalEntry
@@ -172,6 +176,42 @@ class Queries:
         found = read_reply(self._get(query), Measures).measures
         keys = names or tuple(measure.name for measure in found)
         return {key: measure.value for key, measure in zip(keys, found, strict=True)}
+
+    def histogram(
+        self, name: str, *, bins: SupportsIndex = 50, max: float = 10.0
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """A histogram of the neighbours in the newest state.
+
+            edges, g = swarm.histogram("pair_correlation", bins=50, max=10)
+
+        Args:
+            name: `pair_correlation`, g(r) of the centres, without unit, normalised with the area of
+                the convex hull of the centres; or `neighbour_density`, neighbours per body and
+                squared body size around a body, in the frame of its heading.
+            bins: Number of bins of an axis: 1 to 10,000, of `neighbour_density` to 200.
+            max: The largest distance, body sizes: above 0, to 10⁶.
+
+        Returns:
+            The edges, of shape (bins + 1,), body sizes: of `pair_correlation` from 0 to `max`, of
+            both axes of `neighbour_density` from -`max` to `max`. The values, of shape (bins,), or
+            (bins, bins) of `neighbour_density`: the first index grows towards the front of the
+            body, the second towards its left.
+
+        Raises:
+            InvalidArgument: There is no such histogram, or `bins` or `max` is out of range.
+            IncorrectState: All centres are on a line, and the hull has no area.
+            NotFound: There is no such swarm.
+            ResourceExhausted: The group has more than 20,000 individuals.
+        """
+        check_measure(name)
+        query = f"get/measures?histogram={name};bins={whole('bins', bins)};max={float(max)!r}"
+        found = read_reply(self._get(query), Measures).histogram
+        if found is None:
+            raise Unavailable("the daemon is of an earlier version, which serves no histograms")
+        values = np.array(found.values)
+        if name == "neighbour_density":
+            values = values.reshape(len(found.edges) - 1, -1)
+        return np.array(found.edges), values
 
     def history(self, after: SupportsIndex = 0) -> HtmlList[Event]:
         """The events of the swarm, oldest first, as far back as the daemon stores them.

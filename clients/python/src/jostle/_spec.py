@@ -65,6 +65,7 @@ class Spec(HtmlStruct, frozen=True, kw_only=True):
         noise: Intensity of white noise on the turning rate, squared radians per time unit: 0 to
             10⁶. Not in the paper.
         publish_every: Number of steps between two published states: 1 or more.
+        measures: The measures in each published order; see `Swarm.set`. Unset for none.
         rate: Time units per second of wall clock; None is as fast as possible.
     """
 
@@ -82,4 +83,5 @@ class Spec(HtmlStruct, frozen=True, kw_only=True):
     attraction: dict[str, Any] = msgspec.field(default_factory=lambda: {"kind": "all"})
     noise: float = 0.0
     publish_every: int = 5
+    measures: list[str] | msgspec.UnsetType = msgspec.UNSET
     rate: float | None = 1.0

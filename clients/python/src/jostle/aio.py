@@ -255,6 +255,7 @@ class Swarm(_Context[jostle.Swarm]):
     parameters = _awaited(jostle.Swarm.parameters)
     measure = _awaited(jostle.Swarm.measure)
     measures = _awaited(jostle.Swarm.measures)
+    histogram = _awaited(jostle.Swarm.histogram)
     controllers = _awaited(jostle.Swarm.controllers)
     history = _awaited(jostle.Swarm.history)
     journal = _awaited(jostle.Swarm.journal)

@@ -75,6 +75,7 @@ export interface OrderMessage extends Stamp {
   order: OrderNumbers;
   certificate: Certificate;
   real_time_factor: number | null;
+  measures?: Record<string, number | null>;
 }
 
 export type Choice = string | { kind: string };
@@ -134,6 +135,7 @@ export interface Spec {
   contacts?: string;
   rate?: number | null;
   publish_every?: number;
+  measures?: string[];
 }
 
 /** A text message of the WebSocket; each has one of these fields. */

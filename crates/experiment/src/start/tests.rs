@@ -22,6 +22,7 @@ fn swarm() -> Simulation {
         seed: 3,
         start: Start::Disc(None),
         publish_every: 1,
+        measures: Vec::new(),
         rate: None,
     };
     let mut swarm = Simulation::new(&spec).unwrap();

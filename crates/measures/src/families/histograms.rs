@@ -5,10 +5,14 @@
 
 use std::f64::consts::{PI, SQRT_2};
 
-use jostle_physics::model::Configuration;
 use jostle_physics::model::heading::unit_vector;
 use jostle_physics::model::pairs::PairSearch;
+use jostle_physics::model::{Configuration, State};
 use thiserror::Error;
+
+use crate::measure::Measure;
+use crate::past::Past;
+use crate::view::View;
 
 /// The largest group: it has 2·10⁸ pairs, about a second.
 pub const MAX_INDIVIDUALS: usize = 20_000;
@@ -87,6 +91,20 @@ pub fn pair_correlation(
         counts,
         values,
     })
+}
+
+/// Returns the area of the convex hull of the centres, in squared body sizes: that of
+/// [`pair_correlation`] in a plane without border. `None` if it is 0, for centres on one line.
+pub fn hull_area(configuration: &Configuration) -> Option<f64> {
+    let state = State {
+        configuration: configuration.clone(),
+        ..State::default()
+    };
+    let past = Past::new(0);
+    let spread: Measure = "spread".parse().ok()?;
+    spread
+        .evaluate(&View::new(&state, &past))
+        .filter(|area| *area > 0.0)
 }
 
 /// Computes the mean density of neighbours around a body, in the frame of its heading.

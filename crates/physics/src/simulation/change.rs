@@ -23,6 +23,8 @@ pub struct Spec {
     pub start: Start,
     /// Steps between two published states. Only callers use it: it changes no step.
     pub publish_every: u64,
+    /// Names of the measures that are published. Only callers use them: they change no step.
+    pub measures: Vec<String>,
     /// Rate at which the caller steps.
     pub rate: Rate,
 }
@@ -37,6 +39,7 @@ impl Spec {
             seed,
             start: Start::Disc(None),
             publish_every: 1,
+            measures: Vec::new(),
             rate: None,
         }
     }
@@ -153,10 +156,10 @@ pub enum ChangeKind {
 pub enum ChangeOutcome {
     /// Parameters were set.
     Set {
-        /// The parameters and `publish_every` before.
-        before: (Parameters, u64),
-        /// The parameters and `publish_every` now.
-        now: (Parameters, u64),
+        /// The values before.
+        before: SettingValues,
+        /// The values now.
+        now: SettingValues,
         /// The factor by which positions were scaled; 1 if they were not.
         scaled_by: f64,
     },
@@ -169,8 +172,19 @@ pub enum ChangeOutcome {
     },
 }
 
+/// The values of all settings.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SettingValues {
+    /// The parameters.
+    pub parameters: Parameters,
+    /// Steps between two published states.
+    pub publish_every: u64,
+    /// Names of the measures that are published.
+    pub measures: Vec<String>,
+}
+
 /// New values of parameters. Parameters that are `None` keep their values.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Settings {
     /// Length over width of a body.
     pub pi1: Option<f64>,
@@ -192,6 +206,8 @@ pub struct Settings {
     pub noise: Option<f64>,
     /// Steps between two published states.
     pub publish_every: Option<u64>,
+    /// Names of the measures that are published.
+    pub measures: Option<Vec<String>>,
     /// Whether to scale positions if bodies of the new `pi1` would overlap.
     pub make_room: bool,
 }

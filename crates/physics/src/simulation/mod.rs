@@ -15,7 +15,7 @@ use crate::stepper::{StepError, StepReport, Stepper};
 
 pub use change::{
     Change, ChangeKind, ChangeOutcome, Placement, Rate, Reservation, ReserveMemory, SetPoints,
-    Settings, Spec, Start,
+    SettingValues, Settings, Spec, Start,
 };
 pub use error::{ChangeError, ReserveError};
 
@@ -42,6 +42,8 @@ pub struct Checkpoint {
     pub state: State,
     /// Steps between two published states.
     pub publish_every: u64,
+    /// Names of the measures that are published.
+    pub measures: Vec<String>,
     /// The number of the run: 1 at first, and one more after each reset.
     pub epoch: u64,
     /// The number of the last command; see [`Simulation::seq`].
@@ -60,6 +62,8 @@ pub struct Simulation {
     pub state: State,
     /// Steps between two published states.
     pub publish_every: u64,
+    /// Names of the measures that are published.
+    pub measures: Vec<String>,
     /// The number of the run: 1 at first, and one more after each reset.
     pub epoch: u64,
     /// The number of the present command, which keys its random draws. The caller increments it
@@ -79,6 +83,7 @@ pub struct Simulation {
 pub struct Rollback {
     state: State,
     publish_every: u64,
+    measures: Vec<String>,
     seq: u64,
 }
 
@@ -107,6 +112,7 @@ impl Simulation {
         let state = begin(&spec)?;
         Ok(Simulation {
             publish_every: spec.publish_every,
+            measures: spec.measures.clone(),
             spec,
             state,
             epoch: 1,
@@ -126,6 +132,7 @@ impl Simulation {
             spec: checkpoint.spec.clone(),
             state: checkpoint.state.clone(),
             publish_every: checkpoint.publish_every,
+            measures: checkpoint.measures.clone(),
             epoch: checkpoint.epoch,
             seq: checkpoint.seq,
             means: checkpoint.means,
@@ -142,6 +149,7 @@ impl Simulation {
             spec: self.spec.clone(),
             state: self.state.clone(),
             publish_every: self.publish_every,
+            measures: self.measures.clone(),
             epoch: self.epoch,
             seq: self.seq,
             means: self.means,
@@ -208,6 +216,7 @@ impl Simulation {
     /// Applies a start, in a new epoch.
     pub fn restart(&mut self, start: Restart) {
         self.publish_every = start.spec.publish_every;
+        self.measures.clone_from(&start.spec.measures);
         self.spec = start.spec;
         self.state = start.state;
         self.epoch += 1;
@@ -221,6 +230,7 @@ impl Simulation {
         Rollback {
             state: self.state.clone(),
             publish_every: self.publish_every,
+            measures: self.measures.clone(),
             seq: self.seq,
         }
     }
@@ -229,6 +239,7 @@ impl Simulation {
     pub fn rollback(&mut self, saved: Rollback) {
         self.state = saved.state;
         self.publish_every = saved.publish_every;
+        self.measures = saved.measures;
         self.seq = saved.seq;
         // The callback admits a size that it admitted before.
         let _ = (self.reserve)(Reservation::Return(self.n()));
@@ -306,6 +317,14 @@ impl Simulation {
         observables::order(&self.state.configuration)
     }
 
+    fn setting_values(&self) -> SettingValues {
+        SettingValues {
+            parameters: self.state.parameters,
+            publish_every: self.publish_every,
+            measures: self.measures.clone(),
+        }
+    }
+
     /// Returns the parameters with these settings, checked.
     fn with(&self, settings: &Settings) -> Result<Parameters, ChangeError> {
         let parameters = settings.of(self.state.parameters);
@@ -314,24 +333,27 @@ impl Simulation {
     }
 
     fn set(&mut self, settings: &Settings) -> Result<ChangeOutcome, ChangeError> {
-        let before = (self.state.parameters, self.publish_every);
+        let before = self.setting_values();
         let parameters = self.with(settings)?;
         let may_cross = |parameters: &Parameters| parameters.contacts == ContactRule::Closest;
-        if may_cross(&before.0) && !may_cross(&parameters) {
-            let pairs = gaps(&before.0, &self.state.configuration).crossed;
+        if may_cross(&before.parameters) && !may_cross(&parameters) {
+            let pairs = gaps(&before.parameters, &self.state.configuration).crossed;
             if pairs > 0 {
                 return Err(ChangeError::AxesCross { pairs });
             }
         }
         let mut scaled_by = 1.0;
-        if parameters.pi1 != before.0.pi1 {
+        if parameters.pi1 != before.parameters.pi1 {
             scaled_by = reshape::change_pi1(&mut self.state, parameters.pi1, settings.make_room)?;
         }
         self.state.parameters = parameters;
-        self.publish_every = settings.publish_every.unwrap_or(before.1);
+        self.publish_every = settings.publish_every.unwrap_or(before.publish_every);
+        if let Some(measures) = &settings.measures {
+            self.measures.clone_from(measures);
+        }
         Ok(ChangeOutcome::Set {
             before,
-            now: (parameters, self.publish_every),
+            now: self.setting_values(),
             scaled_by,
         })
     }

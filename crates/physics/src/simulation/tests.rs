@@ -295,10 +295,15 @@ fn settings_change_what_they_name_and_are_returned_with_the_values_before() {
         noise: 0.5,
         ..parameters
     };
+    let values = |parameters| SettingValues {
+        parameters,
+        publish_every: 1,
+        measures: Vec::new(),
+    };
     let outcome = swarm.apply(&set(settings)).unwrap();
     let expected = ChangeOutcome::Set {
-        before: (parameters, 1),
-        now: (now, 1),
+        before: values(parameters),
+        now: values(now),
         scaled_by: 1.0,
     };
     assert_eq!(outcome, expected);
@@ -312,7 +317,10 @@ fn settings_change_what_they_name_and_are_returned_with_the_values_before() {
     };
     match swarm.apply(&set(longer)).unwrap() {
         ChangeOutcome::Set { now, scaled_by, .. } => {
-            assert_eq!((now.0.pi1, now.1, scaled_by), (8.0, 3, 1.0));
+            assert_eq!(
+                (now.parameters.pi1, now.publish_every, scaled_by),
+                (8.0, 3, 1.0)
+            );
         }
         other => panic!("{other:?}"),
     }

@@ -96,6 +96,13 @@ pub async fn record_fixtures(recorded: &Recorded) {
             "measures?names=order,drift,milling,clusters.largest,neighbour_gap.median",
         )
         .await;
+    recorder
+        .get(
+            "measures.reply.histogram",
+            "school",
+            "measures?histogram=pair_correlation;bins=4;max=8",
+        )
+        .await;
 
     for name in ["school-2", "school-3"] {
         let reply = if name == "school-2" {

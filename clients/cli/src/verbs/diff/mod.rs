@@ -156,7 +156,7 @@ fn fields_that_differ(one: &Spec, other: &Spec) -> Vec<String> {
         _ => serde_json::Map::new(),
     };
     let (one, other) = (fields(one), fields(other));
-    let is_compared = |name: &str| !["rate", "publish_every"].contains(&name);
+    let is_compared = |name: &str| !["rate", "publish_every", "measures"].contains(&name);
     one.into_iter()
         .filter(|(name, value)| is_compared(name) && other.get(name) != Some(value))
         .map(|(name, _)| name)

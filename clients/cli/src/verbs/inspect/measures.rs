@@ -1,7 +1,7 @@
 //! `measures`: measures of a swarm, and the list of all measures.
 
 use jostle_measures::{Definition, definitions};
-use jostle_proto::{MeasureValue, Measures, Reply};
+use jostle_proto::{Histogram, MeasureValue, Measures, Reply};
 use serde_json::{Value, json};
 
 use crate::arguments::MeasuresArguments;
@@ -17,6 +17,9 @@ const DIGITS: usize = 6;
 /// Prints measures of the newest state of a swarm; by default all that need no earlier state.
 pub async fn measures(context: &Context, arguments: &MeasuresArguments) -> Result<(), Failure> {
     let MeasuresArguments { name, measures, .. } = arguments;
+    if let (Some(swarm), Some(histogram)) = (name, &arguments.histogram) {
+        return print_histogram(context, swarm, histogram, arguments).await;
+    }
     let Some(swarm) = name else {
         return list_measures(context.output);
     };
@@ -36,6 +39,53 @@ pub async fn measures(context: &Context, arguments: &MeasuresArguments) -> Resul
         let table = table::of(&reply.result.measures, columns);
         format!("{}\n{table}", format::standing(reply))
     })
+}
+
+async fn print_histogram(
+    context: &Context,
+    swarm: &str,
+    histogram: &str,
+    arguments: &MeasuresArguments,
+) -> Result<(), Failure> {
+    let mut noun = format!("measures?histogram={histogram}");
+    if let Some(bins) = arguments.bins {
+        noun += &format!(";bins={bins}");
+    }
+    if let Some(max) = arguments.max {
+        noun += &format!(";max={max}");
+    }
+    let answer = context.client.get(swarm, &noun).await?;
+    context.output.reply(&answer, |reply: &Reply<Measures>| {
+        let rows = reply.result.histogram.as_ref().map(rows);
+        format!("{}\n{}", format::standing(reply), rows.unwrap_or_default())
+    })
+}
+
+/// A row for each bin: the radial one has two edges, a square four.
+fn rows(histogram: &Histogram) -> String {
+    let bins = histogram.edges.len() - 1;
+    let bin = |k: usize| [k, k + 1].map(|k| format::rounded(histogram.edges[k], DIGITS));
+    let count_and_value = |k: usize| {
+        let value = format::rounded(histogram.values[k], DIGITS);
+        [histogram.counts[k].to_string(), value]
+    };
+    if histogram.values.len() == bins {
+        let row = |k: usize| {
+            let ([from, to], [count, value]) = (bin(k), count_and_value(k));
+            [from, to, count, value]
+        };
+        return table::table(
+            ["from", "to", "pairs", "value"],
+            (0..bins).map(row).collect(),
+        );
+    }
+    let row = |k: usize| {
+        let ([back, front], [right, left]) = (bin(k / bins), bin(k % bins));
+        let [count, value] = count_and_value(k);
+        [back, front, right, left, count, value]
+    };
+    let header = ["back", "front", "right", "left", "pairs", "value"];
+    table::table(header, (0..histogram.values.len()).map(row).collect())
 }
 
 /// Lists all measures, whether or not there is a daemon.

@@ -42,5 +42,6 @@ fn sample_of(reply: Reply<Status>, frame: u64) -> OrderSample {
         certificate: status.certificate,
         rate: status.rate,
         real_time_factor: status.real_time_factor,
+        measures: None,
     }
 }

@@ -2,11 +2,12 @@
 
 mod view;
 
+use std::collections::BTreeMap;
 use std::pin::pin;
 use std::time::Duration;
 
 use jostle_client::{Client, FollowOptions, Update};
-use jostle_proto::{Phase, Reply, State, Status};
+use jostle_proto::{Measures, Phase, Reply, State, Status};
 use tokio::time::{Instant, interval};
 
 use self::view::View;
@@ -119,9 +120,22 @@ impl Printer<'_> {
         if (state.epoch, state.step) != (status.epoch, status.step) || !self.is_new(place) {
             return Ok(0);
         }
-        let sample = sample_of(status, state.frame);
+        let measures = self.measures(&status).await;
+        let mut sample = sample_of(status, state.frame);
+        sample.measures = measures;
         self.view
             .line(&serde_json::to_string(&sample).map_err(Failure::defect)?)
+    }
+
+    /// The measures that a swarm which does not run would publish; none if it has changed.
+    async fn measures(&self, status: &Reply<Status>) -> Option<BTreeMap<String, Option<f64>>> {
+        let names = status.result.parameters.measures.as_ref()?.join(",");
+        let noun = format!("measures?names={names}");
+        let answer = self.client.get(&status.swarm, &noun).await.ok()?;
+        let reply: Reply<Measures> = answer.read().ok()?;
+        let is_same = (reply.epoch, reply.step) == (status.epoch, status.step);
+        let measures = reply.result.measures.into_iter();
+        is_same.then(|| measures.map(|it| (it.name, it.value)).collect())
     }
 
     fn is_new(&mut self, place: (u64, u64, u64, Phase)) -> bool {

@@ -6,6 +6,9 @@ use crate::failure::Failure;
 use crate::format;
 use crate::output::{self, Output};
 
+/// The significant digits of measures; `--json` has all.
+const DIGITS: usize = 4;
+
 /// A form of output. The methods that print return the number of printed lines.
 pub enum View {
     /// Complete states, a JSON line each.
@@ -89,7 +92,7 @@ impl View {
 }
 
 fn describe(sample: &OrderSample) -> String {
-    line([
+    let line = line([
         &sample.step.to_string(),
         &format::time(sample.time),
         sample.phase.name(),
@@ -101,7 +104,15 @@ fn describe(sample: &OrderSample) -> String {
         &format::factor(sample.real_time_factor),
         &format::magnitude(sample.certificate.worst_gap),
         &sample.certificate.degraded.to_string(),
-    ])
+    ]);
+    let Some(measures) = &sample.measures else {
+        return line;
+    };
+    let values = measures.iter().map(|(name, value)| {
+        let value = value.map(|value| format::rounded(value, DIGITS));
+        format!("  {name}={}", format::or_none(value))
+    });
+    format!("{}{}\n", line.trim_end(), values.collect::<String>())
 }
 
 fn line(cells: [&str; 11]) -> String {

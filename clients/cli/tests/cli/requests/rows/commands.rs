@@ -24,10 +24,10 @@ pub fn creating() -> Vec<Row> {
             ],
         ),
         row(
-            "create <name>other -n 2 --relinearise --accuracy 1e-6 --rate max",
+            "create <name>other -n 2 --measures drift,milling --relinearise --accuracy 1e-6 --rate max",
             &[
                 r#"@node/test/cmd/create {"name": "other", "exist_ok": false, "spec": {
-                "n": 2, "relinearise": 1, "attraction": {"kind": "all", "accuracy": 0.000001},
+                "n": 2, "measures": ["drift", "milling"], "relinearise": 1, "attraction": {"kind": "all", "accuracy": 0.000001},
                 "rate": null}}"#,
             ],
         ),

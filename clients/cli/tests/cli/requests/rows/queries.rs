@@ -9,6 +9,10 @@ pub fn inspecting() -> Vec<Row> {
         row("list", &["@node/test/get/swarms"]).says("pair"),
         row("status <name>demo", &["demo/get/status"]).says("school"),
         row("parameters <name>demo", &["demo/get/parameters"]).says("pi1"),
+        row(
+            "measures <name>demo --histogram pair_correlation --bins 50 --max 2.5",
+            &["demo/get/measures?histogram=pair_correlation;bins=50;max=2.5"],
+        ),
         row("measures --list", &[]).says("experiments only"),
         row("measures <name>demo", &["demo/get/measures"]).says("milling"),
         row(

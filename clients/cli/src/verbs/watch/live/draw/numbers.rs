@@ -74,6 +74,10 @@ fn numbers<'a>(selected: &'a Selected, palette: Palette) -> Vec<Vec<Span<'a>>> {
             format::magnitude(Some(certificate.residual)),
         ),
     ];
+    for (name, value) in numbers.measures.iter().flatten() {
+        let value = value.map(|value| format::rounded(value, 4));
+        all.push(named(palette, name, format::or_none(value)));
+    }
     for (name, count) in [
         ("degraded", certificate.degraded),
         ("crossed", certificate.crossed),

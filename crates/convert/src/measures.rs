@@ -1,0 +1,119 @@
+//! Names of measures in requests and settings.
+
+use jostle_measures::histograms::HistogramError;
+use jostle_measures::{MAX_COSTLY_INDIVIDUALS, Measure, MeasureError, TooCostly};
+use jostle_proto::{ErrorCode, MAX_PUBLISHED_MEASURES};
+use serde_json::{Map, Value, json};
+use thiserror::Error;
+
+use crate::error::{WireCode, object};
+use crate::value::WireError;
+
+/// Maximum number of measures in one reply: each gap of `clusters.*` is a search of its own.
+pub const MAX_MEASURES: usize = 64;
+
+/// Maximum characters of a name in an error.
+const MAX_SHOWN: usize = 64;
+
+/// Why measures are not computed.
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum MeasuresError {
+    /// The text is no measure.
+    #[error(transparent)]
+    Measure(#[from] Box<MeasureError>),
+    /// A running swarm has no past.
+    #[error(
+        "`{0}` needs the states of earlier steps, which a daemon does not keep: leave it out, or \
+         choose it as a column of an experiment"
+    )]
+    NeedsPast(String),
+    /// The same measure is requested twice.
+    #[error("`{0}` is named twice: name it once")]
+    Twice(String),
+    /// More measures are requested than one message has.
+    #[error("more than {0} measures: name at most {0} measures")]
+    TooMany(usize),
+    /// The histogram is not computed.
+    #[error(transparent)]
+    Histogram(#[from] HistogramError),
+    /// The pair correlation has no area.
+    #[error(
+        "pair_correlation is undefined while all individuals are on one line: their convex hull, \
+         the area of which it needs, has none: take steps, or inject individuals"
+    )]
+    NoArea,
+    /// The group is too large for it.
+    #[error(transparent)]
+    TooCostly(#[from] TooCostly),
+}
+
+impl WireCode for MeasuresError {
+    fn code(&self) -> ErrorCode {
+        match self {
+            MeasuresError::TooCostly(_) => ErrorCode::ResourceExhausted,
+            MeasuresError::NoArea => ErrorCode::IncorrectState,
+            _ => ErrorCode::InvalidArgument,
+        }
+    }
+
+    fn details(&self) -> Map<String, Value> {
+        match self {
+            MeasuresError::TooCostly(error) => error.details(),
+            MeasuresError::NoArea => Map::new(),
+            MeasuresError::Histogram(_) => object(json!({"field": "histogram"})),
+            _ => object(json!({"field": "names"})),
+        }
+    }
+}
+
+impl WireCode for TooCostly {
+    fn code(&self) -> ErrorCode {
+        ErrorCode::ResourceExhausted
+    }
+
+    fn details(&self) -> Map<String, Value> {
+        object(json!({"n": self.n, "limit": MAX_COSTLY_INDIVIDUALS}))
+    }
+}
+
+/// Parses measures of one state: at most `max`, each once.
+///
+/// # Errors
+///
+/// [`MeasuresError`].
+pub fn parse<'a>(
+    names: impl Iterator<Item = &'a str>,
+    max: usize,
+) -> Result<Vec<Measure>, MeasuresError> {
+    let mut measures = Vec::new();
+    for text in names {
+        if measures.len() == max {
+            return Err(MeasuresError::TooMany(max));
+        }
+        let text: String = text.chars().take(MAX_SHOWN).collect();
+        let measure: Measure = text.parse().map_err(Box::new)?;
+        if measure.definition().needs_past() {
+            return Err(MeasuresError::NeedsPast(measure.to_string()));
+        }
+        if measures.contains(&measure) {
+            return Err(MeasuresError::Twice(measure.to_string()));
+        }
+        measures.push(measure);
+    }
+    Ok(measures)
+}
+
+/// Checks the names of the measures that a swarm publishes, and returns their normal forms.
+///
+/// # Errors
+///
+/// [`WireError::Measures`].
+pub fn published(names: &[String]) -> Result<Vec<String>, WireError> {
+    let measures = parse(names.iter().map(String::as_str), MAX_PUBLISHED_MEASURES)?;
+    Ok(measures.iter().map(ToString::to_string).collect())
+}
+
+/// Returns the message of published measures: none if there are none.
+pub fn published_to_proto(names: &[String]) -> Option<Vec<String>> {
+    (!names.is_empty()).then(|| names.to_vec())
+}
