@@ -241,7 +241,11 @@ pub struct OrderPage {
     pub next: Option<u64>,
 }
 
-/// The chosen measures of a run over time, if the experiment has `series_every`.
+/// The chosen measures of a run over time, if the experiment has `series_every`; or with
+/// `of=individuals` its trajectory, if the experiment has `record_every`.
+///
+/// An entry of a trajectory is an individual at a step. Its measures are `id`, `x`, `y` and `alpha`, as in
+/// a state but with absolute positions, and `informed`, 1 or 0.
 ///
 /// In CBOR the columns are RFC 8746 typed arrays, little-endian.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -260,8 +264,21 @@ pub struct SeriesPage {
     pub time: Vec<f64>,
     /// The measures, in the order of the experiment's file.
     pub measures: Vec<MeasureSeries>,
+    /// The metadata of a trajectory, in its first page: the `spec` and the `variables` of the run as
+    /// JSON, its `seed`, the `units` of the columns as JSON, and the `version` of the daemon.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub about: Option<Vec<Metadata>>,
     /// Where to ask on, as `after`; `null` if there is no more.
     pub next: Option<u64>,
+}
+
+/// A value of the metadata of a trajectory.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct Metadata {
+    /// Its key, such as `seed`.
+    pub key: String,
+    /// Its value as text.
+    pub value: String,
 }
 
 /// One measure of a run over time.

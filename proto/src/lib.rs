@@ -38,8 +38,8 @@ pub use error::{Error, ErrorCode, RequestError};
 pub use event::{Event, EventKind};
 pub use experiment::{
     ExpandArgs, ExpandedRun, ExperimentArgs, ExperimentName, ExperimentPhase, ExperimentResult,
-    Experiments, MeasureSeries, OrderPage, Progress, ResultsPage, RunCommand, RunUnderWay, RunVerb,
-    SeriesPage, SubmitArgs,
+    Experiments, MeasureSeries, Metadata, OrderPage, Progress, ResultsPage, RunCommand,
+    RunUnderWay, RunVerb, SeriesPage, SubmitArgs,
 };
 pub use metrics::{Metrics, RecordingMetrics, StoreMetrics, SwarmMetrics};
 pub use queries::{
@@ -52,7 +52,7 @@ pub use recording::{
     RecordingName, RecordingPhase, RecordingPiece, Recordings,
 };
 pub use replay::{OpenArgs, Replay, ReplayArgs, ReplayResult, SeekArgs, UploadArgs};
-pub use result_row::{COLUMNS, Column, ExtraValue, Measure, ResultRow};
+pub use result_row::{COLUMNS, Column, ExtraValue, FAULT, Measure, ResultRow};
 pub use role::{Credentials, Role, WhoAmI};
 pub use snapshot::Snapshot;
 pub use spec::{Attraction, ContactRule, Spec, Start, Stepping};

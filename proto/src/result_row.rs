@@ -57,6 +57,10 @@ impl Measure {
 /// The member of a row in JSON and CBOR that contains its [`ExtraValue`]s, if it has any.
 const EXTRA: &str = "extra";
 
+/// The member of a row in JSON and CBOR with the reason of its fault, if it has one, and the name of
+/// that column of a table.
+pub const FAULT: &str = "fault";
+
 /// The value of a column that only some experiments have, in one row: a variable of the grid,
 /// `stopped_at`, or the mean of a chosen measure.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize, JsonSchema)]
@@ -87,6 +91,9 @@ macro_rules! result_row {
             /// Columns that only some experiments have: variables of the grid, `stopped_at`, and
             /// chosen measures.
             pub extra: Vec<ExtraValue>,
+            /// Why the run ended early, if a fault ended it. The measures are then those of the time
+            /// before the fault.
+            pub fault: Option<String>,
         }
 
         impl Measure {
@@ -139,6 +146,7 @@ macro_rules! result_row {
                     measures,
                     $($after,)*
                     extra: Vec::new(),
+                    fault: None,
                 })
             }
         }
@@ -272,13 +280,16 @@ impl Field for f64 {
 
 impl Serialize for ResultRow {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let is_extra = usize::from(!self.extra.is_empty());
-        let mut map = serializer.serialize_map(Some(COLUMNS.len() + is_extra))?;
+        let optional = usize::from(!self.extra.is_empty()) + usize::from(self.fault.is_some());
+        let mut map = serializer.serialize_map(Some(COLUMNS.len() + optional))?;
         for (column, cell) in COLUMNS.iter().zip(self.cells()) {
             map.serialize_entry(column.name, &cell)?;
         }
         if !self.extra.is_empty() {
             map.serialize_entry(EXTRA, &self.extra)?;
+        }
+        if let Some(fault) = &self.fault {
+            map.serialize_entry(FAULT, fault)?;
         }
         map.end()
     }
@@ -302,6 +313,7 @@ impl<'de> Visitor<'de> for RowVisitor {
     fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<ResultRow, A::Error> {
         let mut cells = vec![None; COLUMNS.len()];
         let mut extra: Option<Vec<ExtraValue>> = None;
+        let mut fault: Option<Option<String>> = None;
         while let Some(name) = map.next_key::<String>()? {
             match COLUMNS.iter().position(|column| column.name == name) {
                 Some(at) if cells[at].is_some() => {
@@ -312,6 +324,10 @@ impl<'de> Visitor<'de> for RowVisitor {
                     return Err(Error::duplicate_field(EXTRA));
                 }
                 None if name == EXTRA => extra = Some(map.next_value()?),
+                None if name == FAULT && fault.is_some() => {
+                    return Err(Error::duplicate_field(FAULT));
+                }
+                None if name == FAULT => fault = Some(map.next_value()?),
                 None => {
                     map.next_value::<IgnoredAny>()?;
                 }
@@ -327,8 +343,12 @@ impl<'de> Visitor<'de> for RowVisitor {
         }
         let row = ResultRow::from_cells(cells.into_iter().flatten())
             .ok_or_else(|| Error::custom("a value is not of its column's kind"))?;
-        let extra = extra.unwrap_or_default();
-        Ok(ResultRow { extra, ..row })
+        let (extra, fault) = (extra.unwrap_or_default(), fault.flatten());
+        Ok(ResultRow {
+            extra,
+            fault,
+            ..row
+        })
     }
 }
 
@@ -351,6 +371,10 @@ impl JsonSchema for ResultRow {
                            grid, `stopped_at`, and means of chosen measures.";
         extra.insert("description".to_owned(), description.into());
         properties.insert(EXTRA.to_owned(), extra.into());
+        let description = "Why the run ended early, if a fault ended it; left out otherwise. The \
+                           other members are then those of the time before the fault.";
+        let fault = json_schema!({"description": description, "type": ["string", "null"]});
+        properties.insert(FAULT.to_owned(), fault.into());
         let required: Vec<&str> = COLUMNS.iter().map(|column| column.name).collect();
         json_schema!({
             "description": "The result of one run of an experiment: a row of `results.csv`, one \
@@ -455,6 +479,27 @@ mod tests {
                 serde_json::from_str::<ResultRow>(&wrong).is_err(),
                 "{wrong}"
             );
+        }
+    }
+
+    #[test]
+    fn the_reason_of_a_fault_is_a_member_of_faulted_runs_only() {
+        let [_, mut row] = rows();
+        assert_eq!(row.fault, None, "as an earlier version wrote it");
+        row.fault = Some("step 7: the axes of 1 and 2 cross".to_owned());
+        let text = serde_json::to_string(&row).unwrap();
+        let end = r#","fault":"step 7: the axes of 1 and 2 cross"}"#;
+        assert!(text.ends_with(end), "{text}");
+        assert_eq!(serde_json::from_str::<ResultRow>(&text).unwrap(), row);
+        let mut cbor = Vec::new();
+        ciborium::into_writer(&row, &mut cbor).unwrap();
+        assert_eq!(cbor[..2], [0xb8, 25]);
+        assert_eq!(ciborium::from_reader::<ResultRow, _>(&*cbor).unwrap(), row);
+        let null = text.replace(end, r#","fault":null}"#);
+        assert_eq!(serde_json::from_str::<ResultRow>(&null).unwrap(), rows()[1]);
+        for wrong in [r#","fault":3}"#, r#","fault":"a","fault":"b"}"#] {
+            let wrong = text.replace(end, wrong);
+            assert!(serde_json::from_str::<ResultRow>(&wrong).is_err());
         }
     }
 

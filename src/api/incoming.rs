@@ -229,11 +229,43 @@ pub(super) fn page_of_run<'a>(
     max: usize,
 ) -> Result<(&'a str, u64, usize), CommandError> {
     let (run, after, limit) = page_of(parameters, &["run", "after", "limit"], max, max)?;
-    let run = run.ok_or(CommandError::Field {
+    Ok((required(run)?, after, limit))
+}
+
+/// As [`page_of_run`], and whether the records are those of individuals.
+pub(super) fn page_of_series<'a>(
+    parameters: impl Iterator<Item = (&'a str, &'a str)>,
+    max: usize,
+) -> Result<((&'a str, u64, usize), bool), CommandError> {
+    let known = &["run", "after", "limit", "of"];
+    let mut of = None;
+    // An unknown parameter is rejected below.
+    let rest: Vec<_> = parameters.collect();
+    selector(rest.iter().copied(), known)?;
+    let rest = rest.into_iter().filter(|(name, value)| {
+        let is_rest = *name != "of";
+        of = of.or((!is_rest).then_some(*value));
+        is_rest
+    });
+    let (run, after, limit) = page_of(rest, known, max, max)?;
+    let is_trajectory = match of {
+        None => false,
+        Some("individuals") => true,
+        Some(_) => {
+            return Err(CommandError::Field {
+                field: "of",
+                problem: "is not individuals: leave it out for measures",
+            });
+        }
+    };
+    Ok(((required(run)?, after, limit), is_trajectory))
+}
+
+fn required(run: Option<&str>) -> Result<&str, CommandError> {
+    run.ok_or(CommandError::Field {
         field: "run",
         problem: "is missing: give a run as the results name it",
-    })?;
-    Ok((run, after, limit))
+    })
 }
 
 fn page_of<'a>(

@@ -4,7 +4,7 @@ use jostle_experiment::{LiveCommand, LiveRun, Plan};
 use jostle_proto as proto;
 use jostle_results::table::{OrderSeries, Series};
 
-use crate::experiments::Report;
+use crate::experiments::{Report, TrajectoryRows};
 
 pub fn progress(report: Report) -> proto::Progress {
     let progress = report.progress;
@@ -143,7 +143,45 @@ pub fn series_page(
             .collect(),
         time: series.times[begin..end].to_vec(),
         measures: measures.collect(),
+        about: None,
         next: (end < count).then_some(end as u64),
+    }
+}
+
+/// Returns rows of a run's trajectory, from number `after` + 1.
+pub fn trajectory_page(
+    name: String,
+    run: String,
+    after: u64,
+    trajectory: TrajectoryRows,
+) -> proto::SeriesPage {
+    let TrajectoryRows { rows, total, about } = trajectory;
+    let next = after.saturating_add(rows.len() as u64);
+    let informed = rows.informed.iter();
+    let columns = [
+        ("id", rows.id.iter().copied().map(f64::from).collect()),
+        ("x", rows.x),
+        ("y", rows.y),
+        ("alpha", rows.alpha),
+        ("informed", informed.map(|it| f64::from(*it)).collect()),
+    ];
+    let measures = columns.into_iter().map(|(name, value)| {
+        let name = name.to_owned();
+        proto::MeasureSeries { name, value }
+    });
+    proto::SeriesPage {
+        name,
+        run,
+        step: rows.step.iter().map(|&step| step as f64).collect(),
+        time: rows.time,
+        measures: measures.collect(),
+        about: about.map(|about| {
+            let pairs = about.into_iter();
+            pairs
+                .map(|(key, value)| proto::Metadata { key, value })
+                .collect()
+        }),
+        next: (next < total).then_some(next),
     }
 }
 

@@ -40,7 +40,9 @@ pub mod validate;
 pub(crate) use controllers::controllers;
 pub(crate) use decode::{decode_event, decode_spec, decode_state};
 pub(crate) use events::{event, events, journal};
-pub(crate) use experiments::{expanded, order_page, planned, progress, results_page, series_page};
+pub(crate) use experiments::{
+    expanded, order_page, planned, progress, results_page, series_page, trajectory_page,
+};
 pub(crate) use measures::measures;
 pub(crate) use metrics::metrics;
 pub(crate) use payload::Payload;

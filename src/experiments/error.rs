@@ -41,6 +41,11 @@ pub enum ExperimentError {
     )]
     NoSeries(String),
     #[error(
+        "experiment {0:?} does not record trajectories: submit it under another name with \
+         record_every in [measure]"
+    )]
+    NoTrajectory(String),
+    #[error(
         "another experiment has the name {0:?}: submit this one under another name, or delete that \
          one"
     )]

@@ -16,7 +16,9 @@ use std::time::Duration;
 
 use jostle_experiment::{Files, Folder, Plan};
 use jostle_proto::{ExperimentPhase as Phase, keys};
-use jostle_results::table::{OrderSeries, Series};
+use jostle_results::table::TableError;
+use jostle_results::table::trajectory::{self, About};
+use jostle_results::table::{OrderSeries, Series, Trajectory};
 use parking_lot::{Condvar, Mutex, MutexGuard};
 use tracing::{info, warn};
 
@@ -38,6 +40,15 @@ const PLAN: &str = "experiment.toml";
 /// The experiments of a daemon. Clones share them.
 #[derive(Clone)]
 pub struct ExperimentManager(Arc<Shared>);
+
+/// Rows of the trajectory of a run.
+pub struct TrajectoryRows {
+    pub rows: Trajectory,
+    /// The number of all rows.
+    pub total: u64,
+    /// The metadata of the file, with the first rows.
+    pub about: Option<About>,
+}
 
 struct Shared {
     jobs: JobDirectory<Status>,
@@ -236,6 +247,32 @@ impl ExperimentManager {
         let folder = self.0.jobs.folder(name);
         let read = Folder::read_series(&folder, &plan, &results.finished, index);
         read.map_err(ExperimentError::unreadable)
+    }
+
+    /// Rows of the trajectory of one run, at most `limit` after the first `after`.
+    pub fn trajectory(
+        &self,
+        name: &str,
+        run: &str,
+        after: u64,
+        limit: usize,
+    ) -> Result<TrajectoryRows, ExperimentError> {
+        let plan = self.plan(name)?;
+        if plan.record_every.is_none() {
+            return Err(ExperimentError::NoTrajectory(name.to_owned()));
+        }
+        let (index, _) = self.finished_run(name, &plan, run)?;
+        let path = Folder::trajectory_path(&self.0.jobs.folder(name), index);
+        let read = || {
+            let about = (after == 0).then(|| trajectory::read_about(&path));
+            let (rows, total) = trajectory::read_page(&path, after, limit)?;
+            Ok::<_, TableError>(TrajectoryRows {
+                rows,
+                total,
+                about: about.transpose()?,
+            })
+        };
+        read().map_err(ExperimentError::unreadable)
     }
 
     /// Returns the index of a finished run in the plan, and the finished runs.

@@ -329,7 +329,7 @@ async fn start_daemon(folder: &Path) -> (DaemonProcess, Client) {
 async fn repeated_kills_do_not_change_the_tables() {
     // Some seconds of one core: long enough to be killed during the execution.
     let toml = "name = \"small\"\nseed = 3\nreplicates = 4\nduration = 300\n[[grid]]\npi1 = [1, 4]\n\
-                n = [20, 30]\ninformed = 3\n[measure]\norder_every = 100\n";
+                n = [20, 30]\ninformed = 3\n[measure]\norder_every = 100\nrecord_every = 500\n";
     let whole = tempfile::tempdir().unwrap();
     let (_process, client) = start_daemon(whole.path()).await;
     submit(&client, toml).await;
@@ -375,6 +375,19 @@ async fn repeated_kills_do_not_change_the_tables() {
     for name in ["results.csv", "results.parquet", "order.parquet"] {
         assert!(
             table(folder.path(), name) == table(whole.path(), name),
+            "{name}"
+        );
+    }
+    let trajectories = folder.path().join("experiments/small/trajectories");
+    assert_eq!(
+        fs::read_dir(&trajectories).unwrap().count(),
+        16,
+        "one a run"
+    );
+    for number in 1..=16 {
+        let name = format!("trajectories/run-{number:06}.parquet");
+        assert!(
+            table(folder.path(), &name) == table(whole.path(), &name),
             "{name}"
         );
     }

@@ -31,6 +31,7 @@ order_every = 2
 series_every = 70
 columns = ["milling", "msd(1)"]
 touch = true
+record_every = 200
 "#;
 
 const RUNS: usize = 24;
@@ -44,6 +45,19 @@ const TABLES: [&str; 5] = [
 ];
 
 struct Fixture(tempfile::TempDir);
+
+/// The names of all files of a folder, each followed by its bytes.
+fn all_in(folder: &Path) -> Vec<u8> {
+    let entries = fs::read_dir(folder).unwrap();
+    let mut paths: Vec<PathBuf> = entries.map(|entry| entry.unwrap().path()).collect();
+    paths.sort();
+    let mut all = Vec::new();
+    for path in paths {
+        all.extend(path.file_name().unwrap().as_encoded_bytes());
+        all.extend(fs::read(path).unwrap());
+    }
+    all
+}
 
 impl Fixture {
     fn new() -> Self {
@@ -100,7 +114,12 @@ impl Fixture {
 
     fn tables(&self, folder: &str) -> BTreeMap<&'static str, Vec<u8>> {
         let read = |name: &&'static str| (*name, fs::read(self.path(folder).join(name)).unwrap());
-        TABLES.iter().map(read).collect()
+        let trajectories = self.path(folder).join("trajectories");
+        let mut read_all = TABLES.iter().map(read).collect::<BTreeMap<_, _>>();
+        if trajectories.exists() {
+            read_all.insert("trajectories", all_in(&trajectories));
+        }
+        read_all
     }
 
     /// Applies `change` to the list of finished runs of a folder.

@@ -228,7 +228,8 @@ class Recorder:
                 page = fixture("experiment.results")
                 return {**page, "next": 2 if parameters["after"] == "0" else None}
             case ["experiment", _, "order" | "series" as noun]:
-                page = fixture(f"experiment.{noun}")
+                of = ".individuals" if "of" in parameters else ""
+                page = fixture(f"experiment.{noun}{of}")
                 for columns in (page, *page.get("measures", [])):
                     for name, values in columns.items():
                         if name in ("step", "time", "order", "drift", "value"):

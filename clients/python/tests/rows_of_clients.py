@@ -280,6 +280,14 @@ EXPERIMENTS = [
         call("n=5 #0"),
         [node_get(f"experiment/small/series?run=n=5 #0;after={after}") for after in (0, 3)],
     ),
+    Row(
+        "Experiment.trajectory",
+        call("n=5 #0"),
+        [
+            node_get(f"experiment/small/series?run=n=5 #0;after={after};of=individuals")
+            for after in (0, 3)
+        ],
+    ),
 ]
 
 ROWS = [*CLIENTS, *EXPERIMENTS]

@@ -10,6 +10,7 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -104,6 +105,62 @@ def test_measures_over_time_are_a_frame(client: jostle.Client) -> None:
     assert one.order.iloc[3] == order[-1]
     with pytest.raises(jostle.NotFound):
         experiment.series("unknown")
+    experiment.delete()
+
+
+def test_the_trajectory_of_a_run_is_a_frame(daemon: Daemon, client: jostle.Client) -> None:
+    measure = {"record_every": 200}
+    # 5 of the 8 individuals are informed at step 300.
+    at = [{"step": 300, "inject": {"count": 5, "direction": 1.5}}]
+    fields = {**SMALL, "name": "recorded", "measure": measure, "at": at}
+    experiment = client.submit(fields).wait(60.0)
+    run = "n=3 informed=1 #1"
+    frame = experiment.trajectory(run)
+    columns = ["run", "n", "informed_of_run", "step", "time", "id", "x", "y", "alpha", "informed"]
+    assert list(frame.columns) == columns
+    # 500 steps: 0, 200, 400 and the last one.
+    assert frame.groupby("step").size().to_dict() == {0: 3, 200: 3, 400: 8, 500: 8}
+    assert np.allclose(frame.time, frame.step * 0.02)
+    assert frame.groupby("step").informed.sum().to_dict() == {0: 1, 200: 1, 400: 6, 500: 6}
+    last = frame[frame.step == 500]
+    assert last.id.tolist() == list(range(8))
+    assert (str(frame.id.dtype), str(frame.informed.dtype)) == ("uint32", "bool")
+    rows = {row.run: row for row in experiment.rows()}
+    assert frame.attrs["seed"] == str(rows[run].seed)
+    assert msgspec.json.decode(frame.attrs["spec"])["n"] == 3
+    assert msgspec.json.decode(frame.attrs["variables"]) == {"n": 3, "informed": 1}
+    folder = daemon.log.parent / "data" / "experiments" / "recorded" / "trajectories"
+    assert len(list(folder.iterdir())) == 8
+    with pytest.raises(jostle.NotFound):
+        experiment.trajectory("unknown")
+    experiment.delete()
+    assert not folder.exists()
+    other = client.submit({**SMALL, "name": "unrecorded"}).wait(60.0)
+    with pytest.raises(jostle.InvalidArgument, match="record_every"):
+        other.trajectory(run)
+    other.delete()
+
+
+def test_faulted_runs_have_a_reason(client: jostle.Client) -> None:
+    # There is no room for the individuals at step 20 in one of the two conditions.
+    inject = {"count": "$count", "within": {"x": 0, "y": 0, "radius": 10}}
+    experiment = client.submit(
+        {
+            "name": "faulted",
+            "duration": 1,
+            "spec": {"n": 4},
+            "grid": [{"count": [1, 5000]}],
+            "at": [{"step": 20, "inject": inject}],
+        }
+    ).wait(60.0)
+    assert experiment.progress().faulted == 1
+    whole, faulted = experiment.rows()
+    assert whole.fault is None
+    assert faulted.fault is not None
+    assert faulted.fault.startswith("step 20: [[at]]")
+    frame = experiment.frame()
+    assert frame.columns[-1] == "fault"
+    assert frame.fault.isna().tolist() == [True, False]
     experiment.delete()
 
 

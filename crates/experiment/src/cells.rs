@@ -1,6 +1,7 @@
 //! The cells of a CSV with a header, and the lines of its rows.
 
 use csv::{ReaderBuilder, StringRecord, Trim};
+use jostle_physics::plural::counted;
 
 /// A CSV. All rows have as many cells as the header.
 pub struct Cells {
@@ -43,7 +44,9 @@ impl Cells {
                 && header.len() != record.len()
             {
                 let (cells, columns) = (record.len(), header.len());
-                let reason = format!("{cells} cells, but the header has {columns} columns");
+                let [given, needed] =
+                    [(cells, "cell"), (columns, "column")].map(|(count, one)| counted(count, one));
+                let reason = format!("{given}, but the header has {needed}");
                 return Err((number, cells.min(columns) + 1, reason));
             }
             if rows.len() as u64 > limit {

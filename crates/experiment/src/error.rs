@@ -2,7 +2,7 @@
 
 use thiserror::Error;
 
-use crate::limits::{MAX_ENTRIES, MAX_RUNS};
+use crate::limits::{MAX_ENTRIES, MAX_RUNS, MAX_TRAJECTORY_BYTES};
 use jostle_physics::simulation::ChangeError;
 
 /// Why an experiment's file is rejected.
@@ -72,5 +72,17 @@ pub enum PlanError {
     TooManyEntries {
         /// Their number.
         entries: u64,
+    },
+    /// The trajectories can take more than [`MAX_TRAJECTORY_BYTES`].
+    #[error(
+        "the trajectories have up to {rows} rows, {:.1} GB; the limit is {} GB: raise record_every, \
+         or split the experiment",
+        bytes / 1e9, MAX_TRAJECTORY_BYTES / 1e9
+    )]
+    TooManyFrames {
+        /// Their number of rows, at most: a row for each individual and recorded step.
+        rows: f64,
+        /// Their bytes.
+        bytes: f64,
     },
 }

@@ -13,6 +13,7 @@ use crate::plan::Plan;
 use crate::progress::{ExecutionControl, RunHandle};
 use crate::run::{FinishedRun, execute_run_from};
 use crate::subset::Subset;
+use crate::trajectory::{Recording, Trajectories};
 
 /// Nice value of an experiment's threads, so that live swarms have priority.
 const NICENESS: i32 = 10;
@@ -97,7 +98,7 @@ pub fn execute(
 
     let next = AtomicUsize::new(0);
     let (finished, received) = mpsc::channel();
-    let checkpoints = folder.checkpoints();
+    let (checkpoints, trajectories) = (folder.checkpoints(), folder.trajectories());
     let unwritten = Mutex::new(None);
     let work = |finished: mpsc::Sender<Executed>| {
         // None is the calling thread. If the call is not permitted, the nice value is unchanged.
@@ -108,7 +109,8 @@ pub fn execute(
             let handle = control.begin_run(index, &run.name, steps, cost(index));
             let result = match handle.report_steps(0) {
                 true => {
-                    execute_with_checkpoints(execution, index, &checkpoints, &handle, &unwritten)
+                    let files = (&checkpoints, &trajectories);
+                    execute_with_checkpoints(execution, index, files, &handle, &unwritten)
                 }
                 false => Ok(None),
             };
@@ -158,6 +160,7 @@ pub fn execute(
     }
     if folder.finished() == runs.len() {
         checkpoints.clear();
+        trajectories.clear();
     }
     let unwritten = unwritten
         .into_inner()
@@ -181,7 +184,7 @@ type Executed = Result<(usize, FinishedRun), FolderError>;
 fn execute_with_checkpoints(
     execution: Execution<'_>,
     index: usize,
-    checkpoints: &Checkpoints,
+    (checkpoints, trajectories): (&Checkpoints, &Trajectories),
     handle: &RunHandle<'_>,
     unwritten: &Mutex<Option<FolderError>>,
 ) -> Result<Option<FinishedRun>, FolderError> {
@@ -190,23 +193,33 @@ fn execute_with_checkpoints(
         checkpoint_every,
         ..
     } = execution;
-    let checkpoint = checkpoints.read(index)?;
+    let run = &plan.runs()[index];
+    let mut checkpoint = checkpoints.read(index)?;
+    let recording = trajectories.record(plan, index, &mut checkpoint)?;
+    let has_failed = || recording.as_ref().is_some_and(Recording::has_failed);
     let mut last = Instant::now();
-    Ok(execute_run_from(
-        plan,
-        &plan.runs()[index],
-        checkpoint,
-        |current| {
-            let continues = handle.report_steps(current.steps());
-            if checkpoint_every.is_some_and(|every| !continues || last.elapsed() >= every) {
-                if let Err(error) = checkpoints.write(index, &current.checkpoint()) {
-                    *unwritten.lock().unwrap_or_else(PoisonError::into_inner) = Some(error);
-                }
-                last = Instant::now();
+    let finished = execute_run_from(plan, run, checkpoint, recording.as_ref(), |current| {
+        let continues = handle.report_steps(current.steps());
+        if checkpoint_every.is_some_and(|every| !continues || last.elapsed() >= every) {
+            let mut checkpoint = current.checkpoint();
+            // Without its frames a checkpoint is of no use.
+            checkpoint.recorded = recording.as_ref().and_then(Recording::sync);
+            if !has_failed()
+                && let Err(error) = checkpoints.write(index, &checkpoint)
+            {
+                *unwritten.lock().unwrap_or_else(PoisonError::into_inner) = Some(error);
             }
-            continues
-        },
-    ))
+            last = Instant::now();
+        }
+        continues && !has_failed()
+    });
+    if let Some(recording) = recording {
+        match &finished {
+            Some(finished) => recording.finish(plan, run, finished.row.is_some())?,
+            None => recording.check()?,
+        }
+    }
+    Ok(finished)
 }
 
 /// Appends finished runs to the folder, in batches of all runs received so far, until all threads

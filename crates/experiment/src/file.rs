@@ -75,6 +75,9 @@ pub struct Measure {
     /// Steps between two entries of the time series of `columns`.
     #[serde(default)]
     pub series_every: Option<Spanned<u64>>,
+    /// Steps between two frames of the trajectories.
+    #[serde(default)]
+    pub record_every: Option<Spanned<u64>>,
     /// Whether contacts are measured, in a table of their own.
     #[serde(default)]
     pub touch: bool,

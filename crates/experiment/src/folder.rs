@@ -9,6 +9,8 @@
 //! - `order/`, in folders of earlier versions, which stored the order over time there;
 //! - the tables, written from these: `results.parquet`, `results.csv`, `order.parquet`,
 //!   `series.parquet` and `touch.csv`;
+//! - `trajectories/`, with a file for each finished run if the plan has `record_every`, and the frames of
+//!   unfinished ones;
 //! - `checkpoints/`, from which unfinished runs continue;
 //! - `lock`, which a process that writes to the folder holds exclusively.
 
@@ -42,9 +44,10 @@ use crate::files::{EXPERIMENT, Files};
 use crate::plan::Plan;
 use crate::run::FinishedRun;
 use crate::subset::Subset;
+use crate::trajectory::Trajectories;
 
 mod checkpoints;
-mod error;
+pub(crate) mod error;
 mod list;
 mod part;
 
@@ -161,6 +164,12 @@ impl Folder {
         read_series(path, plan, index, &finished.line(path, index)?)
     }
 
+    /// Returns the path of the trajectory of a run, by its index in the plan.
+    #[must_use]
+    pub fn trajectory_path(path: &Path, index: usize) -> PathBuf {
+        Trajectories::of(path).path(index)
+    }
+
     /// The path of the folder.
     #[must_use]
     pub fn path(&self) -> &Path {
@@ -183,6 +192,12 @@ impl Folder {
     #[must_use]
     pub fn checkpoints(&self) -> Checkpoints {
         Checkpoints::of(&self.path)
+    }
+
+    /// Returns the trajectories of its runs.
+    #[must_use]
+    pub(crate) fn trajectories(&self) -> Trajectories {
+        Trajectories::of(&self.path)
     }
 
     /// Returns the names of the runs of a subset that ended early, each with its reason.
@@ -236,10 +251,11 @@ impl Folder {
         }
         self.length += lines.len() as u64;
         self.finished.extend(entries);
-        let checkpoints = self.checkpoints();
-        indices
-            .into_iter()
-            .for_each(|index| checkpoints.remove(index));
+        let (checkpoints, trajectories) = (self.checkpoints(), self.trajectories());
+        for index in indices {
+            checkpoints.remove(index);
+            trajectories.remove_spool(index);
+        }
         Ok(())
     }
 
@@ -292,6 +308,7 @@ impl Folder {
     /// [`FolderError::Rename`] and [`FolderError::Io`]. The folder keeps its name, unless only the sync of the parent failed.
     pub fn rename(&mut self, path: &Path) -> Result<(), FolderError> {
         self.checkpoints().clear();
+        self.trajectories().clear();
         sync_folder(&self.path)?;
         fs::rename(&self.path, path).map_err(|source| FolderError::Rename {
             from: self.path.clone(),

@@ -27,6 +27,7 @@ mod set_points;
 pub mod shell;
 mod start;
 mod subset;
+mod trajectory;
 
 pub use dry_run::{DryRun, Estimate, Measured};
 pub use error::PlanError;
@@ -38,7 +39,10 @@ pub use files::{Files, FilesError, POINTS, SET_POINTS, START};
 pub use folder::{FinishedRuns, Folder, FolderError, unfinished};
 pub use grid::AXES;
 pub use jostle_physics::model::MODEL_VERSION;
-pub use limits::{MAX_BLOCKS, MAX_ENTRIES, MAX_INDIVIDUALS, MAX_RUNS, MAX_SET_POINTS, MAX_STEPS};
+pub use limits::{
+    MAX_BLOCKS, MAX_ENTRIES, MAX_INDIVIDUALS, MAX_RUNS, MAX_SET_POINTS, MAX_STEPS,
+    MAX_TRAJECTORY_BYTES,
+};
 pub use merge::{Difference, MergeError, Parts, missing};
 pub use plan::{Columns, Plan, PlannedRun, Point};
 pub use play::{LiveCommand, LiveRun, PlayError};

@@ -13,6 +13,11 @@ pub const MAX_STEPS: u64 = 1_000_000_000;
 /// Maximum number of entries of all time series of an experiment: 8 GB.
 pub const MAX_ENTRIES: u64 = 1_000_000_000;
 
+/// Maximum number of bytes of all trajectories of an experiment, by [`Plan::trajectory_bytes`].
+///
+/// [`Plan::trajectory_bytes`]: crate::Plan::trajectory_bytes
+pub const MAX_TRAJECTORY_BYTES: f64 = 100e9;
+
 /// Maximum number of blocks of a protocol. Every point of the grid has its own.
 pub const MAX_BLOCKS: usize = 1000;
 

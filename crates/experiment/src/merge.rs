@@ -17,6 +17,7 @@ use crate::folder::{Folder, FolderError, Part, parts_in, unfinished};
 use crate::plan::Plan;
 use crate::run::{FinishedRun, execute_run};
 use crate::subset::Subset;
+use crate::trajectory::Trajectories;
 
 /// How many runs or folders an error names.
 const MAX_NAMED: usize = 10;
@@ -369,6 +370,14 @@ impl Parts {
         let (finished, runs) = (folder.finished(), plan.runs().len());
         if finished != runs {
             return Err(MergeError::Incomplete { finished, runs });
+        }
+        if plan.record_every.is_some() {
+            let trajectories = folder.trajectories();
+            for (index, &part) in part_of.iter().enumerate() {
+                if parts[part].has_row(index) {
+                    trajectories.copy(&Trajectories::of(parts[part].path()), index)?;
+                }
+            }
         }
         Ok(folder.write_tables(plan)?)
     }

@@ -12,7 +12,9 @@ use crate::error::PlanError;
 use crate::file::{File, Source};
 use crate::files::Files;
 use crate::grid::{self, AXES, Choice, Grid};
-use crate::limits::{MAX_BLOCKS_OF_PLAN, MAX_ENTRIES, MAX_INDIVIDUALS, MAX_RUNS, MAX_STEPS};
+use crate::limits::{
+    MAX_BLOCKS_OF_PLAN, MAX_ENTRIES, MAX_INDIVIDUALS, MAX_RUNS, MAX_STEPS, MAX_TRAJECTORY_BYTES,
+};
 use crate::points::Points;
 use crate::protocol::{Block, Protocol, Setting, Variables, first_span, templates, used};
 use crate::row_grids;
@@ -24,6 +26,11 @@ use jostle_convert::value::count;
 use self::settings::{check_sizes, columns, seeds};
 
 mod settings;
+
+/// Bytes of the file of a trajectory, and in addition of each of its frames and rows.
+const BYTES_OF_TRAJECTORY: f64 = 2700.0;
+const BYTES_OF_FRAME: f64 = 20.0;
+const BYTES_OF_ROW: f64 = 27.0;
 
 /// An experiment: common settings and the list of runs.
 #[derive(Clone, Debug, PartialEq)]
@@ -40,6 +47,8 @@ pub struct Plan {
     pub touch: bool,
     /// The measures whose means are columns of the table of results.
     pub columns: Columns,
+    /// Steps between two frames of the trajectories; none if no trajectories are recorded.
+    pub record_every: Option<u64>,
     /// The experiment's files, unchanged.
     pub files: Files,
     /// The state from which every run starts, if the file has `start`.
@@ -142,6 +151,8 @@ impl Plan {
         let replicates = source.whole("replicates", file.replicates.as_ref(), 1, limits)?;
         let every = file.measure.order_every.as_ref();
         let every = source.whole("order_every", every, 0, [1, MAX_STEPS])?;
+        let record = file.measure.record_every.as_ref();
+        let record = source.whole("record_every", record, 0, [1, MAX_STEPS])?;
         let duration = *file.duration.get_ref();
         if !(duration.is_finite() && duration > 0.0) {
             let reason = format!("duration = {duration} is not a finite number above 0");
@@ -189,6 +200,7 @@ impl Plan {
             order_every: (every > 0).then_some(every),
             touch: file.measure.touch,
             columns,
+            record_every: (record > 0).then_some(record),
             files: Files::default(),
             base,
             set_points: SetPointTable::of(source, &file, files)?.map(Arc::new),
@@ -230,10 +242,18 @@ impl Plan {
         }
         plan.by_name = names.into_values().collect();
         let entries = plan.runs.iter().map(|run| plan.entries(run));
-        match entries.fold(0, u64::saturating_add) {
-            entries if entries > MAX_ENTRIES => Err(PlanError::TooManyEntries { entries }),
-            _ => Ok(plan),
+        let entries = entries.fold(0, u64::saturating_add);
+        if entries > MAX_ENTRIES {
+            return Err(PlanError::TooManyEntries { entries });
         }
+        let sum = |of: fn(&Self, &PlannedRun) -> f64| -> f64 {
+            plan.runs.iter().map(|run| of(&plan, run)).sum()
+        };
+        let (rows, bytes) = (sum(Self::trajectory_rows), sum(Self::trajectory_bytes));
+        if bytes > MAX_TRAJECTORY_BYTES {
+            return Err(PlanError::TooManyFrames { rows, bytes });
+        }
+        Ok(plan)
     }
 
     /// Returns all runs, in the order of the tables.
@@ -299,11 +319,35 @@ impl Plan {
     pub fn entries(&self, run: &PlannedRun) -> u64 {
         let steps = self.point(run).steps;
         let orders = self.order_every.map_or(0, |every| steps / every + 1);
-        let columns = &self.columns;
-        let values = columns.series_every.map_or(0, |every| {
-            (steps / every + 2).saturating_mul(columns.measures.len() as u64)
-        });
+        let measures = self.columns.measures.len() as u64;
+        let values = self.series_entries(run).saturating_mul(measures);
         orders.saturating_add(values)
+    }
+
+    /// Returns the number of steps of a run's time series of the chosen measures, at most.
+    pub(crate) fn series_entries(&self, run: &PlannedRun) -> u64 {
+        let every = self.columns.series_every;
+        every.map_or(0, |every| self.point(run).steps / every + 2)
+    }
+
+    /// Returns the number of rows of a run's trajectory, at most: one for each individual at each
+    /// recorded step, also for those that the protocol may inject.
+    #[must_use]
+    pub fn trajectory_rows(&self, run: &PlannedRun) -> f64 {
+        let point = self.point(run);
+        let injected = point.protocol.as_ref().map_or(0, |it| it.injected());
+        let n = injected.saturating_add(point.spec.n as u64);
+        let frames = self.record_every.map_or(0, |every| point.steps / every + 2);
+        frames as f64 * n.min(MAX_INDIVIDUALS) as f64
+    }
+
+    /// Returns the number of bytes of a run's trajectory, about, with as many rows.
+    #[must_use]
+    pub fn trajectory_bytes(&self, run: &PlannedRun) -> f64 {
+        let steps = self.point(run).steps;
+        let frames = self.record_every.map_or(0, |every| steps / every + 2);
+        let file = if frames > 0 { BYTES_OF_TRAJECTORY } else { 0.0 };
+        file + BYTES_OF_FRAME * frames as f64 + BYTES_OF_ROW * self.trajectory_rows(run)
     }
 
     /// Checks a choice and adds all its replicates.

@@ -16,6 +16,7 @@ use crate::contact_events::ContactMeter;
 use crate::limits::MAX_INDIVIDUALS;
 use crate::plan::{Plan, PlannedRun};
 use crate::protocol::{Boundary, ProtocolRun};
+use crate::trajectory::Recording;
 
 pub use self::checkpoint::RunCheckpoint;
 use self::measures::Measures;
@@ -56,6 +57,8 @@ pub struct CurrentRun<'a> {
     /// The states of earlier steps, as far as measures need them.
     past: Past,
     protocol: Option<ProtocolRun>,
+    /// The step of the last frame of the trajectory that this process recorded.
+    recorded: Option<u64>,
 }
 
 /// Executes one run. The result depends only on the plan and the run.
@@ -67,15 +70,16 @@ pub fn execute_run(
     run: &PlannedRun,
     mut on_step: impl FnMut(u64) -> bool,
 ) -> Option<FinishedRun> {
-    execute_run_from(plan, run, None, |current| on_step(current.steps()))
+    execute_run_from(plan, run, None, None, |current| on_step(current.steps()))
 }
 
 /// As [`execute_run`], from a checkpoint of the run if there is one, with the same result as from the
-/// start.
+/// start. The frames of its trajectory are added to `recording`.
 pub fn execute_run_from(
     plan: &Plan,
     run: &PlannedRun,
     checkpoint: Option<RunCheckpoint>,
+    recording: Option<&Recording>,
     mut on_step: impl FnMut(&CurrentRun<'_>) -> bool,
 ) -> Option<FinishedRun> {
     let resumed = checkpoint.and_then(|checkpoint| CurrentRun::resume(plan, run, checkpoint));
@@ -95,13 +99,18 @@ pub fn execute_run_from(
     let steps = plan.point(run).steps;
     loop {
         let is_last = current.steps() >= steps;
-        match current.boundary(is_last) {
-            Ok(Boundary::Continue) if !is_last => {}
-            Ok(boundary) => return Some(current.finish(boundary, None)),
-            Err(fault) => return Some(current.finish(Boundary::Continue, Some(fault))),
-        }
-        if let Err(fault) = current.step() {
-            return Some(current.finish(Boundary::Continue, Some(fault)));
+        let ended = match current.boundary(is_last) {
+            Ok(Boundary::Continue) if !is_last => {
+                current.record(recording);
+                let stepped = current.step();
+                stepped.err().map(|fault| (Boundary::Continue, Some(fault)))
+            }
+            Ok(boundary) => Some((boundary, None)),
+            Err(fault) => Some((Boundary::Continue, Some(fault))),
+        };
+        if let Some((boundary, fault)) = ended {
+            current.record_last(recording);
+            return Some(current.finish(boundary, fault));
         }
         if !on_step(&current) {
             return None;
@@ -128,6 +137,7 @@ impl<'a> CurrentRun<'a> {
             meter: plan.touch.then(|| ContactMeter::new(&simulation.state)),
             past: Past::new(lag(plan, run)),
             protocol: protocol.map(|protocol| ProtocolRun::new(protocol, next_draw)),
+            recorded: None,
             simulation,
         })
     }
@@ -150,6 +160,7 @@ impl<'a> CurrentRun<'a> {
             meter: self.meter.clone(),
             past: past::to_proto(&self.past),
             protocol: self.protocol.as_ref().map(|it| it.progress.clone()),
+            recorded: None,
         }
     }
 
@@ -175,6 +186,7 @@ impl<'a> CurrentRun<'a> {
             meter: checkpoint.meter,
             past,
             protocol,
+            recorded: None,
             simulation: Simulation::from_checkpoint(&restored, reserve()),
         })
     }
@@ -205,6 +217,24 @@ impl<'a> CurrentRun<'a> {
             self.measures.observe(self.plan, &view);
         }
         Ok(Boundary::Continue)
+    }
+
+    /// Adds the state before a step to the trajectory, if it is due.
+    fn record(&mut self, recording: Option<&Recording>) {
+        let every = self.plan.record_every;
+        if every.is_some_and(|every| self.steps().is_multiple_of(every)) {
+            self.record_last(recording);
+        }
+    }
+
+    /// Adds the last state to the trajectory, unless it has it.
+    fn record_last(&mut self, recording: Option<&Recording>) {
+        if let Some(recording) = recording
+            && self.recorded != Some(self.steps())
+        {
+            recording.add(&self.simulation.state);
+            self.recorded = Some(self.steps());
+        }
     }
 
     /// Takes a step. The error is the reason of a fault.
@@ -240,6 +270,10 @@ impl<'a> CurrentRun<'a> {
         let touch = row.as_ref().zip(self.meter);
         let touch = touch.and_then(|(row, meter)| {
             meter.finish(&self.run.name, &row.contacts, &self.simulation.state)
+        });
+        let row = row.map(|row| ResultRow {
+            fault: fault.clone(),
+            ..row
         });
         FinishedRun {
             fault,

@@ -16,8 +16,8 @@ mod plot;
 mod snapshot;
 mod svg;
 
-use jostle_results::ResultRow;
 use jostle_results::statistics::summarise;
+use jostle_results::{Measure, ResultRow};
 
 pub use chart::{Labels, MAX_CURVES, TooManyCurves, draw_chart, remarks};
 pub use image::{SaveError, save};
@@ -50,6 +50,17 @@ pub enum FigureError {
         /// The runs that it shows.
         needed: &'static str,
         /// The number of runs in the table.
+        runs: usize,
+    },
+    /// Commands changed the group during runs.
+    #[error(
+        "draw figure {}: {runs} of the runs have a protocol ([[at]] or [stop]), and the figure is of \
+         runs without one: draw a column with --y", kind.number()
+    )]
+    Protocol {
+        /// The figure.
+        kind: Kind,
+        /// The number of these runs.
         runs: usize,
     },
     /// The quantity of the figure is undefined for all of its runs.
@@ -106,10 +117,15 @@ impl Kind {
 /// # Errors
 ///
 /// [`FigureError::Empty`], [`FigureError::Unsuitable`] or [`FigureError::Undefined`] if the figure
-/// would be empty.
+/// would be empty; [`FigureError::Protocol`] if a run shows that it has a protocol.
 pub fn draw(kind: Kind, runs: &[ResultRow]) -> Result<String, FigureError> {
     if runs.is_empty() {
         return Err(FigureError::Empty);
+    }
+    let protocols = runs.iter().filter(|run| has_protocol(run)).count();
+    if protocols > 0 {
+        let runs = protocols;
+        return Err(FigureError::Protocol { kind, runs });
     }
     let mut summaries = summarise(runs);
     let needed = if kind == Kind::Drift {
@@ -142,13 +158,20 @@ pub fn draw(kind: Kind, runs: &[ResultRow]) -> Result<String, FigureError> {
     Err(FigureError::Undefined { kind, missing })
 }
 
+/// Returns whether a row shows that its run has a protocol: `[stop]` has a column, and a group without
+/// informed individuals at the start has a drift only if a command informs some.
+fn has_protocol(run: &ResultRow) -> bool {
+    let is_informed_later = run.informed == 0 && run.optional_number(Measure::V_PD).is_some();
+    is_informed_later || run.extra.iter().any(|it| it.name == "stopped_at")
+}
+
 #[cfg(test)]
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use std::path::Path;
 
     use super::*;
-    use jostle_results::{Cell, Measure, table};
+    use jostle_results::{Cell, ExtraValue, table};
 
     /// A stored row, in which the group was ordered for three intervals.
     fn sample() -> ResultRow {
@@ -232,6 +255,25 @@ mod tests {
                 matches!(undefined, FigureError::Undefined { .. }),
                 "{undefined}"
             );
+        }
+    }
+
+    #[test]
+    fn runs_with_a_protocol_are_rejected_by_every_figure() {
+        let mut stopped = sample();
+        stopped.extra.push(ExtraValue {
+            name: "stopped_at".to_owned(),
+            value: None,
+        });
+        let informed_later = with(sample(), Measure::V_PD, 0.3);
+        for kind in Kind::ALL {
+            for run in [&stopped, &informed_later] {
+                let error = draw(kind, &[sample(), run.clone()])
+                    .unwrap_err()
+                    .to_string();
+                assert!(error.contains("1 of the runs have a protocol"), "{error}");
+                assert!(error.contains("with --y"), "{error}");
+            }
         }
     }
 

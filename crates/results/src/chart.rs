@@ -57,6 +57,38 @@ pub enum ChartError {
     /// There are no runs.
     #[error("the results have no runs: draw them when a run is finished")]
     Empty,
+    /// A fault ended every run.
+    #[error("all {runs} runs ended by a fault: none can be drawn, `results --csv` has the reasons")]
+    Faulted {
+        /// Number of runs.
+        runs: usize,
+    },
+    /// The horizontal axis was measured.
+    #[error(
+        "--x {name}: it is measured, so that runs of one condition differ in it: choose a value that \
+         is set, one of {}", available.join(", ")
+    )]
+    Measured {
+        /// The column.
+        name: String,
+        /// The names that can be chosen.
+        available: Vec<String>,
+    },
+    /// The horizontal axis has one value.
+    #[error(
+        "--x {name}: it is {value} in all {runs} runs: {}",
+        remedy_of_constant(varied)
+    )]
+    Constant {
+        /// The column or the value.
+        name: String,
+        /// Its value.
+        value: f64,
+        /// Number of runs.
+        runs: usize,
+        /// The values that vary.
+        varied: Vec<String>,
+    },
     /// A name is unknown.
     #[error("{option} {name}: no such {kind}, use one of {}", available.join(", "))]
     Unknown {
@@ -94,6 +126,30 @@ pub enum ChartError {
         /// Number of runs.
         runs: usize,
     },
+}
+
+fn remedy_of_constant(varied: &[String]) -> String {
+    match varied {
+        [] => "no value varies".to_owned(),
+        _ => format!("choose one that varies, {}", varied.join(", ")),
+    }
+}
+
+/// Removes the runs that a fault ended, whose means are those of a shorter time; returns their names.
+///
+/// # Errors
+///
+/// [`ChartError::Faulted`] if none is left of some.
+pub fn remove_faulted(rows: &mut Vec<ResultRow>) -> Result<Vec<String>, ChartError> {
+    let runs = rows.len();
+    let faulted: Vec<String> = rows
+        .extract_if(.., |row| row.fault.is_some())
+        .map(|row| row.run)
+        .collect();
+    match rows.is_empty() && runs > 0 {
+        true => Err(ChartError::Faulted { runs }),
+        false => Ok(faulted),
+    }
 }
 
 /// Values with their names, as in the name of a run.
@@ -139,6 +195,11 @@ pub fn columns(rows: &[ResultRow]) -> Vec<String> {
     names
 }
 
+/// Returns the columns of numbers that a run is given, and does not measure.
+fn is_set(name: &str) -> bool {
+    ["n", "pi1", "pi2", "pi3", "pi4", "informed", "dt"].contains(&name)
+}
+
 /// Returns a number of a row.
 fn number(row: &ResultRow, name: &str) -> Option<f64> {
     let value = match COLUMNS.iter().find(|column| column.name == name) {
@@ -152,8 +213,8 @@ fn number(row: &ResultRow, name: &str) -> Option<f64> {
     value.filter(|value| value.is_finite())
 }
 
-/// Returns the mean of column `y` over `x`, a varied value or a column of numbers; none is the only
-/// number that varies. There is a curve for each combination of the other varied values.
+/// Returns the mean of column `y` over `x`, a varied value or a parameter; none is the only number that
+/// varies. There is a curve for each combination of the other varied values.
 ///
 /// # Errors
 ///
@@ -173,7 +234,7 @@ pub fn over_value(rows: &[ResultRow], y: &str, x: Option<&str>) -> Result<Chart,
     }
     let names: Vec<Values> = rows.iter().map(|row| values_of(&row.run)).collect();
     let varied = varied(&names);
-    let x = choose(&names, &varied, available, x)?;
+    let x = choose(&names, &varied, &available, x)?;
     let mut curves: Vec<(Values, BTreeMap<Ordered, Vec<f64>>)> = Vec::new();
     let mut left_out = 0;
     for (row, values) in rows.iter().zip(names) {
@@ -194,6 +255,20 @@ pub fn over_value(rows: &[ResultRow], y: &str, x: Option<&str>) -> Result<Chart,
         });
         curves[index].1.entry(Ordered(at)).or_default().push(value);
     }
+    let mut shown = curves.iter().flat_map(|(_, points)| points.keys());
+    if let Some(Ordered(value)) = shown.next()
+        && rows.len() > 1
+        && shown.all(|Ordered(other)| other == value)
+    {
+        let value = *value;
+        let varied = varied.into_iter().filter(|name| *name != x).collect();
+        return Err(ChartError::Constant {
+            name: x,
+            value,
+            runs: rows.len(),
+            varied,
+        });
+    }
     let curves = curves.into_iter().map(|(others, points)| {
         let points = points.into_iter().map(|(x, values)| mean(x.0, &values));
         (others, points.collect())
@@ -212,22 +287,28 @@ pub fn over_value(rows: &[ResultRow], y: &str, x: Option<&str>) -> Result<Chart,
 fn choose(
     names: &[Values],
     varied: &[String],
-    columns: Vec<String>,
+    columns: &[String],
     x: Option<&str>,
 ) -> Result<String, ChartError> {
     let has = |name: &str| names.iter().flatten().any(|(it, _)| it == name);
     if let Some(x) = x {
-        return match has(x) || columns.iter().any(|name| name == x) {
-            true => Ok(x.to_owned()),
-            false => Err(ChartError::Unknown {
-                option: "--x",
-                kind: "varied value or column",
+        let is_column = columns.iter().any(|name| name == x);
+        let parameters = || {
+            let columns = columns.iter().filter(|name| is_set(name));
+            let others = columns.filter(|name| !varied.contains(name));
+            varied.iter().chain(others).cloned().collect()
+        };
+        return match (has(x) || is_set(x), is_column) {
+            (true, _) => Ok(x.to_owned()),
+            (false, true) => Err(ChartError::Measured {
                 name: x.to_owned(),
-                available: varied
-                    .iter()
-                    .cloned()
-                    .chain(columns.into_iter().filter(|name| !varied.contains(name)))
-                    .collect(),
+                available: parameters(),
+            }),
+            (false, false) => Err(ChartError::Unknown {
+                option: "--x",
+                kind: "varied value or parameter",
+                name: x.to_owned(),
+                available: parameters(),
             }),
         };
     }
@@ -391,126 +472,4 @@ impl Ord for Ordered {
 
 #[cfg(test)]
 #[expect(clippy::unwrap_used, reason = "tests")]
-mod tests {
-    use super::*;
-    use crate::ExtraValue;
-    use crate::samples::sample;
-    use crate::table::MeasureSeries;
-
-    fn row(run: &str, milling: Option<f64>) -> ResultRow {
-        let name = "milling".to_owned();
-        ResultRow {
-            run: run.to_owned(),
-            extra: vec![ExtraValue {
-                name,
-                value: milling,
-            }],
-            ..sample()
-        }
-    }
-
-    fn rows() -> Vec<ResultRow> {
-        vec![
-            row("pi1=4 share=0.1 #0", Some(1.0)),
-            row("pi1=4 share=0.1 #1", Some(2.0)),
-            row("pi1=4 share=0.1 #2", Some(6.0)),
-            row("pi1=4 share=0.05 #0", Some(5.0)),
-            row("pi1=4 share=0.05 #1", None),
-            row("pi1=10 share=0.1 #0", Some(-1.0)),
-            row("pi1=2 share=0.1 #0", None),
-        ]
-    }
-
-    #[test]
-    fn means_and_intervals_are_those_computed_by_hand() {
-        let chart = over_value(&rows(), "milling", Some("share")).unwrap();
-        let labels: Vec<&str> = chart.curves.iter().map(|it| it.label.as_str()).collect();
-        assert_eq!(labels, ["pi1=4", "pi1=10"]);
-        assert_eq!((chart.runs, chart.left_out), (7, 2));
-        let [low, high] = chart.curves[0].points[..] else {
-            panic!("{chart:?}")
-        };
-        assert_eq!((low.x, low.spread.mean, low.runs), (0.05, 5.0, 1));
-        assert_eq!(low.half_width(), None);
-        // 1, 2 and 6: s² = (4 + 1 + 9) / 2, and t(0.975, 2) = 4.302653.
-        assert_eq!((high.x, high.spread.mean, high.runs), (0.1, 3.0, 3));
-        let expected = 4.302_652_73 * (7.0_f64 / 3.0).sqrt();
-        assert!((high.half_width().unwrap() - expected).abs() < 1e-7);
-    }
-
-    #[test]
-    fn the_only_number_that_varies_is_the_horizontal_axis() {
-        let rows = [
-            row("n=3 contacts=closest #0", Some(1.0)),
-            row("n=20 contacts=endpoints #0", Some(2.0)),
-            row("n=10 contacts=endpoints #0", Some(3.0)),
-        ];
-        let chart = over_value(&rows, "milling", None).unwrap();
-        assert_eq!(chart.x, "n");
-        assert_eq!(chart.curves[1].label, "contacts=endpoints");
-        let points: Vec<f64> = chart.curves[1].points.iter().map(|it| it.x).collect();
-        assert_eq!(points, [10.0, 20.0]);
-        // A column that does not vary is a chart of one point.
-        let chart = over_value(&rows[..1], "v", Some("pi3")).unwrap();
-        assert_eq!(chart.curves[0].points.len(), 1);
-    }
-
-    #[test]
-    fn names_that_do_not_fit_are_rejected_with_those_that_do() {
-        let message = |rows: &[ResultRow], y, x| over_value(rows, y, x).unwrap_err().to_string();
-        let unknown = message(&rows(), "mill", None);
-        assert!(unknown.starts_with("--y mill: no such column"), "{unknown}");
-        assert!(
-            unknown.contains("v_pd") && unknown.contains("milling"),
-            "{unknown}"
-        );
-        let unknown = message(&rows(), "v", Some("shar"));
-        assert!(unknown.contains("use one of pi1, share, n,"), "{unknown}");
-        let several = message(&rows(), "v", None);
-        assert!(
-            several.contains("pi1, share: choose one with --x"),
-            "{several}"
-        );
-        let text = [row("contacts=closest #0", None), row("contacts=a #0", None)];
-        assert!(message(&text, "v", None).contains("--over-time"));
-        assert!(message(&text, "v", Some("contacts")).contains("no number"));
-        assert!(message(&rows()[6..], "milling", Some("n")).contains("none of the 1 runs"));
-        assert!(message(&[], "v", None).contains("no runs"));
-    }
-
-    fn series(run: &str, steps: &[u64], values: &[Option<f64>]) -> Series {
-        Series {
-            run: run.to_owned(),
-            steps: steps.to_vec(),
-            times: steps.iter().map(|step| *step as f64 * 0.5).collect(),
-            measures: vec![MeasureSeries {
-                name: "order".to_owned(),
-                values: values.to_vec(),
-            }],
-        }
-    }
-
-    #[test]
-    fn means_over_time_leave_out_the_last_entries_of_runs_that_end_early() {
-        let all = [
-            series("n=3 #0", &[0, 10, 20, 25], &[1.0, 2.0, 3.0, 4.0].map(Some)),
-            series("n=3 #1", &[0, 10, 13], &[Some(3.0), None, Some(100.0)]),
-            series("n=5 #0", &[0, 10, 20, 25], &[None; 4]),
-        ];
-        let chart = over_time(&all, "order").unwrap();
-        assert_eq!((chart.runs, chart.left_out, chart.ended_early), (3, 1, 1));
-        assert_eq!(chart.curves[0].label, "n=3");
-        let points = chart.curves[0].points.iter();
-        let points: Vec<_> = points.map(|it| (it.x, it.spread.mean, it.runs)).collect();
-        assert_eq!(points, [(0.0, 2.0, 2), (5.0, 2.0, 1), (10.0, 3.0, 1)]);
-        // Both runs of n=3 end at step 25: the last state is shown.
-        let both = [
-            all[0].clone(),
-            series("n=3 #1", &[0, 10, 20, 25], &[Some(0.0); 4]),
-        ];
-        let chart = over_time(&both, "order").unwrap();
-        assert_eq!(chart.curves[0].points.last().unwrap().x, 12.5);
-        let unknown = over_time(&all, "ordr").unwrap_err().to_string();
-        assert!(unknown.contains("use one of order"), "{unknown}");
-    }
-}
+mod tests;

@@ -13,4 +13,4 @@ mod samples;
 pub mod statistics;
 pub mod table;
 
-pub use jostle_proto::{COLUMNS, Cell, CellKind, Column, ExtraValue, Measure, ResultRow};
+pub use jostle_proto::{COLUMNS, Cell, CellKind, Column, ExtraValue, FAULT, Measure, ResultRow};

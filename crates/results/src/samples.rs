@@ -32,6 +32,7 @@ pub(crate) fn sample() -> ResultRow {
         steps: 50_000,
         state_hash: "00ff".to_owned(),
         extra: Vec::new(),
+        fault: None,
     }
 }
 

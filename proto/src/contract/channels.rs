@@ -47,6 +47,18 @@ const PAGE_OF_RUN: &[(&str, &str)] = &[
     ),
 ];
 
+/// The same, and what an entry is of.
+const PAGE_OF_SERIES: &[(&str, &str)] = &[
+    PAGE_OF_RUN[0],
+    PAGE_OF_RUN[1],
+    PAGE_OF_RUN[2],
+    (
+        "of",
+        "`individuals` for the trajectory of the run, in which an entry is an individual at a step; \
+         left out for the measures",
+    ),
+];
+
 const PAGE: &[(&str, &str)] = &[
     (
         "after",
@@ -414,9 +426,9 @@ pub const CHANNELS: &[Channel] = &{
         Channel {
             key: "@node/{node}/experiment/{experiment}/series",
             kind: Get("experiment.series"),
-            parameters: PAGE_OF_RUN,
+            parameters: PAGE_OF_SERIES,
             doc: "The chosen measures of one run over time, if the experiment has `series_every`, as \
-                  CBOR.",
+                  CBOR; or its trajectory, if the experiment has `record_every`.",
         },
     ]
 };

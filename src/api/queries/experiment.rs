@@ -3,7 +3,7 @@
 use jostle_proto::{Experiments, keys};
 
 use crate::api::context::Context;
-use crate::api::incoming::{Incoming, page, page_of_run};
+use crate::api::incoming::{Incoming, page, page_of_run, page_of_series};
 use crate::api::responder::Responder;
 use crate::convert::commands::{CommandError, truncate};
 use crate::convert::{self, Payload};
@@ -17,6 +17,9 @@ const MAX_ENTRIES: usize = 40_000;
 
 /// The most numbers of a page of measures over time, so that a reply fits one message.
 const MAX_VALUES: usize = 100_000;
+
+/// The columns of a trajectory.
+const TRAJECTORY_COLUMNS: usize = 7;
 
 impl Context {
     /// All experiments and their progress.
@@ -110,9 +113,17 @@ impl Context {
         responder: &Responder,
         name: &str,
     ) -> Result<(), CommandError> {
-        let (run, after, limit) = page_of_run(incoming.parameters(), MAX_ENTRIES)?;
+        let (page, is_trajectory) = page_of_series(incoming.parameters(), MAX_ENTRIES)?;
+        let (run, after, limit) = page;
         let (name, run, responder) = (name.to_owned(), run.to_owned(), responder.clone());
         self.experiment_files.submit(move |experiments| {
+            if is_trajectory {
+                let limit = limit.min(MAX_VALUES / TRAJECTORY_COLUMNS);
+                let rows = experiments.trajectory(&name, &run, after, limit);
+                return responder.finish(rows, move |rows| {
+                    Payload::cbor(&convert::trajectory_page(name, run, after, rows))
+                });
+            }
             responder.finish(experiments.series(&name, &run), move |series| {
                 let page = convert::series_page(name, &series, after, limit, MAX_VALUES);
                 Payload::cbor(&page)

@@ -15,7 +15,8 @@ impl WireCode for ExperimentError {
             ExperimentError::Plan { .. }
             | ExperimentError::Name(_)
             | ExperimentError::NoOrder(_)
-            | ExperimentError::NoSeries(_) => ErrorCode::InvalidArgument,
+            | ExperimentError::NoSeries(_)
+            | ExperimentError::NoTrajectory(_) => ErrorCode::InvalidArgument,
             ExperimentError::Unknown(_) | ExperimentError::UnknownRun { .. } => ErrorCode::NotFound,
             ExperimentError::Exists(_) => ErrorCode::AlreadyExists,
             ExperimentError::Phase { .. } | ExperimentError::Unfinished { .. } => {

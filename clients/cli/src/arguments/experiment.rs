@@ -136,7 +136,8 @@ pub struct ResultsArguments {
     /// has `series_every`; or one table to FILE.parquet or FILE.csv
     #[arg(short, long, value_name = "FOLDER|FILE", value_hint = ValueHint::AnyPath)]
     pub out: Option<PathBuf>,
-    /// Replace tables of another experiment, or with runs that these results do not have
+    /// Replace tables of another experiment, or with runs that these results do not have, or a
+    /// trajectory
     #[arg(long, requires = "out")]
     pub force: bool,
     /// Print a row for each run as CSV instead of a line for each condition
@@ -153,6 +154,10 @@ pub struct ResultsArguments {
         reason = "the option without a value means all runs"
     )]
     pub series: Option<Option<String>>,
+    /// Write the trajectory of this run to the FILE.parquet or FILE.csv of `-o`, or print it as CSV, if
+    /// the experiment has `record_every`
+    #[arg(long, value_name = "RUN", conflicts_with_all = ["csv", "order", "series"])]
+    pub trajectory: Option<String>,
 }
 
 /// Examples of charts, for the help text.

@@ -3,8 +3,9 @@
 use std::path::Path;
 
 use jostle_client::Client;
+use jostle_experiment::{Files, Plan, PlannedRun};
 use jostle_figures::snapshot as draw_snapshot;
-use jostle_figures::{Group, Kind, Labels, Member, draw, draw_chart, remarks, save};
+use jostle_figures::{FigureError, Group, Kind, Labels, Member, draw, draw_chart, remarks, save};
 use jostle_measures::Measure;
 use jostle_proto::State;
 use jostle_results::chart::{self, Chart, ChartError};
@@ -42,22 +43,37 @@ enum Source<'a> {
 pub fn without_daemon(output: Output, arguments: &PlotArguments) -> Result<bool, Failure> {
     match subject(arguments)? {
         Subject::Paper(kind, results) => {
-            let runs = table::read(Path::new(results)).map_err(Failure::results)?;
+            let path = Path::new(results);
+            check_protocol(kind, path)?;
+            let mut runs = table::read(path).map_err(Failure::results)?;
+            let faulted = chart::remove_faulted(&mut runs).map_err(rejected)?;
             let svg = draw(kind, &runs).map_err(Failure::results)?;
+            note_faulted(output, faulted.len());
             let count = format::count(runs.len() as u64, "run");
             let what = format!("figure {} of {count}", kind.number());
             write(output, &arguments.out, &svg, &what)?;
         }
         Subject::Chart(Source::Files(path), y) => {
-            let chart = match arguments.over_time {
-                true => over_time(&read_series(path, y)?, y),
+            let (chart, faulted) = match arguments.over_time {
+                true => {
+                    let mut all = read_series(path, y)?;
+                    let faulted = remove_faulted_series(path, &mut all)?;
+                    (over_time(&all, y)?, faulted)
+                }
                 false => {
-                    let rows = table::read(path).map_err(Failure::results)?;
-                    chart::over_value(&rows, y, arguments.x.as_deref()).map_err(rejected)
+                    let mut rows = table::read(path).map_err(Failure::results)?;
+                    let faulted = chart::remove_faulted(&mut rows).map_err(rejected)?;
+                    let chart = chart::over_value(&rows, y, arguments.x.as_deref());
+                    (chart.map_err(rejected)?, faulted.len())
                 }
             };
             let name = path.file_stem().unwrap_or(path.as_os_str());
-            write_chart(output, arguments, &chart?, &name.to_string_lossy())?;
+            write_chart(
+                output,
+                arguments,
+                (&chart, faulted),
+                &name.to_string_lossy(),
+            )?;
         }
         Subject::Swarms(_) | Subject::Chart(Source::Experiment(_), _) => return Ok(false),
     }
@@ -70,7 +86,8 @@ pub async fn of_daemon(context: &Context, arguments: &PlotArguments) -> Result<(
     match subject(arguments)? {
         Subject::Swarms(swarms) => snapshot(context, swarms, &arguments.out).await,
         Subject::Chart(Source::Experiment(name), y) => {
-            let rows = rows::fetch(client, name).await?;
+            let mut rows = rows::fetch(client, name).await?;
+            let faulted = chart::remove_faulted(&mut rows).map_err(rejected)?;
             let chart = match arguments.over_time {
                 true => match series::fetch_all(client, name, &rows).await? {
                     Some(all) => over_time(&all, y)?,
@@ -79,7 +96,7 @@ pub async fn of_daemon(context: &Context, arguments: &PlotArguments) -> Result<(
                 },
                 false => chart::over_value(&rows, y, arguments.x.as_deref()).map_err(rejected)?,
             };
-            write_chart(*output, arguments, &chart, name)
+            write_chart(*output, arguments, (&chart, faulted.len()), name)
         }
         Subject::Paper(..) | Subject::Chart(Source::Files(_), _) => {
             Err(Failure::defect("drawn without a daemon"))
@@ -157,6 +174,47 @@ fn read_series(path: &Path, y: &str) -> Result<Vec<Series>, Failure> {
     })
 }
 
+/// Removes the series of runs that a fault ended, by the table of results beside them if there is one;
+/// returns their number.
+fn remove_faulted_series(path: &Path, all: &mut Vec<Series>) -> Result<usize, Failure> {
+    let folder = match path.is_dir() {
+        true => path,
+        false => path.parent().unwrap_or(path),
+    };
+    let Ok(mut rows) = table::read(folder) else {
+        return Ok(0);
+    };
+    let faulted = chart::remove_faulted(&mut rows).map_err(rejected)?;
+    let count = all.len();
+    all.retain(|series| !faulted.contains(&series.run));
+    Ok(count - all.len())
+}
+
+/// Says that faulted runs are left out.
+fn note_faulted(output: Output, faulted: usize) {
+    if faulted > 0 {
+        let runs = format::count(faulted as u64, "run");
+        output.note(&format!("left out: {runs} ended by a fault"));
+    }
+}
+
+/// Rejects the results of an experiment with a protocol, as far as its file is beside them.
+fn check_protocol(kind: Kind, results: &Path) -> Result<(), Failure> {
+    let folder = match results.is_dir() {
+        true => results,
+        false => results.parent().unwrap_or(results),
+    };
+    let plan = Files::stored(folder).ok().and_then(|it| Plan::of(it).ok());
+    let Some(plan) = plan else {
+        return Ok(());
+    };
+    let has_protocol = |run: &&PlannedRun| plan.point(run).protocol.is_some();
+    match plan.runs().iter().filter(has_protocol).count() {
+        0 => Ok(()),
+        runs => Err(Failure::results(FigureError::Protocol { kind, runs })),
+    }
+}
+
 fn over_time(all: &[Series], y: &str) -> Result<Chart, Failure> {
     chart::over_time(all, y).map_err(rejected)
 }
@@ -182,9 +240,10 @@ fn rejected(error: ChartError) -> Failure {
 fn write_chart(
     output: Output,
     arguments: &PlotArguments,
-    chart: &Chart,
+    (chart, faulted): (&Chart, usize),
     title: &str,
 ) -> Result<(), Failure> {
+    note_faulted(output, faulted);
     let labels = Labels {
         title: title.to_owned(),
         unit: unit(&chart.y),
@@ -202,6 +261,7 @@ fn write_chart(
         "runs": chart.runs,
         "left_out": chart.left_out,
         "ended_early": chart.ended_early,
+        "faulted": faulted,
     });
     output.print(&document, &text)
 }

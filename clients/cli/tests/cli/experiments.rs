@@ -9,7 +9,7 @@ use serde_json::json;
 use crate::support::{Daemon, until};
 
 const SMALL: &str = "name = \"small\"\nseed = 3\nreplicates = 2\nduration = 20\n\
-                     grid = [{ n = [3, 8] }]\nmeasure = { order_every = 500, series_every = 400, \
+                     grid = [{ n = [3, 8] }]\nmeasure = { order_every = 500, series_every = 400, record_every = 400, \
                      columns = [\"order\", \"milling\"] }\n";
 const ENDLESS: &str = "name = \"endless\"\nreplicates = 4\nduration = 1e6\nspec = { n = 20 }\n";
 
@@ -115,6 +115,35 @@ async fn an_experiment_is_run_listed_and_its_tables_are_those_of_the_daemon() {
     // 1000 steps: 0, 400, 800 and the last one, of each of four runs.
     assert_eq!(lines.len(), 1 + 4 * 4, "{series}");
     assert!(out.join("series.parquet").exists());
+    let file = folder.path().join("n3.parquet");
+    let trajectory = |more: &[&str]| {
+        let arguments = ["experiment", "results", "small", "--trajectory", "n=3 #1"];
+        Command::new(env!("CARGO_BIN_EXE_jostle"))
+            .args([&arguments, more].concat())
+            .env("JOSTLE_ENDPOINT", &daemon.endpoint)
+            .output()
+            .unwrap()
+    };
+    let written = trajectory(&["-o", file.to_str().unwrap()]);
+    // Steps 0, 400, 800 and the last one, of three individuals.
+    let text = String::from_utf8(written.stdout).unwrap();
+    assert!(
+        text.starts_with("wrote 12 rows of run \"n=3 #1\" to "),
+        "{text}"
+    );
+    let about = jostle_results::table::trajectory::read_about(&file).unwrap();
+    assert_eq!(about["run"], "n=3 #1");
+    let rows = jostle_results::table::trajectory::read(&file).unwrap();
+    assert_eq!(rows.step[9..], [1000, 1000, 1000]);
+    assert_eq!(rows.id[9..], [0, 1, 2]);
+    let again = trajectory(&["-o", file.to_str().unwrap()]);
+    assert_eq!(again.status.code(), Some(2), "{again:?}");
+    let printed = String::from_utf8(trajectory(&[]).stdout).unwrap();
+    assert_eq!(printed, jostle_results::table::trajectory::csv(&rows));
+    let folder_of = trajectory(&["-o", folder.path().to_str().unwrap()]);
+    let text = String::from_utf8(folder_of.stderr).unwrap();
+    assert!(text.contains("FILE.parquet or FILE.csv"), "{text}");
+
     for (line, picture) in [
         (format!("plot {} --y milling", out.display()), "milling.svg"),
         (

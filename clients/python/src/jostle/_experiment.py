@@ -37,6 +37,7 @@ from ._results import (
     SeriesColumns,
     of_rows,
     of_series,
+    of_trajectory,
 )
 from ._session import Session
 
@@ -181,6 +182,8 @@ class Experiment:
     def frame(self) -> pandas.DataFrame:
         """The rows as a table of pandas, with the columns of `results.csv`.
 
+        If faults ended some runs, the last column is `fault`: the reason, None for the others.
+
         Raises:
             ImportError: pandas is missing: `pip install jostle[pandas]`.
         """
@@ -222,10 +225,36 @@ class Experiment:
         runs = [row.run for row in self.rows()] if run is None else [run]
         return of_series([(name, self._series(name)) for name in runs])
 
-    def _series(self, run: str) -> SeriesColumns:
-        """The columns of one run over time, by name."""
+    def trajectory(self, run: str) -> pandas.DataFrame:
+        """The trajectory of one run as a table of pandas, if the experiment has `record_every`.
+
+        There is a row for each individual at each recorded step. The columns are `run`, the values
+        that vary in the name of the run (numbers, or text), `step`, `time` (body sizes over free
+        speed), `id`, which an individual keeps, its position `x` and `y` (body sizes), its heading
+        `alpha` (radians) and `informed`. `attrs` has the metadata as texts: `spec` and `variables`
+        (JSON), `seed`, `units` (JSON) and `version`.
+
+        Args:
+            run: The name of the run, as in `rows`.
+
+        Raises:
+            ImportError: pandas is missing: `pip install jostle[pandas]`.
+            InvalidArgument: The experiment does not record trajectories.
+            NotFound: There is no such run.
+            IncorrectState: The run is not finished.
+        """
+        about: dict[str, str] = {}
+        table = of_trajectory(run, self._series(run, ";of=individuals", about))
+        table.attrs.update(about)
+        return table
+
+    def _series(self, run: str, of: str = "", about: dict[str, str] | None = None) -> SeriesColumns:
+        """The columns of one run over time, by name; its metadata is added to `about`."""
         parts: dict[str, list[NDArray[np.float64]]] = {}
-        for fields in self._pages("series", run):
+        for fields in self._pages("series", run, of):
+            if about is not None:
+                pairs = fields.get("about") or []
+                about.update({str(it["key"]): str(it["value"]) for it in pairs})
             columns = {name: _column(fields, name) for name in ("step", "time")}
             for measure in fields.get("measures", []):
                 columns[str(measure.get("name"))] = _column(measure, "value")
@@ -233,13 +262,13 @@ class Experiment:
                 parts.setdefault(name, []).append(values)
         return {name: np.concatenate(values) for name, values in parts.items()}
 
-    def _pages(self, noun: str, run: str) -> Iterator[Mapping[str, Any]]:
+    def _pages(self, noun: str, run: str, of: str = "") -> Iterator[Mapping[str, Any]]:
         """The pages of a run's time series."""
         if ";" in run:
             raise invalid("run", f"invalid name of a run {run!r}: `rows` has the names")
         after: int | None = 0
         while after is not None:
-            fields = read_map(self._get(f"{noun}?run={run};after={after}"))
+            fields = read_map(self._get(f"{noun}?run={run};after={after}{of}"))
             after = fields.get("next")
             yield fields
 

@@ -175,6 +175,8 @@ class ResultRow(HtmlStruct, frozen=True, kw_only=True):
             target.
         steps: Number of steps.
         state_hash: The hash of the last state, BLAKE3 in hexadecimal.
+        fault: Why the run ended early, if a fault ended it; else None. The other values are then
+            those of the time before the fault.
         extra: The columns that only some experiments have: variables of the grid, `stopped_at`, and
             the means of chosen measures; None without such a column.
     """
@@ -203,26 +205,31 @@ class ResultRow(HtmlStruct, frozen=True, kw_only=True):
     fallbacks: int
     steps: int
     state_hash: str
+    fault: str | None = None
     extra: list[ExtraValue] | None = None
 
 
 def of_rows(rows: Sequence[ResultRow]) -> pandas.DataFrame:
-    """Rows as a table of pandas.
+    """Rows as a table of pandas; `fault` is the last column, if a run has one, and None for others.
 
     Raises:
         ImportError: pandas is missing; `pip install jostle[pandas]` installs it.
     """
     pd = import_extra("pandas", "pandas")
-    *fixed, _ = ResultRow.__struct_fields__
+    *fixed, _, _ = ResultRow.__struct_fields__
     table: pandas.DataFrame = pd.DataFrame(
-        [msgspec.structs.astuple(row)[:-1] for row in rows], columns=fixed
+        [msgspec.structs.astuple(row)[:-2] for row in rows], columns=fixed
     )
     values = [{it.name: it.value for it in row.extra or []} for row in rows]
     extra = list(dict.fromkeys(name for named in values for name in named))
     for name in extra:
         table[name] = [named.get(name) for named in values]
     # If every value is None, pandas would make a column of objects.
-    return table.astype(dict.fromkeys(["v_pd", *extra], "float64"))
+    table = table.astype(dict.fromkeys(["v_pd", *extra], "float64"))
+    faults = [row.fault for row in rows]
+    if any(fault is not None for fault in faults):
+        table["fault"] = pd.Series(faults, dtype=object)
+    return table
 
 
 SeriesColumns = dict[str, NDArray[np.float64]]
@@ -248,6 +255,16 @@ def of_series(runs: Sequence[tuple[str, SeriesColumns]]) -> pandas.DataFrame:
     empty: pandas.DataFrame = pd.DataFrame({"run": [], "step": [], "time": []})
     joined: pandas.DataFrame = pd.concat(tables, ignore_index=True) if tables else empty
     return joined
+
+
+def of_trajectory(run: str, columns: SeriesColumns) -> pandas.DataFrame:
+    """The trajectory of a run as a table of pandas.
+
+    Raises:
+        ImportError: pandas is missing; `pip install jostle[pandas]` installs it.
+    """
+    kinds = {"step": "int64", "id": "uint32", "informed": "bool"}
+    return of_series([(run, columns)]).astype(kinds)
 
 
 def _number_or_text(text: str) -> float | int | str:

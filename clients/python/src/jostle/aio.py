@@ -182,6 +182,7 @@ class Experiment(_Wrapper[jostle.Experiment]):
     frame = _awaited(jostle.Experiment.frame)
     order = _awaited(jostle.Experiment.order)
     series = _awaited(jostle.Experiment.series)
+    trajectory = _awaited(jostle.Experiment.trajectory)
 
 
 class Controller(_Context[jostle.Controller]):

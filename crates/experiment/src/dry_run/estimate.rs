@@ -29,6 +29,10 @@ const BYTES_OF_TOUCH: f64 = 600.0;
 const BYTES_OF_ENTRY: f64 = 31.0;
 const BYTES_OF_DRIFT: f64 = 28.0;
 
+/// Bytes of a step of the time series of the chosen measures, and in addition of each of its values.
+const BYTES_OF_SERIES_STEP: f64 = 12.0;
+const BYTES_OF_VALUE: f64 = 28.0;
+
 /// What the runs of a subset take.
 #[derive(Clone, Debug, Serialize)]
 pub struct Estimate {
@@ -36,7 +40,8 @@ pub struct Estimate {
     pub cpu_secs: f64,
     /// Bytes of the folder of results.
     pub disk_bytes: f64,
-    /// Whether the runs may take less, since `[stop]` may end one before its duration.
+    /// Whether the runs may take less, since `[stop]` may end one before its duration, or since a
+    /// recorded group grows to its size only later.
     pub is_at_most: bool,
     /// The conditions of which steps were taken, the cheapest one first.
     pub measured: Vec<Measured>,
@@ -117,11 +122,16 @@ impl Estimate {
             let cost = cost(run);
             plan.point(run).steps as f64 * cost * factor(&factors, cost)
         };
-        let stops = |point: &Point| point.protocol.as_ref().is_some_and(|it| it.stop.is_some());
+        // The individuals of an injection are counted from the start.
+        let is_recorded = plan.record_every.is_some();
+        let may_be_less = |point: &Point| {
+            let protocol = point.protocol.as_ref();
+            protocol.is_some_and(|it| it.stop.is_some() || is_recorded && it.injected() > 0)
+        };
         Self {
             cpu_secs: runs.iter().map(of_run).sum::<f64>() + start * runs.len() as f64,
             disk_bytes: disk_bytes(plan, &runs),
-            is_at_most: runs.iter().any(|run| stops(plan.point(run))),
+            is_at_most: runs.iter().any(|run| may_be_less(plan.point(run))),
             measured,
         }
     }
@@ -153,11 +163,16 @@ fn disk_bytes(plan: &Plan, runs: &[&PlannedRun]) -> f64 {
         let touch = if plan.touch { BYTES_OF_TOUCH } else { 0.0 };
         let has_drift = point.informed > 0 || point.protocol.is_some();
         let of_entry = BYTES_OF_ENTRY + if has_drift { BYTES_OF_DRIFT } else { 0.0 };
+        let series = plan.series_entries(run);
+        let measures = plan.columns.measures.len() as f64;
+        let orders = plan.order_every.map_or(0, |every| point.steps / every + 1);
         BYTES_OF_RUN
             + BYTES_OF_CHARACTER * run.name.len() as f64
             + BYTES_OF_COLUMN * columns as f64
             + touch
-            + of_entry * plan.entries(run) as f64
+            + of_entry * orders as f64
+            + (BYTES_OF_SERIES_STEP + BYTES_OF_VALUE * measures) * series as f64
+            + plan.trajectory_bytes(run)
     };
     let points = plan.files.points.as_ref().map_or(0, String::len);
     let set_points = plan.files.setpoints.as_ref().map_or(0, String::len);

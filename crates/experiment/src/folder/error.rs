@@ -13,7 +13,7 @@ use crate::files::{EXPERIMENT, FilesError};
 #[derive(Debug, Error)]
 pub enum FolderError {
     /// A system call failed.
-    #[error("failed to use {}: {source}", path.display())]
+    #[error("failed to use {}: {source}{}", path.display(), remedy(source))]
     Io {
         /// The file.
         path: PathBuf,
@@ -34,7 +34,7 @@ pub enum FolderError {
         source: io::Error,
     },
     /// A table could not be written.
-    #[error("failed to {0}")]
+    #[error("failed to {0}{remedy}", remedy = remedy_of_table(.0))]
     Table(#[from] TableError),
     /// Another process has locked the folder.
     #[error(
@@ -100,6 +100,23 @@ pub enum FolderError {
 impl From<FilesError> for FolderError {
     fn from(FilesError { path, source }: FilesError) -> Self {
         Self::Io { path, source }
+    }
+}
+
+/// Returns what to do after an error of the system; empty if the error says it.
+fn remedy(error: &io::Error) -> &'static str {
+    match error.kind() {
+        io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {
+            "; finished runs are kept: free disk space, then continue the experiment"
+        }
+        _ => "",
+    }
+}
+
+fn remedy_of_table(error: &TableError) -> &'static str {
+    match error {
+        TableError::Io { source, .. } => remedy(source),
+        _ => "",
     }
 }
 

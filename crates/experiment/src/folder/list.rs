@@ -241,7 +241,7 @@ pub fn parse_runs(
                 });
             }
         } else {
-            let record: Record = match serde_json::from_slice(line) {
+            let mut record: Record = match serde_json::from_slice(line) {
                 Ok(record) if line.ends_with(b"\n") => record,
                 // The process ended while it wrote the line.
                 _ if is_last => break,
@@ -259,6 +259,10 @@ pub fn parse_runs(
                 let (run, seed) = (&record.run, row.seed);
                 let reason = format!("run {run:?} has seed {seed}, expected {planned}");
                 return Err(damaged(number, reason));
+            }
+            // Earlier versions stored the reason beside the row alone.
+            if let Some(row) = &mut record.row {
+                row.fault.clone_from(&record.fault);
             }
             let line = length as u64..(length + line.len()) as u64;
             finished.insert(index, Entry { record, line });

@@ -73,6 +73,12 @@ impl Part {
         self.finished.keys().copied().collect()
     }
 
+    /// Returns whether a run is finished and has a row.
+    pub fn has_row(&self, index: usize) -> bool {
+        let entry = self.finished.get(&index);
+        entry.is_some_and(|entry| entry.record.row.is_some())
+    }
+
     /// Reads the result of a finished run, as `execute_run` returns it.
     ///
     /// # Errors

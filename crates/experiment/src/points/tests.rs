@@ -49,11 +49,7 @@ fn a_cell_that_is_wrong_is_named_with_its_place() {
     for (csv, place, part) in [
         ("", (1, 1), "no condition"),
         ("k,pi1\n", (2, 1), "no condition"),
-        (
-            "k,pi1\n3\n",
-            (2, 2),
-            "1 cells, but the header has 2 columns",
-        ),
+        ("k,pi1\n3\n", (2, 2), "1 cell, but the header has 2 columns"),
         ("k,pi1\n3,2\n\n3,2,1\n", (4, 3), "3 cells"),
         ("k,pi1\n3,\n", (2, 2), "empty"),
         ("k,pi1\n\n\n3,2\n,2\n", (5, 1), "empty"),

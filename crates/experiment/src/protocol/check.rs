@@ -281,15 +281,8 @@ impl Resolver<'_> {
     ) -> Result<(), PlanError> {
         let mut added = 0u64;
         for (block, end) in blocks.iter().zip(ends) {
-            for change in &end.changes[0] {
-                if let Change::Inject { place, .. } = change {
-                    let count = match place {
-                        Placement::At(poses) => poses.len(),
-                        Placement::Border(count) | Placement::Within(count, _) => *count,
-                    } as u64;
-                    added = added.saturating_add(count.saturating_mul(block.executions()));
-                }
-            }
+            let count = injected(&end.changes[0]);
+            added = added.saturating_add(count.saturating_mul(block.executions()));
         }
         let n = self.setting.spec.n as u64;
         if let Some(set_points) = self.setting.set_points {
@@ -332,6 +325,18 @@ impl Resolver<'_> {
         let span = key.map_or_else(|| first_span(table), Spanned::span);
         self.source.reject(&span, format!("{verb}: {reason}"))
     }
+}
+
+/// Returns the number of individuals that changes inject.
+pub fn injected(changes: &[Change]) -> u64 {
+    let counts = changes.iter().map(|change| match change {
+        Change::Inject { place, .. } => match place {
+            Placement::At(poses) => poses.len() as u64,
+            Placement::Border(count) | Placement::Within(count, _) => *count as u64,
+        },
+        _ => 0,
+    });
+    counts.fold(0, u64::saturating_add)
 }
 
 /// Checks that the individuals of a selection can exist: `n` at the start, and at most `added`.

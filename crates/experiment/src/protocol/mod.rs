@@ -82,6 +82,22 @@ impl Protocol {
         })?;
         Ok(Some(Arc::new(protocol)))
     }
+
+    /// Returns the number of individuals that its commands inject, at most.
+    #[must_use]
+    pub fn injected(&self) -> u64 {
+        let counts = self.blocks.iter().map(|block| {
+            let executions = block.executions();
+            // A ramp is largest at one of its ends.
+            let ends = [0, executions.saturating_sub(1)];
+            let counts = ends.map(|executed| {
+                let changes = block.changes(executed);
+                changes.map_or(0, |changes| check::injected(&changes))
+            });
+            counts[0].max(counts[1]).saturating_mul(executions)
+        });
+        counts.fold(0, u64::saturating_add)
+    }
 }
 
 /// Reads the blocks of a file with their commands as text; see [`Block::commands`].

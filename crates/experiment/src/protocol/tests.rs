@@ -431,13 +431,13 @@ fn a_protocol_continues_from_a_checkpoint_in_the_middle_of_a_duration() {
     assert!((60..100).contains(&steps), "stopped: {steps}");
     for kept in [1, 20, 39, 40, 41, 55, 61, steps - 1] {
         let mut bytes = Vec::new();
-        execute_run_from(&plan, run, None, |current| {
+        execute_run_from(&plan, run, None, None, |current| {
             bytes = current.checkpoint().to_bytes();
             current.steps() < kept
         });
         let checkpoint = RunCheckpoint::from_bytes(&bytes).unwrap();
         let mut first = None;
-        let finished = execute_run_from(&plan, run, Some(checkpoint), |current| {
+        let finished = execute_run_from(&plan, run, Some(checkpoint), None, |current| {
             first.get_or_insert(current.steps());
             true
         });

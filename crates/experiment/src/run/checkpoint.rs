@@ -19,6 +19,9 @@ pub struct RunCheckpoint {
     pub(super) past: Vec<PastFrame>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) protocol: Option<ProtocolProgress>,
+    /// The bytes of the frames of the trajectory before this step, if one is recorded.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) recorded: Option<u64>,
 }
 
 impl RunCheckpoint {
@@ -54,7 +57,7 @@ mod tests {
     /// The checkpoint of a run after `steps` steps, as its file has it.
     fn checkpoint(plan: &Plan, run: usize, steps: u64) -> Vec<u8> {
         let mut bytes = Vec::new();
-        execute_run_from(plan, &plan.runs()[run], None, |current| {
+        execute_run_from(plan, &plan.runs()[run], None, None, |current| {
             bytes = current.checkpoint().to_bytes();
             current.steps() < steps
         });
@@ -70,7 +73,7 @@ mod tests {
         for steps in [1, 150, 299, 300] {
             let checkpoint = RunCheckpoint::from_bytes(&checkpoint(&plan, 0, steps)).unwrap();
             let mut first = None;
-            let finished = execute_run_from(&plan, run, Some(checkpoint), |current| {
+            let finished = execute_run_from(&plan, run, Some(checkpoint), None, |current| {
                 first.get_or_insert(current.steps());
                 true
             });
@@ -83,7 +86,7 @@ mod tests {
     fn a_checkpoint_of_another_run_is_ignored() {
         let first_step = |plan: &Plan, checkpoint: RunCheckpoint| {
             let mut first = None;
-            execute_run_from(plan, &plan.runs()[0], Some(checkpoint), |current| {
+            execute_run_from(plan, &plan.runs()[0], Some(checkpoint), None, |current| {
                 first = Some(current.steps());
                 false
             });

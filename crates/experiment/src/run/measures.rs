@@ -242,6 +242,7 @@ impl Measures {
             steps: *step,
             state_hash: hexadecimal(&state.hash()),
             extra,
+            fault: None,
         });
         (row, series)
     }

@@ -210,15 +210,21 @@ fn a_run_from_a_snapshot_continues_from_its_checkpoint() {
     let run = &plan.runs()[0];
     let expected = execute_run(&plan, run, |_| true).unwrap();
     let mut bytes = Vec::new();
-    execute_run_from(&plan, run, None, |current| {
+    execute_run_from(&plan, run, None, None, |current| {
         bytes = current.checkpoint().to_bytes();
         current.steps() < 29
     });
     let mut first = None;
-    let continued = execute_run_from(&plan, run, RunCheckpoint::from_bytes(&bytes), |current| {
-        first.get_or_insert(current.steps());
-        true
-    });
+    let continued = execute_run_from(
+        &plan,
+        run,
+        RunCheckpoint::from_bytes(&bytes),
+        None,
+        |current| {
+            first.get_or_insert(current.steps());
+            true
+        },
+    );
     assert_eq!((first, continued), (Some(30), Some(expected)));
 }
 

@@ -244,6 +244,35 @@ impl ParquetValue for Option<f64> {
     }
 }
 
+impl ParquetValue for Option<String> {
+    fn schema(name: &str) -> Result<Type, ParquetError> {
+        Type::primitive_type_builder(name, Physical::BYTE_ARRAY)
+            .with_repetition(Repetition::OPTIONAL)
+            .with_logical_type(Some(LogicalType::String))
+            .build()
+    }
+
+    fn write(values: &[Self], column: &mut SerializedColumnWriter<'_>) -> Result<(), CellError> {
+        let present = values.iter().flatten();
+        let present: Vec<ByteArray> = present.map(|text| text.as_str().into()).collect();
+        let levels: Vec<i16> = values.iter().map(|value| value.is_some().into()).collect();
+        column
+            .typed::<ByteArrayType>()
+            .write_batch(&present, Some(&levels), None)?;
+        Ok(())
+    }
+
+    fn read(column: ColumnReader, rows: usize) -> Result<Vec<Self>, CellError> {
+        let ColumnReader::ByteArrayColumnReader(reader) = column else {
+            return Err(CellError::Value(0, "not text".to_owned()));
+        };
+        convert(optional(reader, rows)?, |bytes| {
+            let text = bytes.map(|bytes| bytes.as_utf8().map(str::to_owned));
+            text.transpose().map_err(|error| error.to_string())
+        })
+    }
+}
+
 fn convert<T, U>(
     values: Vec<T>,
     each: impl Fn(T) -> Result<U, String>,

@@ -5,8 +5,8 @@ use std::path::Path;
 
 use csv::ErrorKind;
 
-use super::{TableError, extra_names, io_error};
-use crate::{COLUMNS, Cell, CellKind, ExtraValue, ResultRow};
+use super::{TableError, extra_names, has_faults, io_error};
+use crate::{COLUMNS, Cell, CellKind, ExtraValue, FAULT, ResultRow};
 
 pub fn write(path: &Path, runs: &[ResultRow]) -> Result<(), TableError> {
     let io = |source| io_error(path, source);
@@ -22,10 +22,17 @@ pub fn write_to(to: impl Write, runs: &[ResultRow]) -> Result<(), csv::Error> {
         .from_writer(to);
     let extra = extra_names(runs);
     let names = COLUMNS.iter().map(|column| column.name);
-    writer.write_record(names.chain(extra.iter().copied()))?;
+    let has_faults = has_faults(runs);
+    let fault = has_faults.then_some(FAULT);
+    writer.write_record(names.chain(extra.iter().copied()).chain(fault))?;
     for run in runs {
         let extra = extra.iter().map(|name| run.extra(name).into());
-        writer.serialize(run.cells().chain(extra).collect::<Vec<_>>())?;
+        let fault = has_faults.then(|| {
+            run.fault
+                .as_deref()
+                .map_or(Cell::Absent, |it| Cell::Text(it.into()))
+        });
+        writer.serialize(run.cells().chain(extra).chain(fault).collect::<Vec<_>>())?;
     }
     Ok(writer.flush()?)
 }
@@ -42,7 +49,9 @@ pub fn read(path: &Path) -> Result<Vec<ResultRow>, TableError> {
             column: column.name.to_owned(),
         })?);
     }
-    let is_extra = |name: &&str| COLUMNS.iter().all(|column| column.name != *name);
+    let fault = header.iter().position(|name| name == FAULT);
+    let is_extra =
+        |name: &&str| *name != FAULT && COLUMNS.iter().all(|column| column.name != *name);
     let extra: Vec<(usize, String)> = (0..)
         .zip(header.iter())
         .filter(|(_, name)| is_extra(name))
@@ -74,6 +83,8 @@ pub fn read(path: &Path) -> Result<Vec<ResultRow>, TableError> {
             Some(ExtraValue { name, value })
         });
         run.extra = extra.collect();
+        let reason = fault.and_then(|place| record.get(place));
+        run.fault = reason.filter(|it| !it.is_empty()).map(str::to_owned);
         runs.push(run);
     }
     Ok(runs)

@@ -5,6 +5,7 @@
 
 pub mod order;
 pub mod series;
+pub mod trajectory;
 
 pub(crate) mod column;
 mod csv;
@@ -17,6 +18,7 @@ use crate::ResultRow;
 
 pub use order::{OrderSeries, OrderWriter};
 pub use series::{MeasureSeries, Series, SeriesWriter};
+pub use trajectory::{Trajectory, TrajectoryWriter};
 
 /// The file name of a Parquet table within its directory.
 pub const PARQUET_NAME: &str = "results.parquet";
@@ -151,6 +153,13 @@ fn extra_names(runs: &[ResultRow]) -> Vec<&str> {
     names
 }
 
+/// Returns whether a table of `runs` has the column of the faults.
+///
+/// Only tables with a faulted run have it: the others are as those of earlier versions.
+fn has_faults(runs: &[ResultRow]) -> bool {
+    runs.iter().any(|run| run.fault.is_some())
+}
+
 fn io_error(path: &Path, source: io::Error) -> TableError {
     TableError::Io {
         path: path.to_owned(),
@@ -196,6 +205,26 @@ mod tests {
                     [stored.as_path(), directory.path()].map(|it| fs::read(it.join(name)).unwrap());
                 assert!(old == new, "{version}: {name}");
             }
+        }
+    }
+
+    #[test]
+    fn faults_are_a_column_of_both_kinds_and_absent_from_tables_without_one() {
+        let directory = tempfile::tempdir().unwrap();
+        let mut faulted = sample();
+        faulted.fault = Some("step 7: the axes of 1, and \"2\" cross".to_owned());
+        let csv = directory.path().join(CSV_NAME);
+        for (rows, has_column) in [
+            (vec![sample()], false),
+            (vec![sample(), faulted.clone()], true),
+            (vec![faulted.clone(), sample()], true),
+        ] {
+            write(directory.path(), &rows).unwrap();
+            assert_eq!(read(&directory.path().join(PARQUET_NAME)).unwrap(), rows);
+            assert_eq!(read(&csv).unwrap(), rows);
+            let text = fs::read_to_string(&csv).unwrap();
+            let header = text.lines().next().unwrap();
+            assert_eq!(header.ends_with(",fault"), has_column, "{header}");
         }
     }
 

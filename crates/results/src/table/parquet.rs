@@ -14,10 +14,10 @@ use parquet::schema::types::Type;
 use tempfile::NamedTempFile;
 
 use super::column::{CellError, ParquetValue, failed};
-use super::{TableError, extra_names, io_error};
-use crate::{COLUMNS, Cell, CellKind, Column, ExtraValue, ResultRow};
+use super::{TableError, extra_names, has_faults, io_error};
+use crate::{COLUMNS, Cell, CellKind, Column, ExtraValue, FAULT, ResultRow};
 
-fn schema(extra: &[&str]) -> Result<Type, ParquetError> {
+fn schema(extra: &[&str], has_faults: bool) -> Result<Type, ParquetError> {
     let columns = COLUMNS.iter().map(|column| match column.kind {
         CellKind::Text => String::schema(column.name),
         CellKind::Count => u64::schema(column.name),
@@ -25,12 +25,14 @@ fn schema(extra: &[&str]) -> Result<Type, ParquetError> {
         CellKind::OptionalNumber => Option::<f64>::schema(column.name),
     });
     let extra = extra.iter().map(|name| Option::<f64>::schema(name));
-    group("run", columns.chain(extra).collect())
+    let fault = has_faults.then(|| Option::<String>::schema(FAULT));
+    group("run", columns.chain(extra).chain(fault).collect())
 }
 
 pub fn write(path: &Path, runs: &[ResultRow]) -> Result<(), TableError> {
     let extra = extra_names(runs);
-    let mut writer = begin(path, schema(&extra))?;
+    let has_faults = has_faults(runs);
+    let mut writer = begin(path, schema(&extra, has_faults))?;
     let malformed = |error| malformed(path, &error);
     // An empty row group is valid, but some readers fail on it.
     if !runs.is_empty() {
@@ -41,6 +43,10 @@ pub fn write(path: &Path, runs: &[ResultRow]) -> Result<(), TableError> {
         for name in extra {
             let values: Vec<Option<f64>> = runs.iter().map(|run| run.extra(name)).collect();
             write_column(path, &mut group, name, &values)?;
+        }
+        if has_faults {
+            let faults: Vec<Option<String>> = runs.iter().map(|run| run.fault.clone()).collect();
+            write_column(path, &mut group, FAULT, &faults)?;
         }
         group.close().map_err(malformed)?;
     }
@@ -68,9 +74,23 @@ pub fn read(path: &Path) -> Result<Vec<ResultRow>, TableError> {
                 run.extra.push(ExtraValue { name, value });
             }
         }
+        if has_column(group, FAULT) {
+            let faults: Vec<Option<String>> = read_column(path, group, FAULT, first)?;
+            for (run, fault) in runs[first..].iter_mut().zip(faults) {
+                run.fault = fault;
+            }
+        }
         Ok(())
     })?;
     Ok(runs)
+}
+
+/// Returns whether a row group has a column of text.
+fn has_column(group: &dyn RowGroupReader, name: &str) -> bool {
+    let mut columns = group.metadata().columns().iter();
+    columns.any(|chunk| {
+        chunk.column_type() == Physical::BYTE_ARRAY && chunk.column_path().parts() == [name]
+    })
 }
 
 /// Returns the names of the columns of numbers that only some experiments have.
@@ -139,10 +159,17 @@ pub fn begin(
     path: &Path,
     schema: Result<Type, ParquetError>,
 ) -> Result<SerializedFileWriter<NamedTempFile>, TableError> {
+    let properties = WriterProperties::builder().set_compression(Compression::SNAPPY);
+    begin_with(path, schema, properties.build())
+}
+
+/// As [`begin`], with other properties.
+pub fn begin_with(
+    path: &Path,
+    schema: Result<Type, ParquetError>,
+    properties: WriterProperties,
+) -> Result<SerializedFileWriter<NamedTempFile>, TableError> {
     let file = jostle_atomic_file::begin(path).map_err(|source| io_error(path, source))?;
-    let properties = WriterProperties::builder()
-        .set_compression(Compression::SNAPPY)
-        .build();
     schema
         .and_then(|schema| SerializedFileWriter::new(file, Arc::new(schema), Arc::new(properties)))
         .map_err(|error| malformed(path, &error))
@@ -161,13 +188,18 @@ pub fn for_each_group(
     path: &Path,
     mut each: impl FnMut(&dyn RowGroupReader) -> Result<(), TableError>,
 ) -> Result<(), TableError> {
-    let malformed = |error| malformed(path, &error);
-    let file = File::open(path).map_err(|source| io_error(path, source))?;
-    let reader = SerializedFileReader::new(file).map_err(malformed)?;
+    let reader = open(path)?;
     for index in 0..reader.num_row_groups() {
-        each(&*reader.get_row_group(index).map_err(malformed)?)?;
+        let group = reader.get_row_group(index);
+        each(&*group.map_err(|error| malformed(path, &error))?)?;
     }
     Ok(())
+}
+
+/// Opens a file.
+pub fn open(path: &Path) -> Result<SerializedFileReader<File>, TableError> {
+    let file = File::open(path).map_err(|source| io_error(path, source))?;
+    SerializedFileReader::new(file).map_err(|error| malformed(path, &error))
 }
 
 /// Builds the schema of a table from the schemas of its columns.
@@ -223,7 +255,7 @@ pub fn rows(group: &dyn RowGroupReader) -> usize {
     usize::try_from(group.metadata().num_rows()).unwrap_or(0)
 }
 
-fn malformed(path: &Path, error: &ParquetError) -> TableError {
+pub fn malformed(path: &Path, error: &ParquetError) -> TableError {
     failed(path, error, "")
 }
 

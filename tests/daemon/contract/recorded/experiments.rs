@@ -28,6 +28,7 @@ informed = [1]
 order_every = 10
 columns = ["order", "drift"]
 series_every = 10
+record_every = 25
 "#;
 
 /// An experiment of one run that takes longer than the test.
@@ -81,6 +82,10 @@ pub async fn record_fixtures(recorded: &Recorded) {
     send(&recorder, "pause", "still").await;
     wait_for_phase(&recorder, "small", "finished").await;
     wait_for_phase(&recorder, "odd", "failed").await;
+    let faulted = keys::experiment(PREFIX, FIXTURE_NODE, "first", "results");
+    recorder
+        .query("experiment.results.faulted", &faulted, None)
+        .await;
     let key = |noun: &str| keys::experiment(PREFIX, FIXTURE_NODE, "small", noun);
     recorder
         .query("experiment.progress", &key("progress"), None)
@@ -92,6 +97,10 @@ pub async fn record_fixtures(recorded: &Recorded) {
     recorder.query("experiment.order", &order, None).await;
     let series = format!("{}?run=n=5 informed=1 #0;limit=3", key("series"));
     recorder.query("experiment.series", &series, None).await;
+    let individuals = format!("{series};of=individuals");
+    recorder
+        .query("experiment.series.individuals", &individuals, None)
+        .await;
 
     for name in ["long", "next"] {
         recorder.node_cmd("", "experiment", endless(name)).await;

@@ -7,6 +7,7 @@ mod results;
 pub mod rows;
 pub mod series;
 mod slurm;
+mod trajectory;
 
 pub use self::plan::plan;
 

@@ -18,7 +18,7 @@ use crate::failure::Failure;
 use crate::format;
 use crate::output;
 use crate::table;
-use crate::verbs::experiment::{phase, rows, series};
+use crate::verbs::experiment::{phase, rows, series, trajectory};
 
 /// Shows or writes the results of an experiment.
 pub async fn results(context: &Context, arguments: &ResultsArguments) -> Result<(), Failure> {
@@ -30,7 +30,11 @@ pub async fn results(context: &Context, arguments: &ResultsArguments) -> Result<
         csv,
         order,
         series,
+        trajectory: of_trajectory,
     } = arguments;
+    if let Some(run) = of_trajectory {
+        return trajectory::results(context, arguments, run).await;
+    }
     if let Some(run) = order {
         return print_order(context, name, run).await;
     }
@@ -66,7 +70,11 @@ pub async fn results(context: &Context, arguments: &ResultsArguments) -> Result<
         output.note(&format!("no run of {name} is finished so far"));
         return Ok(());
     }
-    output.data(&summary(&summarise(&rows)))
+    output.data(&summary(&summarise(&rows)))?;
+    match rows.iter().filter(|row| row.fault.is_some()).count() as u64 {
+        0 => Ok(()),
+        count => output.data(&faults(count)),
+    }
 }
 
 async fn print_order(context: &Context, name: &str, run: &str) -> Result<(), Failure> {
@@ -171,6 +179,12 @@ async fn write_series(
     }
     writer.finish().map_err(Failure::results)?;
     Ok(Some(path.display().to_string()))
+}
+
+/// Describes how many runs ended by a fault.
+fn faults(count: u64) -> String {
+    let runs = format::count(count, "run");
+    format!("{runs} ended by a fault, counted up to it: --csv has the reasons")
 }
 
 /// Joins texts as `a, b and c`.

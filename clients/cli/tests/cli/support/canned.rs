@@ -238,6 +238,9 @@ fn fixture(key: &str, sent: &Sent, changes: &[Change]) -> Reply {
             return cbor("step.reply.state.cbor");
         }
         ["@node", _, "get", noun] => format!("node.{noun}.reply"),
+        ["@node", _, "experiment", _, "series"] if sent.selector.contains(";of=individuals") => {
+            "experiment.series.individuals".to_owned()
+        }
         ["@node", _, "experiment", _, noun] => format!("experiment.{noun}"),
         ["@node", _, "cmd", verb] | [_, "cmd", verb] => format!("{verb}.reply"),
         [_, "get", "experiment"] => "experiment.file.reply".to_owned(),

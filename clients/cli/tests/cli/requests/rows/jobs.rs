@@ -209,6 +209,14 @@ pub fn experiments() -> Vec<Row> {
         )
         .says("run,step,time,order,drift\nn=5,0,0,0.5821452720313459,-0.4931628207017643"),
         row(
+            "experiment results <name>small --trajectory n=5 -o {}/n5.parquet",
+            &[
+                "@node/test/experiment/small/series?run=n=5;after=0;of=individuals",
+                "@node/test/experiment/small/series?run=n=5;after=3;of=individuals",
+            ],
+        )
+        .writes("n5.parquet"),
+        row(
             "plot <what>small --y order --over-time --out {}/over.svg",
             &[&[results][..], &series].concat(),
         )

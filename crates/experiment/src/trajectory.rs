@@ -1,0 +1,184 @@
+//! The trajectories of runs, in `trajectories/` of the folder: a Parquet file for each run.
+//!
+//! While a run is executed its frames are appended to a file without a format of its own, the spool: a
+//! Parquet file has no end from which it could be continued. A checkpoint of the run has the length of
+//! the spool, to which a resumed run truncates it. At the end of the run the spool is converted. It is
+//! removed once the run counts as finished.
+
+use std::cell::RefCell;
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use jostle_physics::model::State;
+use jostle_results::table::trajectory::{TRAJECTORIES, file_name};
+
+use self::about::about;
+use self::spool::Spool;
+use crate::folder::FolderError;
+use crate::folder::error::io_error;
+use crate::plan::{Plan, PlannedRun};
+use crate::run::RunCheckpoint;
+
+mod about;
+mod spool;
+
+/// The trajectories of a folder. Each thread writes those of the runs that it executes.
+#[derive(Clone, Debug)]
+pub struct Trajectories(PathBuf);
+
+impl Trajectories {
+    /// Returns those of a folder of results.
+    pub fn of(folder: &Path) -> Self {
+        Self(folder.join(TRAJECTORIES))
+    }
+
+    /// Returns the path of the trajectory of a run, by its index in the plan.
+    #[must_use]
+    pub fn path(&self, index: usize) -> PathBuf {
+        self.0.join(file_name(index + 1))
+    }
+
+    /// Returns the path of the spool of a run.
+    fn spool(&self, index: usize) -> PathBuf {
+        self.path(index).with_extension("partial")
+    }
+
+    /// Removes the spool of a run, if there is one. One that cannot be removed does no harm.
+    pub fn remove_spool(&self, index: usize) {
+        let _ = fs::remove_file(self.spool(index));
+    }
+
+    /// Removes all spools, and files that were being written when a process was killed.
+    pub fn clear(&self) {
+        let Ok(entries) = fs::read_dir(&self.0) else {
+            return;
+        };
+        for path in entries.flatten().map(|entry| entry.path()) {
+            let name = path.file_name().unwrap_or_default().to_string_lossy();
+            if name.starts_with(jostle_atomic_file::PREFIX) || name.ends_with(".partial") {
+                let _ = fs::remove_file(path);
+            }
+        }
+    }
+
+    /// Copies the trajectory of a run from those of another folder. It is durable on return.
+    ///
+    /// # Errors
+    ///
+    /// [`FolderError::Io`].
+    pub fn copy(&self, from: &Self, index: usize) -> Result<(), FolderError> {
+        fs::create_dir_all(&self.0).map_err(|source| io_error(&self.0, source))?;
+        let (from, to) = (from.path(index), self.path(index));
+        let mut source = fs::File::open(&from).map_err(|error| io_error(&from, error))?;
+        let fail = |error| io_error(&to, error);
+        let mut file = jostle_atomic_file::begin(&to).map_err(fail)?;
+        io::copy(&mut source, &mut file).map_err(fail)?;
+        jostle_atomic_file::publish(file, &to).map_err(fail)
+    }
+
+    /// Begins to record a run, or continues after a checkpoint, which is dropped if the spool lacks
+    /// frames before it. None if the plan records no trajectories.
+    ///
+    /// # Errors
+    ///
+    /// [`FolderError::Io`].
+    pub fn record(
+        &self,
+        plan: &Plan,
+        index: usize,
+        checkpoint: &mut Option<RunCheckpoint>,
+    ) -> Result<Option<Recording>, FolderError> {
+        if plan.record_every.is_none() {
+            return Ok(None);
+        }
+        fs::create_dir_all(&self.0).map_err(|source| io_error(&self.0, source))?;
+        let path = self.spool(index);
+        let fail = |source| io_error(&path, source);
+        let recorded = checkpoint.as_ref().and_then(|it| it.recorded);
+        let mut spool = Spool::open(&path).map_err(fail)?;
+        match recorded {
+            Some(length) if spool.truncate(length).map_err(fail)? => {}
+            _ => *checkpoint = None,
+        }
+        Ok(Some(Recording {
+            spool: RefCell::new((spool, Ok(()))),
+            path,
+            target: self.path(index),
+        }))
+    }
+}
+
+/// The recording of a run that is executed.
+pub struct Recording {
+    /// The spool, and the first error of writing it.
+    spool: RefCell<(Spool, io::Result<()>)>,
+    path: PathBuf,
+    target: PathBuf,
+}
+
+impl Recording {
+    /// Appends the frame of a state. After an error nothing more is written.
+    pub fn add(&self, state: &State) {
+        let (spool, written) = &mut *self.spool.borrow_mut();
+        if written.is_ok() {
+            *written = spool.add(state);
+        }
+    }
+
+    /// Returns whether a frame could not be written.
+    pub fn has_failed(&self) -> bool {
+        self.spool.borrow().1.is_err()
+    }
+
+    /// Makes the frames durable and returns the length of the spool; none if one could not be written.
+    pub fn sync(&self) -> Option<u64> {
+        let (spool, written) = &mut *self.spool.borrow_mut();
+        match spool.sync() {
+            Ok(length) if written.is_ok() => Some(length),
+            Ok(_) => None,
+            Err(error) => {
+                *written = Err(error);
+                None
+            }
+        }
+    }
+
+    /// Ends the recording of a run that is finished: writes its file, or removes the frames of a run
+    /// that has no row.
+    ///
+    /// # Errors
+    ///
+    /// [`FolderError`] if it cannot be written, or one of the frames could not.
+    pub fn finish(self, plan: &Plan, run: &PlannedRun, has_row: bool) -> Result<(), FolderError> {
+        self.check()?;
+        if !has_row {
+            return Ok(());
+        }
+        let (mut spool, _) = self.spool.into_inner();
+        spool
+            .flush()
+            .map_err(|source| io_error(&self.path, source))?;
+        let removed = jostle_atomic_file::remove_unfinished(&self.target);
+        removed.map_err(|source| io_error(&self.target, source))?;
+        spool::convert(&self.path, &self.target, &about(plan, run))
+    }
+
+    /// Returns the error of a frame that could not be written.
+    ///
+    /// # Errors
+    ///
+    /// [`FolderError::Io`].
+    pub fn check(&self) -> Result<(), FolderError> {
+        let (_, written) = &*self.spool.borrow();
+        let copied = written.as_ref().map(|()| ());
+        copied.map_err(|error| {
+            let source = io::Error::new(error.kind(), error.to_string());
+            io_error(&self.path, source)
+        })
+    }
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests;
