@@ -4,10 +4,11 @@ use std::fmt;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 
 use crate::keys::NAME_RULE;
 use crate::result_row::ResultRow;
-use crate::verbs::{BatchArgs, WhenArgs};
+use crate::walk::lenient;
 use crate::{LARGEST_WHOLE, Spec, column};
 
 /// A command to an experiment; sent to a node.
@@ -55,6 +56,7 @@ pub struct ExpandedRun {
     /// Its name.
     pub run: String,
     /// The spec of the swarm, with the seed of the run.
+    #[serde(deserialize_with = "lenient")]
     pub spec: Spec,
     /// How many steps the run takes, at most.
     #[schemars(range(max = LARGEST_WHOLE))]
@@ -71,18 +73,11 @@ pub struct RunCommand {
     /// The step before which it is executed; `null` if it is executed at once.
     #[schemars(range(max = LARGEST_WHOLE))]
     pub at_step: Option<u64>,
-    /// The verb with its arguments.
-    pub command: RunVerb,
-}
-
-/// A verb that a run consists of, with its arguments.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(tag = "verb", content = "args", rename_all = "snake_case")]
-pub enum RunVerb {
-    /// The changes of one execution of an `[[at]]` block.
-    Batch(BatchArgs),
-    /// An `[[at]]` block with a condition, or `[stop]`.
-    When(WhenArgs),
+    /// `batch`: the changes of one execution of an `[[at]]` block; `when`: a block with a condition, or
+    /// `[stop]`.
+    pub verb: String,
+    /// The arguments of the verb.
+    pub args: Value,
 }
 
 /// An experiment to execute.

@@ -39,7 +39,7 @@ pub use event::{Event, EventKind};
 pub use experiment::{
     ExpandArgs, ExpandedRun, ExperimentArgs, ExperimentName, ExperimentPhase, ExperimentResult,
     Experiments, MeasureSeries, Metadata, OrderPage, Progress, ResultsPage, RunCommand,
-    RunUnderWay, RunVerb, SeriesPage, SubmitArgs,
+    RunUnderWay, SeriesPage, SubmitArgs,
 };
 pub use metrics::{Metrics, RecordingMetrics, StoreMetrics, SwarmMetrics};
 pub use queries::{
@@ -55,10 +55,8 @@ pub use replay::{OpenArgs, Replay, ReplayArgs, ReplayResult, SeekArgs, UploadArg
 pub use result_row::{COLUMNS, Column, ExtraValue, FAULT, Measure, ResultRow};
 pub use role::{Credentials, Role, WhoAmI};
 pub use snapshot::Snapshot;
-pub use spec::{Attraction, ContactRule, Spec, Start, Stepping};
-pub use state::{
-    Certificate, MAX_PUBLISHED_MEASURES, Order, OrderSample, ParameterValues, Phase, State, to_cbor,
-};
+pub use spec::{Attraction, ContactRule, MAX_PUBLISHED_MEASURES, Spec, Start, Stepping};
+pub use state::{Certificate, Order, OrderSample, ParameterValues, Phase, State, to_cbor};
 pub use walk::{Arguments, Lenient};
 
 /// The version of this contract; it grows when a message changes its meaning.

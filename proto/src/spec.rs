@@ -3,7 +3,10 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::{LARGEST_WHOLE, MAX_PUBLISHED_MEASURES};
+use crate::LARGEST_WHOLE;
+
+/// Maximum number of measures in a published order.
+pub const MAX_PUBLISHED_MEASURES: usize = 16;
 
 /// The description of a swarm: same spec, same seed, same bytes.
 ///

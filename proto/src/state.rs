@@ -8,9 +8,6 @@ use serde::{Deserialize, Serialize};
 use crate::walk::lenient;
 use crate::{Attraction, ContactRule, Stepping, column};
 
-/// Maximum number of measures in a published order.
-pub const MAX_PUBLISHED_MEASURES: usize = 16;
-
 /// The phase of a swarm.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]

@@ -3,6 +3,8 @@
 use jostle_experiment::{LiveCommand, LiveRun, Plan};
 use jostle_proto as proto;
 use jostle_results::table::{OrderSeries, Series};
+use serde::Serialize;
+use serde_json::json;
 
 use crate::experiments::{Report, TrajectoryRows};
 
@@ -51,17 +53,19 @@ pub fn expanded(run: &str, live: LiveRun) -> proto::ExpandedRun {
         steps: live.steps,
         commands: commands
             .map(|command| match command {
-                LiveCommand::Batch { step, args } => proto::RunCommand {
-                    at_step: Some(step),
-                    command: proto::RunVerb::Batch(args),
-                },
-                LiveCommand::When(args) => proto::RunCommand {
-                    at_step: None,
-                    command: proto::RunVerb::When(args),
-                },
+                LiveCommand::Batch { step, args } => run_command(Some(step), "batch", &args),
+                LiveCommand::When(args) => run_command(None, "when", &args),
             })
             .collect(),
         stop: live.stop,
+    }
+}
+
+fn run_command(at_step: Option<u64>, verb: &str, args: &impl Serialize) -> proto::RunCommand {
+    proto::RunCommand {
+        at_step,
+        verb: verb.to_owned(),
+        args: json!(args),
     }
 }
 

@@ -167,7 +167,8 @@ pub fn set(args: SetArgs) -> Result<Change, ArgsError> {
         });
     }
     let publish_every = publish_every.map(value::publish_every).transpose()?;
-    let measures = measures.as_deref().map(published).transpose()?;
+    let measures = measures.as_deref().map(published).transpose();
+    let measures = measures.map_err(WireError::from)?;
     Ok(Change::Set(Settings {
         pi1,
         pi2,

@@ -1,5 +1,6 @@
 //! Codes and details of error replies.
 
+use jostle_measures::{MAX_COSTLY_INDIVIDUALS, TooCostly};
 use jostle_physics::model::injection::InjectionError;
 use jostle_physics::model::parameters::ParametersError;
 use jostle_physics::model::reshape::ReshapeError;
@@ -9,6 +10,7 @@ use jostle_physics::simulation::{ChangeError, ReserveError};
 use jostle_proto::{ErrorCode, RequestError};
 use serde_json::{Map, Value, json};
 
+use crate::measures::MeasuresError;
 use crate::range::range_of;
 use crate::value::WireError;
 
@@ -160,5 +162,34 @@ fn number(value: f64) -> Value {
         json!(value)
     } else {
         json!(value.to_string())
+    }
+}
+
+impl WireCode for MeasuresError {
+    fn code(&self) -> ErrorCode {
+        match self {
+            MeasuresError::TooCostly(_) => ErrorCode::ResourceExhausted,
+            MeasuresError::NoArea => ErrorCode::IncorrectState,
+            _ => ErrorCode::InvalidArgument,
+        }
+    }
+
+    fn details(&self) -> Map<String, Value> {
+        match self {
+            MeasuresError::TooCostly(error) => error.details(),
+            MeasuresError::NoArea => Map::new(),
+            MeasuresError::Histogram(_) => object(json!({"field": "histogram"})),
+            _ => object(json!({"field": "names"})),
+        }
+    }
+}
+
+impl WireCode for TooCostly {
+    fn code(&self) -> ErrorCode {
+        ErrorCode::ResourceExhausted
+    }
+
+    fn details(&self) -> Map<String, Value> {
+        object(json!({"n": self.n, "limit": MAX_COSTLY_INDIVIDUALS}))
     }
 }

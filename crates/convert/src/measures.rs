@@ -1,13 +1,9 @@
 //! Names of measures in requests and settings.
 
 use jostle_measures::histograms::HistogramError;
-use jostle_measures::{MAX_COSTLY_INDIVIDUALS, Measure, MeasureError, TooCostly};
-use jostle_proto::{ErrorCode, MAX_PUBLISHED_MEASURES};
-use serde_json::{Map, Value, json};
+use jostle_measures::{Measure, MeasureError, TooCostly};
+use jostle_proto::MAX_PUBLISHED_MEASURES;
 use thiserror::Error;
-
-use crate::error::{WireCode, object};
-use crate::value::WireError;
 
 /// Maximum number of measures in one reply: each gap of `clusters.*` is a search of its own.
 pub const MAX_MEASURES: usize = 64;
@@ -47,35 +43,6 @@ pub enum MeasuresError {
     TooCostly(#[from] TooCostly),
 }
 
-impl WireCode for MeasuresError {
-    fn code(&self) -> ErrorCode {
-        match self {
-            MeasuresError::TooCostly(_) => ErrorCode::ResourceExhausted,
-            MeasuresError::NoArea => ErrorCode::IncorrectState,
-            _ => ErrorCode::InvalidArgument,
-        }
-    }
-
-    fn details(&self) -> Map<String, Value> {
-        match self {
-            MeasuresError::TooCostly(error) => error.details(),
-            MeasuresError::NoArea => Map::new(),
-            MeasuresError::Histogram(_) => object(json!({"field": "histogram"})),
-            _ => object(json!({"field": "names"})),
-        }
-    }
-}
-
-impl WireCode for TooCostly {
-    fn code(&self) -> ErrorCode {
-        ErrorCode::ResourceExhausted
-    }
-
-    fn details(&self) -> Map<String, Value> {
-        object(json!({"n": self.n, "limit": MAX_COSTLY_INDIVIDUALS}))
-    }
-}
-
 /// Parses measures of one state: at most `max`, each once.
 ///
 /// # Errors
@@ -107,8 +74,8 @@ pub fn parse<'a>(
 ///
 /// # Errors
 ///
-/// [`WireError::Measures`].
-pub fn published(names: &[String]) -> Result<Vec<String>, WireError> {
+/// [`MeasuresError`].
+pub fn published(names: &[String]) -> Result<Vec<String>, MeasuresError> {
     let measures = parse(names.iter().map(String::as_str), MAX_PUBLISHED_MEASURES)?;
     Ok(measures.iter().map(ToString::to_string).collect())
 }

@@ -171,8 +171,7 @@ impl Recording {
     /// [`FolderError::Io`].
     pub fn check(&self) -> Result<(), FolderError> {
         let (_, written) = &*self.spool.borrow();
-        let copied = written.as_ref().map(|()| ());
-        copied.map_err(|error| {
+        written.as_ref().copied().map_err(|error| {
             let source = io::Error::new(error.kind(), error.to_string());
             io_error(&self.path, source)
         })

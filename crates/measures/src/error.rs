@@ -3,8 +3,12 @@
 use thiserror::Error;
 
 use crate::definition::Argument;
-use crate::measure::MAX_COSTLY_INDIVIDUALS;
 use crate::registry::definitions;
+
+/// Maximum number of individuals for measures with a cost above n, where they are evaluated beside
+/// live swarms: `neighbour_*` cost n² if all centres are on one line, and 2·10⁸ pairs take about a
+/// second.
+pub const MAX_COSTLY_INDIVIDUALS: usize = 20_000;
 
 /// The least similarity of a name that is suggested for an unknown one, from 0 to 1.
 const MIN_SIMILARITY: f64 = 0.7;

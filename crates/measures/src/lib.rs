@@ -48,11 +48,11 @@ mod testing;
 mod view;
 
 pub use definition::{Argument, Definition};
-pub use error::{MeasureError, TooCostly};
+pub use error::{MAX_COSTLY_INDIVIDUALS, MeasureError, TooCostly};
 pub use families::alignment::nematic_order;
 pub use families::histograms;
 pub use gaps::{TOUCHING, cluster_sizes};
-pub use measure::{MAX_COSTLY_INDIVIDUALS, Measure};
+pub use measure::Measure;
 pub use past::{Frame, MAX_PAST, Past, PastError, check_past};
 pub use registry::definitions;
 pub use view::View;

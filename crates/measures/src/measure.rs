@@ -7,7 +7,7 @@ use std::str::FromStr;
 use jostle_physics::simulation::steps_in;
 
 use crate::definition::{Argument, Definition, Lag, shortest};
-use crate::error::{MeasureError, TooCostly};
+use crate::error::{MAX_COSTLY_INDIVIDUALS, MeasureError, TooCostly};
 use crate::registry::definitions;
 use crate::view::View;
 
@@ -19,11 +19,6 @@ pub struct Measure {
     /// Its argument, which may be the default; `None` if it has none.
     argument: Option<f64>,
 }
-
-/// Maximum number of individuals for measures with a cost above n, where they are evaluated beside
-/// live swarms: `neighbour_*` cost n² if all centres are on one line, and 2·10⁸ pairs take about a
-/// second.
-pub const MAX_COSTLY_INDIVIDUALS: usize = 20_000;
 
 impl Measure {
     /// Whether its cost is above n, and `n` above [`MAX_COSTLY_INDIVIDUALS`].

@@ -79,8 +79,8 @@ class Player:
         for number, command in enumerate(expanded.commands, start=1):
             try:
                 self._session.command(
-                    self._session.swarm_key(name, f"cmd/{command.command.verb}"),
-                    command.command.args,
+                    self._session.swarm_key(name, f"cmd/{command.verb}"),
+                    command.args,
                     swarm=name,
                     at_step=command.at_step,
                     timeout=timeout,

@@ -75,18 +75,18 @@ class Progress(msgspec.Struct, frozen=True, kw_only=True):
         return self.phase in ("finished", "cancelled", "failed")
 
 
-class RunVerb(msgspec.Struct, frozen=True, kw_only=True):
-    """A verb that a run consists of, `batch` or `when`, with its arguments."""
-
-    verb: str
-    args: dict[str, Any]
-
-
 class RunCommand(msgspec.Struct, frozen=True, kw_only=True):
-    """A command of a run, and the step before which it is executed; None is at once."""
+    """A command of a run.
+
+    Attributes:
+        at_step: The step before which it is executed; None if it is executed at once.
+        verb: `batch` or `when`.
+        args: The arguments of the verb.
+    """
 
     at_step: int | None
-    command: RunVerb
+    verb: str
+    args: dict[str, Any]
 
 
 class ExpandedRun(msgspec.Struct, frozen=True, kw_only=True):

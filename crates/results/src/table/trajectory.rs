@@ -352,7 +352,7 @@ mod tests {
         // However many rows are added at a time.
         let rows = frame(3, 140_000);
         let path = directory.path().join("one.parquet");
-        written(&path, &[rows.clone()]);
+        written(&path, std::slice::from_ref(&rows));
         let whole = std::fs::read(&path).unwrap();
         let mut left = rows;
         let parts: Vec<Trajectory> = (0..14).map(|_| left.take(10_000)).collect();

@@ -115,6 +115,8 @@ fn variants(schema: &Value) -> impl Iterator<Item = &Value> {
 /// an error's details, of JSON Schemas, nor of values that may be anything.
 fn objects(message: &str, value: &Value, place: String) -> Vec<String> {
     let is_open = match place.rsplit('/').next() {
+        // A map whose names are measures.
+        Some("measures") => message == "order",
         Some("args") => message == "request" || !is_request(message),
         Some("details" | "schemas" | "default" | "value" | "choices") => true,
         _ => false,

@@ -5,7 +5,7 @@ use jostle_proto::verbs::{
     CreateResult, DeleteArgs, DiscardArgs, EmptyResult, ForkArgs, IdsResult, InformArgs,
     InjectArgs, JoinArgs, JoinResult, LeaveArgs, PauseArgs, RemoveArgs, ResetArgs, ResetResult,
     RestoreArgs, RunArgs, RunResult, Scheduled, SetArgs, SetResult, StepArgs, StepResult,
-    UninformArgs, WhenArgs,
+    UninformArgs, WhenArgs, WhenResult,
 };
 use jostle_proto::{
     Arguments, ControllerList, Error, Event, Events, ExperimentArgs, ExperimentFile,
@@ -64,7 +64,8 @@ pub fn written_back_as_text(message: &str, text: &str) -> Result<String, String>
         "replay.args" => arguments::<ReplayArgs>(text),
         "replay.reply" => received::<NodeReply<ReplayResult>>(text),
         "delete.reply" | "discard.reply" | "pause.reply" | "leave.reply" | "annotate.reply"
-        | "seek.reply" | "when.reply" => received::<Reply<EmptyResult>>(text),
+        | "seek.reply" => received::<Reply<EmptyResult>>(text),
+        "when.reply" => received::<Reply<WhenResult>>(text),
         "run.args" => arguments::<RunArgs>(text),
         "run.reply" => received::<Reply<RunResult>>(text),
         "pause.args" => arguments::<PauseArgs>(text),

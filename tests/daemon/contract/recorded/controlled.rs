@@ -138,4 +138,8 @@ async fn steered(recorder: &RecordingClient<'_>) {
     let eve = advance("eve", json!({}));
     recorder.cmd("", "crowd", "advance", eve).await;
     recorder.record_reply("", &pending).await;
+    let noun = "experiment?setpoints=crowd.csv";
+    recorder
+        .get("experiment.file.reply.setpoints", "crowd", noun)
+        .await;
 }

@@ -31,6 +31,20 @@ series_every = 10
 record_every = 25
 "#;
 
+/// An experiment of a run with commands, which needs not be submitted.
+const TURN: &str = r#"
+name = "turn"
+duration = 4.0
+spec = { n = 3 }
+
+[[at]]
+time = 1
+inform = { select = { count = 1 }, direction = 0.5 }
+
+[stop]
+when = "drift > 0.9 for 1"
+"#;
+
 /// An experiment of one run that takes longer than the test.
 fn endless(name: &str) -> Value {
     let toml = format!("name = \"{name}\"\nduration = 1e6\nspec = {{ n = 20 }}\n");
@@ -100,6 +114,11 @@ pub async fn record_fixtures(recorded: &Recorded) {
     let individuals = format!("{series};of=individuals");
     recorder
         .query("experiment.series.individuals", &individuals, None)
+        .await;
+
+    let turn = json!({"expand": {"toml": TURN}});
+    recorder
+        .node_cmd("experiment.reply.expanded", "experiment", turn)
         .await;
 
     for name in ["long", "next"] {

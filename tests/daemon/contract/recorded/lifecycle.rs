@@ -157,8 +157,10 @@ async fn change(recorder: &RecordingClient<'_>) {
     }
     school("uninform.reply", "uninform", "uninform.args").await;
     let mut set = args("set.args.rules");
-    for (name, value) in args("set.args").as_object().unwrap() {
-        set[name] = value.clone();
+    for more in ["set.args", "set.args.measures"] {
+        for (name, value) in args(more).as_object().unwrap() {
+            set[name] = value.clone();
+        }
     }
     recorder.cmd("set.reply", "school", "set", set).await;
     school("set.reply.make_room", "set", "set.args.make_room").await;

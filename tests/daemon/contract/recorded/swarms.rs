@@ -38,7 +38,8 @@ pub async fn record_fixtures(recorded: &Recorded) {
 
 /// A crowd at step 30 with a command that waits for step 100.
 pub async fn create_crowd(recorder: &RecordingClient<'_>, steps: u64) {
-    let spec = json!({"n": 6, "seed": 1, "start": {"kind": "disc", "radius": 2.0}});
+    let spec = json!({"n": 6, "seed": 1, "start": {"kind": "disc", "radius": 2.0},
+        "measures": ["drift", "clusters.largest"]});
     recorder.create("crowd", spec).await;
     recorder
         .cmd("", "crowd", "step", json!({"steps": steps}))
@@ -52,6 +53,16 @@ pub async fn create_crowd(recorder: &RecordingClient<'_>, steps: u64) {
 
 async fn crowd(recorder: &RecordingClient<'_>) {
     create_crowd(recorder, 30).await;
+    let protocol = args("batch.args.protocol");
+    recorder.cmd("", "crowd", "batch", protocol).await;
+    // A condition that needs the states of earlier steps.
+    let moved = json!({"condition": "msd(0.1) > 1e6", "event": "moved"});
+    recorder.cmd("", "crowd", "when", moved).await;
+    recorder.cmd("", "crowd", "step", json!({"steps": 2})).await;
+    let holds = json!({"condition": "order > 0", "event": "ordered", "from_step": 0});
+    recorder
+        .cmd("when.reply.holds", "crowd", "when", holds)
+        .await;
     recorder.get("snapshot.reply", "crowd", "snapshot").await;
     let key = keys::get(PREFIX, "crowd", "snapshot");
     let document = recorder.receive("", &recorder.send(&key, None).await).await;
@@ -61,7 +72,7 @@ async fn crowd(recorder: &RecordingClient<'_>) {
     recorder.node_cmd("restore.reply", "restore", restore).await;
     let run = json!({"until_step": 90, "rate": STANDING});
     recorder.cmd("", "crowd", "run", run).await;
-    recorder.get("", "crowd", "wait?step=31").await;
+    recorder.get("", "crowd", "wait?step=33").await;
     let note = args("annotate.args");
     recorder
         .cmd("annotate.reply", "crowd", "annotate", note)
