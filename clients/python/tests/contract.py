@@ -239,7 +239,9 @@ class Checker:
                 self.problems.append(f"{where} is {kind} and not {hint}")
             return
         if isinstance(hint, types.UnionType) or typing.get_origin(hint) is typing.Union:
-            hints = [one for one in typing.get_args(hint) if one not in (type(None), msgspec.UnsetType)]
+            hints = [
+                one for one in typing.get_args(hint) if one not in (type(None), msgspec.UnsetType)
+            ]
             if len(hints) > 1:
                 self.check_union(where, hints, schema)
                 return

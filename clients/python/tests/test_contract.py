@@ -114,7 +114,9 @@ def test_a_spec_is_the_one_of_the_contract_and_its_defaults_too() -> None:
     assert checker.problems == []
     spec = msgspec.to_builtins(jostle.Spec(n=1))
     defaults = {
-        name: field["default"] for name, field in schema["properties"].items() if name not in ("n", "measures")
+        name: field["default"]
+        for name, field in schema["properties"].items()
+        if name not in ("n", "measures")
     }
     assert {name: spec[name] for name in defaults} == defaults
 

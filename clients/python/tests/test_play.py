@@ -110,12 +110,15 @@ def test_the_same_call_continues_after_a_kill(tmp_path: Path, killed_before: int
 
 
 def test_a_played_run_with_conditions_has_the_hash_of_the_run(client: jostle.Client) -> None:
-    source = TURN + """[[at]]
+    source = (
+        TURN
+        + """[[at]]
 when = "order > 0.02 for 0.4"
 inject = { count = 2 }
 [stop]
 when = "nematic >= 0 for 3.5"
 """
+    )
     experiment = client.submit(source).wait(MAX_WAIT_SECS)
     row = experiment.rows()[1]
     experiment.delete()
