@@ -25,6 +25,8 @@ fn a_snapshot_is_read_and_written_as_it_was() {
         rate: snapshot.spec.rate,
         scheduled: Vec::new(),
         when: Vec::new(),
+        past: Vec::new(),
+        protocol_draws: 0,
         pending: None,
         controllers: Vec::new(),
         events: 0,

@@ -41,7 +41,7 @@ pub struct WhenArgs {
     pub from_step: Option<u64>,
     /// Remove the condition at this step, without evaluating it there.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schemars(range(max = LARGEST_WHOLE))]
+    #[schemars(range(min = 1, max = LARGEST_WHOLE))]
     pub before_step: Option<u64>,
     /// With `commands`: as `draw` of `batch`.
     #[serde(default, skip_serializing_if = "Option::is_none")]

@@ -60,7 +60,13 @@ fn bounds(schema: &Value, root: &Value, value: &Value, field: &str, place: &str)
     if let Value::Array(items) = value {
         let many = |count: &Value| {
             let count = usize::try_from(count.as_u64().unwrap()).unwrap();
-            vec![items[0].clone(); count]
+            match place.ends_with("/measures") {
+                // They must differ.
+                true => (1..=count)
+                    .map(|gap| json!(format!("clusters.count({gap})")))
+                    .collect(),
+                false => vec![items[0].clone(); count],
+            }
         };
         if let least @ Value::Number(_) = &schema["minItems"] {
             found.push(bound(json!(many(least)[1..]), json!(many(least))));

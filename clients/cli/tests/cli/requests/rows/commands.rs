@@ -128,7 +128,7 @@ pub fn steering() -> Vec<Row> {
             "annotate <name>demo <text>ready",
             &[r#"demo/cmd/annotate {"text": "ready"}"#],
         )
-        .says("crowd has the note (seq 4)"),
+        .says("crowd has the note (seq 8)"),
         row(
             "batch <name>demo <file>{}/batch.json",
             &[r#"demo/cmd/batch {"commands": [
