@@ -124,7 +124,8 @@ when = "nematic >= 0 for 3.5"
     experiment.delete()
     swarm = client.play(source, 2, name="live")
     assert len(swarm.status().when or []) == 2
-    swarm.run(until_step=STEPS, rate=None, wait=True)
+    with pytest.raises(jostle.IncorrectState, match="condition"):
+        swarm.run(until_step=STEPS, rate=None, wait=True)
     status = swarm.status()
     assert 0 < status.step < STEPS
     assert status.state_hash == row.state_hash

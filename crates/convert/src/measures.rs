@@ -19,8 +19,8 @@ pub enum MeasuresError {
     Measure(#[from] Box<MeasureError>),
     /// A running swarm has no past.
     #[error(
-        "`{0}` needs the states of earlier steps, which a daemon does not keep: leave it out, or \
-         choose it as a column of an experiment"
+        "`{0}` needs the states of earlier steps, which a daemon keeps for conditions only: leave it \
+         out, use it in a condition, or choose it as a column of an experiment"
     )]
     NeedsPast(String),
     /// The same measure is requested twice.

@@ -27,6 +27,8 @@ fn a_snapshot_is_read_and_written_as_it_was() {
         when: Vec::new(),
         past: Vec::new(),
         protocol_draws: 0,
+        seq: snapshot.seq - snapshot.annotations,
+        annotations: 0,
         pending: None,
         controllers: Vec::new(),
         events: 0,

@@ -1,7 +1,7 @@
 //! A state with what several measures need.
 
 use std::borrow::Cow;
-use std::cell::OnceCell;
+use std::cell::{Cell, OnceCell};
 
 use jostle_physics::model::body::Body;
 use jostle_physics::model::heading::unit_vectors;
@@ -9,13 +9,14 @@ use jostle_physics::model::{State, simd};
 use jostle_physics::observables::{Order, common_direction, order_of};
 
 use crate::gaps::{TOUCHING, pairs_within_gap, sizes, smallest_gaps};
-use crate::past::Past;
+use crate::past::{Frame, Past};
 use crate::positions::Positions;
 
 /// A state with what its measures share, computed at first use.
 pub struct View<'a> {
     state: &'a State,
     past: &'a Past,
+    first: Cell<u64>,
     headings: OnceCell<Vec<[f64; 2]>>,
     order: OnceCell<Order>,
     centred: OnceCell<Vec<[f64; 2]>>,
@@ -33,6 +34,7 @@ impl<'a> View<'a> {
         Self {
             state,
             past,
+            first: Cell::new(0),
             headings: OnceCell::new(),
             order: OnceCell::new(),
             centred: OnceCell::new(),
@@ -50,10 +52,15 @@ impl<'a> View<'a> {
         self.state
     }
 
-    /// Returns the positions and headings of earlier steps.
-    #[must_use]
-    pub fn past(&self) -> &'a Past {
-        self.past
+    /// Ignores the past before step `first` from now on, as if it had been recorded since then.
+    pub fn ignore_before(&self, first: u64) {
+        self.first.set(first);
+    }
+
+    /// Returns the positions and headings `steps` steps before the state.
+    pub(crate) fn frame_before(&self, steps: u64) -> Option<&'a Frame> {
+        let step = self.state.step.checked_sub(steps)?;
+        (step >= self.first.get()).then(|| self.past.at(step))?
     }
 
     /// Returns the number of individuals as a divisor; 1 for an empty group.

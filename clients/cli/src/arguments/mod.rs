@@ -106,7 +106,7 @@ pub enum Verb {
     Annotate(AnnotateArguments),
     /// Pauses or changes a swarm once a condition holds
     When(WhenArguments),
-    /// Waits until a condition holds in a swarm; a --timeout that is given bounds the wait
+    /// Waits until a condition holds in a swarm; without --timeout it waits as long as it takes
     Wait(WaitArguments),
     /// Deletes swarms
     Delete(DeleteArguments),

@@ -252,7 +252,11 @@ pub struct AnnotateArguments {
 }
 
 #[derive(Debug, Args)]
-#[command(group = ArgGroup::new("effect").required(true).args(["action", "commands", "cancel"]))]
+#[command(
+    group = ArgGroup::new("effect").required(true).args(["action", "commands", "cancel"]),
+    override_usage = "jostle when [OPTIONS] <NAME> <CONDITION> <ACTION|--commands <FILE>>\n       \
+                      jostle when [OPTIONS] <NAME> --cancel"
+)]
 pub struct WhenArguments {
     #[command(flatten)]
     pub command: CommandArguments,

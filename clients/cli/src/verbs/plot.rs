@@ -58,11 +58,13 @@ pub fn without_daemon(output: Output, arguments: &PlotArguments) -> Result<bool,
                 true => {
                     let mut all = read_series(path, y)?;
                     let faulted = remove_faulted_series(path, &mut all)?;
+                    note_faulted(output, faulted);
                     (over_time(&all, y)?, faulted)
                 }
                 false => {
                     let mut rows = table::read(path).map_err(Failure::results)?;
                     let faulted = chart::remove_faulted(&mut rows).map_err(rejected)?;
+                    note_faulted(output, faulted.len());
                     let chart = chart::over_value(&rows, y, arguments.x.as_deref());
                     (chart.map_err(rejected)?, faulted.len())
                 }
@@ -87,7 +89,9 @@ pub async fn of_daemon(context: &Context, arguments: &PlotArguments) -> Result<(
         Subject::Swarms(swarms) => snapshot(context, swarms, &arguments.out).await,
         Subject::Chart(Source::Experiment(name), y) => {
             let mut rows = rows::fetch(client, name).await?;
+            rows::note_missing(context, name, rows.len()).await?;
             let faulted = chart::remove_faulted(&mut rows).map_err(rejected)?;
+            note_faulted(*output, faulted.len());
             let chart = match arguments.over_time {
                 true => match series::fetch_all(client, name, &rows).await? {
                     Some(all) => over_time(&all, y)?,
@@ -243,7 +247,6 @@ fn write_chart(
     (chart, faulted): (&Chart, usize),
     title: &str,
 ) -> Result<(), Failure> {
-    note_faulted(output, faulted);
     let labels = Labels {
         title: title.to_owned(),
         unit: unit(&chart.y),

@@ -138,8 +138,8 @@ class Queries:
 
         Args:
             name: A measure that needs no earlier state, with its argument in parentheses, if it
-                has one. `msd`, `turning_rate` and the speeds need earlier states, and are columns
-                of experiments only.
+                has one. `msd`, `turning_rate` and the speeds need earlier states: they are for
+                conditions and columns of experiments.
 
         Returns:
             Its value; None where it is undefined, such as `drift` without informed individuals.

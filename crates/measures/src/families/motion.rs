@@ -64,7 +64,7 @@ pub(crate) const DEFINITIONS: [Definition; 4] = [
 /// Returns the present configuration and the frame `steps` steps before.
 fn motion<'a>(view: &View<'a>, steps: u64) -> Option<(&'a Configuration, &'a Frame)> {
     let state = view.state();
-    let frame = view.past().at(state.step.checked_sub(steps)?)?;
+    let frame = view.frame_before(steps)?;
     Some((&state.configuration, frame))
 }
 

@@ -71,6 +71,7 @@ pub async fn results(context: &Context, arguments: &ResultsArguments) -> Result<
         return Ok(());
     }
     output.data(&summary(&summarise(&rows)))?;
+    rows::note_missing(context, name, rows.len()).await?;
     match rows.iter().filter(|row| row.fault.is_some()).count() as u64 {
         0 => Ok(()),
         count => output.data(&faults(count)),

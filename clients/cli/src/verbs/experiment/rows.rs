@@ -1,10 +1,14 @@
 //! The rows of an experiment's results.
 
 use jostle_client::Client;
+use jostle_proto::Progress;
 use jostle_results::ResultRow;
 use serde::Deserialize;
 
+use crate::context::Context;
 use crate::failure::Failure;
+use crate::format;
+use crate::verbs::experiment::phase;
 
 /// The most rows per query; a daemon returns as many as fit a message.
 const ROWS: usize = 1000;
@@ -28,4 +32,15 @@ pub async fn fetch(client: &Client, name: &str) -> Result<Vec<ResultRow>, Failur
             _ => return Ok(rows),
         }
     }
+}
+
+/// Says that the results lack runs, if `count` is not their number.
+pub async fn note_missing(context: &Context, name: &str, count: usize) -> Result<(), Failure> {
+    let Context { client, output } = context;
+    let progress: Progress = client.get_experiment(name, "progress").await?.read()?;
+    if (count as u64) < progress.runs {
+        let (runs, phase) = (format::count(progress.runs, "run"), phase(progress.phase));
+        output.note(&format!("{count} of {runs}: {name} is {phase}"));
+    }
+    Ok(())
 }

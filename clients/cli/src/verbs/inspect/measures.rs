@@ -132,7 +132,7 @@ fn form(definition: &Definition) -> String {
 
 fn meaning(definition: &Definition) -> String {
     match definition.needs_past() {
-        true => format!("{} (experiments only)", definition.formula),
+        true => format!("{} (conditions and experiments only)", definition.formula),
         false => definition.formula.to_owned(),
     }
 }
@@ -148,7 +148,7 @@ mod tests {
         let of = |name: &str| definitions().iter().find(|it| it.name == name).unwrap();
         assert_eq!(form(of("clusters.count")), "clusters.count(gap = 0.001)");
         assert_eq!(form(of("msd")), "msd(lag)");
-        assert!(meaning(of("msd")).contains("experiments only"));
-        assert!(!meaning(of("order")).contains("experiments only"));
+        assert!(meaning(of("msd")).contains("conditions and experiments only"));
+        assert!(!meaning(of("order")).contains("conditions and experiments only"));
     }
 }

@@ -13,7 +13,7 @@ pub fn inspecting() -> Vec<Row> {
             "measures <name>demo --histogram pair_correlation --bins 50 --max 2.5",
             &["demo/get/measures?histogram=pair_correlation;bins=50;max=2.5"],
         ),
-        row("measures --list", &[]).says("experiments only"),
+        row("measures --list", &[]).says("conditions and experiments only"),
         row("measures <name>demo", &["demo/get/measures"]).says("milling"),
         row(
             "measures <name>demo <measures>order <measures>clusters.count(0.1)",
