@@ -193,6 +193,11 @@ async fn every_channel_of_the_document_is_served() {
                 }
                 _ => send(client, &swarm, &verb, &args).await,
             };
+            if fixture.starts_with("experiment.args.expand.files") {
+                // A run that starts from a snapshot is no swarm's.
+                assert_eq!(answer.unwrap_err().details["field"], "expand.toml");
+                continue;
+            }
             let reply = answer.unwrap_or_else(|error| panic!("{fixture}: {error:?}"));
             check_reply(&format!("{verb}.reply"), &reply);
             let later = json!({"at_step": 1_000_000, "args": args});

@@ -300,7 +300,11 @@ EXPANDED: dict[str, Any] = {
     "spec": {"n": 3, "seed": 17},
     "steps": 50,
     "commands": [
-        {"at_step": step, "args": {"commands": [{"verb": "set", "args": {"pi2": 1}}], "draw": step}}
+        {
+            "at_step": step,
+            "verb": "batch",
+            "args": {"commands": [{"verb": "set", "args": {"pi2": 1}}], "draw": step},
+        }
         for step in (0, 7)
     ],
     "stop": None,

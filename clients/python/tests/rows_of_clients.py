@@ -244,6 +244,28 @@ CLIENTS = [
             ),
         ],
     ),
+    Row(
+        "Client.play",
+        call(File("points.toml")),
+        [
+            node_cmd(
+                "experiment",
+                {
+                    "expand": {
+                        "toml": FILES,
+                        "points": "n\n3\n",
+                        "start": "c25hcHNob3Q=",
+                        "setpoints": "step,id,direction\n",
+                    }
+                },
+            ),
+            node_cmd("create", {"name": PLAYED, "spec": EXPANDED["spec"], "exist_ok": False}),
+            *(
+                cmd("batch", it["args"], swarm=PLAYED, at_step=it["at_step"])
+                for it in EXPANDED["commands"]
+            ),
+        ],
+    ),
     *(
         Row(f"Client.{noun}", call(), [node_get(f"get/{noun}")])
         for noun in (

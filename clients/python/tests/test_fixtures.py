@@ -108,7 +108,9 @@ def add_unknown(message: Any) -> Any:
         return [add_unknown(item) for item in message]
     if not isinstance(message, dict):
         return message
-    known = {k: v if k in FREE else add_unknown(v) for k, v in message.items()}
+    # The published measures are a map: their names are no fields.
+    is_map = {"measures"} if isinstance(message.get("measures"), dict) else set()
+    known = {k: v if k in FREE | is_map else add_unknown(v) for k, v in message.items()}
     return {**known, "colour": {"hue": [1, None, "red"]}}
 
 

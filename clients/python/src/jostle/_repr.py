@@ -78,7 +78,7 @@ def _fields(item: object) -> dict[str, Any]:
 
 
 def _has_value(value: object) -> bool:
-    return value is not None and value != [] and value != {}
+    return value not in (None, msgspec.UNSET, [], {})
 
 
 def _cell(value: object) -> str:

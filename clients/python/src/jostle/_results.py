@@ -86,7 +86,7 @@ class RunCommand(msgspec.Struct, frozen=True, kw_only=True):
 
     at_step: int | None
     verb: str
-    args: dict[str, Any]
+    args: Any
 
 
 class ExpandedRun(msgspec.Struct, frozen=True, kw_only=True):
