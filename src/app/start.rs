@@ -205,7 +205,15 @@ impl HttpListener {
             prefix: config.prefix.clone(),
             node: config.node.clone(),
         };
-        Gateway::serve(self.listener, self.acceptor, bus, credentials, watch)
+        let evaluations = core.evaluations.clone();
+        Gateway::serve(
+            self.listener,
+            self.acceptor,
+            bus,
+            credentials,
+            watch,
+            evaluations,
+        )
     }
 }
 

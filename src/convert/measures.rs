@@ -1,7 +1,7 @@
 //! The reply to `get/measures`.
 
 use jostle_convert::MeasuresError;
-use jostle_measures::{Measure, Past, TooCostly, View, histograms};
+use jostle_measures::{Measure, Past, View, histograms};
 use jostle_proto as proto;
 
 use crate::convert::commands::measures::{HistogramKind, Requested};
@@ -55,10 +55,8 @@ fn histogram(
     let configuration = &seen.configuration;
     let name = kind.name();
     if configuration.n() > histograms::MAX_INDIVIDUALS {
-        return Err(MeasuresError::TooCostly(TooCostly {
-            measure: name.to_owned(),
-            n: configuration.n(),
-        }));
+        let n = configuration.n();
+        return Err(MeasuresError::TooLarge { name, n });
     }
     let (found, unit) = match kind {
         HistogramKind::PairCorrelation => {

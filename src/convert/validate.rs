@@ -63,23 +63,16 @@ pub fn check(checkpoint: &Checkpoint) -> Result<(), SnapshotError> {
 mod tests {
     #![expect(clippy::unwrap_used, reason = "tests")]
 
-    use jostle_proto::{Reply, Request, Snapshot};
-    use serde_json::{Value, json};
+    use jostle_proto::{Reply, Snapshot};
 
     use super::*;
-    use crate::convert::{commands, durable};
-    use crate::swarm::sender::Sender;
+    use crate::convert::durable;
+    use crate::persistence::journal_reader::parse_command;
 
     fn sent() -> Checkpoint {
         let text = include_str!("../../proto/fixtures/snapshot.reply.json");
         let reply: Reply<Snapshot> = serde_json::from_str(text).unwrap();
-        let read = |sender: &Sender| {
-            let request = json!({"args": serde_json::from_str::<Value>(&sender.args).unwrap()});
-            let request = Request::from_json(request.to_string().as_bytes()).unwrap();
-            let (command, _) = commands::read_journaled(sender.verb, &request).unwrap();
-            Ok(command)
-        };
-        durable::checkpoint(&reply.result, &read).unwrap()
+        durable::checkpoint(&reply.result, &parse_command).unwrap()
     }
 
     #[test]

@@ -134,13 +134,19 @@ impl History {
             | Command::Unwatch(_)
             | Command::Annotate
             | Command::Delete => {}
-            command => {
-                for (id, point) in self.controllers.on(command)? {
-                    let now = self.changes.iter().rev();
-                    let after = now.take_while(|change| change.step == step).count();
-                    self.set_points.push(step, after as u64, id, point);
+            command => match self.controllers.on(command) {
+                Ok(points) => {
+                    for (id, point) in points {
+                        let now = self.changes.iter().rev();
+                        let after = now.take_while(|change| change.step == step).count();
+                        self.set_points.push(step, after as u64, id, point);
+                    }
                 }
-            }
+                // A later reset makes it irrelevant.
+                Err(problem) => {
+                    self.problem.get_or_insert(problem);
+                }
+            },
         }
         Ok(())
     }

@@ -84,6 +84,7 @@ impl Steering {
         match options.selection {
             None => {}
             Some(Selection::Ids(ids)) => {
+                let ids = BTreeSet::from_iter(ids);
                 member.steered.retain(|id| ids.contains(id));
             }
             Some(_) => member.is_uncertain |= !member.steered.is_empty(),

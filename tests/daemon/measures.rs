@@ -1,10 +1,10 @@
 //! `get/measures`: measures of the newest state, by name.
 
 use jostle_proto::ErrorCode;
-use serde_json::{Value, json};
+use serde_json::{Map, Value, json};
 
 use crate::support::playback::{recorded_file, upload_and_open};
-use crate::support::{Client, Daemon, PREFIX};
+use crate::support::{Client, Daemon, NODE, PREFIX, TIMEOUT, http};
 
 /// The measures of a reply, by name.
 async fn values(client: &Client, swarm: &str, parameters: &str) -> Vec<(String, Value)> {
@@ -107,6 +107,64 @@ async fn costly_measures_are_rejected_for_a_large_group() {
     let names: Vec<&str> = names.iter().map(|it| &*it.0).collect();
     let linear = ["order", "nematic", "milling", "drift", "radius_of_gyration"];
     assert_eq!(names, linear);
+    let key = jostle_proto::keys::get(PREFIX, "large", "measures?histogram=pair_correlation");
+    let error = client.query(&key, None).await.unwrap_err();
+    assert_eq!(error.code, ErrorCode::ResourceExhausted);
+    assert_eq!(error.details, details(20_001));
+    assert!(error.message.contains("use a smaller group"), "{error:?}");
+    assert!(!error.message.contains("leave it out"), "{error:?}");
+    daemon.stop().await;
+}
+
+/// The details of an error for a group of this size.
+fn details(n: u64) -> Map<String, Value> {
+    let details = json!({"n": n, "limit": 20_000});
+    details.as_object().unwrap().clone()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn costly_measures_are_not_published_for_a_large_group() {
+    let daemon = Daemon::with(&[("max_individuals", "30000")]).await;
+    let client = &daemon.client;
+    let measures = ["order", "spread"];
+    let args = json!({"name": "large", "spec": {"n": 20_001, "measures": measures}}).to_string();
+    let key = jostle_proto::keys::node_cmd(PREFIX, NODE, "create");
+    let error = client.query(&key, Some(args.as_bytes())).await.unwrap_err();
+    assert_eq!(error.code, ErrorCode::ResourceExhausted, "{error:?}");
+    assert!(error.message.contains("`spread`"), "{error:?}");
+
+    let spec = json!({"n": 19_999, "measures": measures});
+    client.create("large", spec).await;
+    let key = jostle_proto::keys::order(PREFIX, "large");
+    let orders = client.session.declare_subscriber(key).await.unwrap();
+    let address = http::of_daemon(&daemon);
+    for (count, is_defined) in [(1, true), (1, false)] {
+        client.ok("large", "inject", json!({"count": count})).await;
+        let order = loop {
+            let sample = tokio::time::timeout(TIMEOUT, orders.recv_async()).await;
+            let sample = sample.expect("an order").unwrap();
+            let order: Value = serde_json::from_slice(&sample.payload().to_bytes()).unwrap();
+            if order["measures"]["spread"].is_number() == is_defined {
+                break order;
+            }
+        };
+        assert!(order["measures"]["order"].is_number(), "{order}");
+        assert_eq!(order["measures"]["spread"].is_null(), !is_defined);
+        let metrics = http::get(&address, "/metrics").2;
+        let series = |name: &str| {
+            let labels = format!("jostle_swarm_measure{{swarm=\"large\",measure=\"{name}\"}} ");
+            metrics.contains(&labels)
+        };
+        assert!(series("order"), "{metrics}");
+        assert_eq!(series("spread"), is_defined, "{metrics}");
+    }
+    let key = jostle_proto::keys::cmd(PREFIX, "large", "set");
+    let args = json!({"measures": ["milling", "spread"]}).to_string();
+    let error = client.query(&key, Some(args.as_bytes())).await.unwrap_err();
+    assert_eq!(error.code, ErrorCode::ResourceExhausted, "{error:?}");
+    assert!(error.message.contains("`spread`"), "{error:?}");
+    let status = client.get("large", "status").await;
+    assert_eq!(status["result"]["parameters"]["measures"], json!(measures));
     daemon.stop().await;
 }
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -11,6 +12,8 @@ import pytest
 import shapely
 
 import jostle
+from conftest import Daemon
+from jostle import aio
 
 Create = Callable[..., jostle.Swarm]
 
@@ -71,3 +74,18 @@ def test_histograms_reject_what_they_cannot_compute(create: Create) -> None:
     line = {"kind": "given", "x": [0.0, 3.0], "y": [0.0, 0.0], "alpha": [0.0, 0.0]}
     with pytest.raises(jostle.IncorrectState, match="on one line"):
         create(2, start=line).histogram("pair_correlation")
+
+
+def test_the_asyncio_form_returns_the_same_histogram(create: Create, daemon: Daemon) -> None:
+    swarm = create(12, seed=2)
+    edges, values = swarm.histogram("pair_correlation", bins=6, max=4.0)
+
+    async def awaited() -> tuple[np.ndarray, np.ndarray]:
+        async with aio.connect(daemon.endpoint) as again:
+            return await again.swarm(swarm.name).histogram("pair_correlation", bins=6, max=4.0)
+
+    again = asyncio.run(awaited())
+    assert np.array_equal(again[0], edges)
+    assert np.array_equal(again[1], values)
+    assert edges.shape == (7,)
+    assert values.sum() > 0

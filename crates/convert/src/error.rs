@@ -1,6 +1,6 @@
 //! Codes and details of error replies.
 
-use jostle_measures::{MAX_COSTLY_INDIVIDUALS, TooCostly};
+use jostle_measures::{MAX_COSTLY_INDIVIDUALS, TooCostly, histograms};
 use jostle_physics::model::injection::InjectionError;
 use jostle_physics::model::parameters::ParametersError;
 use jostle_physics::model::reshape::ReshapeError;
@@ -168,7 +168,9 @@ fn number(value: f64) -> Value {
 impl WireCode for MeasuresError {
     fn code(&self) -> ErrorCode {
         match self {
-            MeasuresError::TooCostly(_) => ErrorCode::ResourceExhausted,
+            MeasuresError::TooCostly(_) | MeasuresError::TooLarge { .. } => {
+                ErrorCode::ResourceExhausted
+            }
             MeasuresError::NoArea => ErrorCode::IncorrectState,
             _ => ErrorCode::InvalidArgument,
         }
@@ -177,6 +179,9 @@ impl WireCode for MeasuresError {
     fn details(&self) -> Map<String, Value> {
         match self {
             MeasuresError::TooCostly(error) => error.details(),
+            MeasuresError::TooLarge { n, .. } => {
+                object(json!({"n": n, "limit": histograms::MAX_INDIVIDUALS}))
+            }
             MeasuresError::NoArea => Map::new(),
             MeasuresError::Histogram(_) => object(json!({"field": "histogram"})),
             _ => object(json!({"field": "names"})),

@@ -1,7 +1,7 @@
 //! Names of measures in requests and settings.
 
 use jostle_measures::histograms::HistogramError;
-use jostle_measures::{Measure, MeasureError, TooCostly};
+use jostle_measures::{Measure, MeasureError, TooCostly, histograms};
 use jostle_proto::MAX_PUBLISHED_MEASURES;
 use thiserror::Error;
 
@@ -38,6 +38,18 @@ pub enum MeasuresError {
          the area of which it needs, has none: take steps, or inject individuals"
     )]
     NoArea,
+    /// The group is too large for a histogram.
+    #[error(
+        "`{name}` is computed for at most {} individuals, the swarm has {n}: use a smaller group, \
+         or compute it from a snapshot of the swarm",
+        histograms::MAX_INDIVIDUALS
+    )]
+    TooLarge {
+        /// The histogram.
+        name: &'static str,
+        /// The number of individuals.
+        n: usize,
+    },
     /// The group is too large for it.
     #[error(transparent)]
     TooCostly(#[from] TooCostly),

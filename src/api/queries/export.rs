@@ -85,6 +85,11 @@ fn is_file_name(name: &str) -> bool {
         && name.chars().all(is_plain)
 }
 
+/// Returns the length of a text in a JSON message, where a newline and a quote take two bytes.
+fn json_bytes(text: &str) -> usize {
+    serde_json::Value::from(text).to_string().len()
+}
+
 impl Work for Export {
     const THREAD: &'static str = "export";
 
@@ -114,7 +119,7 @@ impl Export {
         };
         let files = experiment_file(&history, &self.options)
             .map_err(|error| CommandError::History(error.to_string()))?;
-        let bytes = files.toml.len() + files.setpoints.as_ref().map_or(0, String::len);
+        let bytes = json_bytes(&files.toml) + files.setpoints.as_deref().map_or(0, json_bytes);
         // A daemon with the same limits must accept it.
         let max_bytes = self.max_request_bytes - SUBMIT_BYTES;
         if bytes > max_bytes {

@@ -93,8 +93,8 @@ pub enum CommandError {
     )]
     SnapshotTooLong { bytes: usize, max_bytes: usize },
     #[error(
-        "the file with the set-points of its controllers has {bytes} bytes, the maximum of one \
-         message is {max_bytes}: export the swarm after fewer set-points"
+        "the file with the set-points of its controllers has {bytes} bytes as JSON, the maximum of \
+         one message is {max_bytes}: export the swarm after fewer set-points"
     )]
     ExportTooLong { bytes: usize, max_bytes: usize },
     #[error("step {step} is not reached, the swarm is at step {now}: name an earlier one")]

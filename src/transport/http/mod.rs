@@ -8,6 +8,7 @@ mod accept;
 mod bus;
 mod connections;
 mod credentials;
+mod evaluations;
 mod feed;
 mod openmetrics;
 mod origin_guard;
@@ -42,11 +43,13 @@ use tokio::net::TcpListener;
 use tokio::task::JoinHandle;
 use tokio_rustls::TlsAcceptor;
 
+use crate::api::context::Executor;
 use crate::health::HealthMonitor;
 use crate::transport::http::accept::{accept, read_body, record_completion};
 use crate::transport::http::bus::{Reply, reject};
 use crate::transport::http::connections::{Connections, Slot, max_connections};
 use crate::transport::http::credentials::PROTOCOL;
+use crate::transport::http::evaluations::Evaluations;
 use crate::transport::http::feed::Feeds;
 use crate::transport::http::origin_guard::{MAX_BODY_BYTES, check_origin, security_headers};
 
@@ -140,13 +143,15 @@ impl Gateway {
         listener.map_err(|source| GatewayError::Listen { address, source })
     }
 
-    /// Serves in a new task, over TLS with an `acceptor`.
+    /// Serves in a new task, over TLS with an `acceptor`. `evaluations` evaluates the measures in
+    /// `/metrics`.
     pub fn serve(
         listener: TcpListener,
         acceptor: Option<TlsAcceptor>,
         bus: Bus,
         credentials: Credentials,
         watch: Arc<HealthMonitor>,
+        evaluations: Executor<()>,
     ) -> std::io::Result<Self> {
         let address = listener.local_addr()?;
         let is_secure = acceptor.is_some();
@@ -156,6 +161,7 @@ impl Gateway {
             feeds: Feeds::start(bus.clone()),
             bus,
             watch,
+            evaluations: Evaluations::new(evaluations),
             credentials,
         };
         let router = Router::new()
@@ -202,6 +208,7 @@ struct Server {
     bus: Bus,
     feeds: Arc<Feeds>,
     watch: Arc<HealthMonitor>,
+    evaluations: Evaluations,
     credentials: Credentials,
     connections: Arc<Connections>,
 }
@@ -248,12 +255,9 @@ async fn metrics(
     headers: HeaderMap,
 ) -> Result<impl IntoResponse, Response> {
     server.authorize(server.credentials.may_watch(&headers))?;
-    let (watch, http) = (server.watch.clone(), server.connections.metrics());
-    // It may evaluate measures, which takes longer than other requests may wait.
-    let text = tokio::task::spawn_blocking(move || openmetrics::encode(watch.metrics(), http));
-    let text = text
-        .await
-        .map_err(|_| StatusCode::INTERNAL_SERVER_ERROR.into_response())?;
+    let metrics = server.watch.metrics();
+    server.evaluations.evaluate(&metrics).await;
+    let text = openmetrics::encode(metrics, server.connections.metrics());
     Ok(([(CONTENT_TYPE, openmetrics::CONTENT_TYPE)], text))
 }
 

@@ -13,7 +13,7 @@ use crate::transport::http::connections::HttpMetrics;
 pub const CONTENT_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
 
 /// Only the first swarms by name have series of their own, seven each, and one for each measure; all are in the sums.
-const MAX_LABELLED: usize = 1000;
+pub const MAX_LABELLED: usize = 1000;
 
 /// What the metrics are computed from.
 struct Input {
@@ -110,7 +110,7 @@ fn swarms(input: &Input, is_in: fn(&Phase) -> bool) -> f64 {
     phases.filter(|phase| is_in(phase)).count() as f64
 }
 
-/// All metrics. Names and label values contain no character that needs an escape.
+/// All metrics; of the measures those that are evaluated. Names and label values contain no character that needs an escape.
 pub fn encode(daemon: DaemonMetrics, http: HttpMetrics) -> String {
     let input = Input { daemon, http };
     let mut text = String::new();
@@ -151,8 +151,8 @@ pub fn encode(daemon: DaemonMetrics, http: HttpMetrics) -> String {
             }
             SwarmMeasures => {
                 for swarm in labelled {
-                    let values = swarm.measured.iter().flat_map(|frame| frame.values());
-                    for (measure, value) in values {
+                    let values = swarm.measured.iter().filter_map(|frame| frame.values.get());
+                    for (measure, value) in values.flatten() {
                         let labels = format!("{{swarm=\"{}\",measure=\"{measure}\"}}", swarm.name);
                         value.iter().for_each(|it| sample(&labels, *it));
                     }

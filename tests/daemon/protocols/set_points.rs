@@ -9,7 +9,7 @@ use tokio::time::sleep;
 
 use super::{file_of, last_hash};
 use crate::support::daemon_process::{killed, start};
-use crate::support::{Client, Daemon, PREFIX};
+use crate::support::{Client, Daemon, NODE, PREFIX};
 
 /// Asserts that the run of the file has the hash of the swarm, also with the CSV beside the file.
 async fn assert_repeats(client: &Client, swarm: &str, what: &str) {
@@ -235,6 +235,71 @@ async fn set_points_that_do_not_fit_into_a_message_are_rejected_and_equal_ones_t
     let error = client.query(&key, None).await.unwrap_err();
     assert_eq!(error.code, ErrorCode::ResourceExhausted, "{error:?}");
     assert!(error.message.contains("fewer set-points"), "{error:?}");
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_export_that_is_accepted_can_be_submitted() {
+    // 121 kB for a message, of which about a tenth are line breaks.
+    let daemon = Daemon::with(&[("max_individuals", "220")]).await;
+    let client = &daemon.client;
+    client.create("crowd", json!({"n": 200})).await;
+    let ids: Vec<u32> = (0..200).collect();
+    let join = json!({"controller": "ada", "select": {"ids": ids}});
+    client.ok("crowd", "join", join).await;
+    let key = keys::get(PREFIX, "crowd", "experiment");
+    let mut longest = None;
+    for k in 0..80 {
+        let set = json!({"ids": ids, "direction": vec![k % 2; 200]});
+        let args = json!({"controller": "ada", "set": set});
+        client.ok("crowd", "advance", args).await;
+        if k < 40 {
+            continue;
+        }
+        match client.query(&key, None).await {
+            Ok(reply) => longest = Some(reply["result"]["file"].clone()),
+            Err(error) => {
+                assert_eq!(error.code, ErrorCode::ResourceExhausted, "{error:?}");
+                break;
+            }
+        }
+    }
+    let longest = longest.unwrap();
+    assert!(longest.as_str().unwrap().len() > 100_000);
+    let key = keys::node_cmd(PREFIX, NODE, "experiment");
+    let request = json!({"submit": {"toml": longest, "name": "again"}}).to_string();
+    let submitted = client.query(&key, Some(request.as_bytes())).await;
+    submitted.unwrap();
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_reset_makes_a_swarm_exportable_whose_released_individuals_are_unknown() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    client.create("led", json!({"n": 9, "seed": 4})).await;
+    let join = |select: Value, again: bool| {
+        json!({"controller": "ada", "select": select, "again": again, "on_timeout": "free",
+               "deadline_secs": 60})
+    };
+    let first = join(json!({"ids": [0, 1]}), false);
+    client.ok("led", "join", first).await;
+    let set = json!({"ids": [0, 1], "direction": [1.0, 2.0]});
+    let advance = json!({"controller": "ada", "set": set});
+    client.ok("led", "advance", advance).await;
+    client
+        .ok("led", "join", join(json!({"count": 1}), true))
+        .await;
+    client
+        .ok("led", "leave", json!({"controller": "ada"}))
+        .await;
+    let key = keys::get(PREFIX, "led", "experiment");
+    let error = client.query(&key, None).await.unwrap_err();
+    assert_eq!(error.code, ErrorCode::Conflict, "{error:?}");
+    assert!(error.message.contains("reset the swarm"), "{error:?}");
+    client.ok("led", "reset", json!({})).await;
+    client.ok("led", "step", json!({"steps": 3})).await;
+    assert_repeats(client, "led", "after the reset").await;
     daemon.stop().await;
 }
 

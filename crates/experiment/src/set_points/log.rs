@@ -23,7 +23,7 @@ pub struct SetPointLog {
 impl SetPointLog {
     /// Adds a set-point, at a step after so many of its commands.
     pub fn push(&mut self, step: u64, after: u64, id: u32, point: SetPoint) {
-        if self.last.insert(id, point) == Some(point) {
+        if self.last.insert(id, point).map(bits) == Some(bits(point)) {
             return;
         }
         let key = (step, after, id);
@@ -117,6 +117,20 @@ impl SetPointLog {
 
 fn cell(value: Option<f64>) -> String {
     value.map_or(String::new(), |value| value.to_string())
+}
+
+/// Returns the bits that a set-point writes into the state, whose hash contains the sign of zero.
+fn bits(point: SetPoint) -> impl PartialEq {
+    let SetPoint::Steer {
+        direction,
+        weight,
+        drive,
+    } = point
+    else {
+        return None;
+    };
+    let drive = drive.map(|it| [it.turn, it.speed].map(|value| value.map(f64::to_bits)));
+    Some((direction.to_bits(), weight.map(f64::to_bits), drive))
 }
 
 /// Returns what two set-points of an individual do together.

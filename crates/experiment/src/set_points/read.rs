@@ -41,7 +41,7 @@ impl SetPointTable {
         Err(source.reject(&span, reason))
     }
 
-    fn read(place: Place, text: &str) -> Result<Self, PlanError> {
+    pub(super) fn read(place: Place, text: &str) -> Result<Self, PlanError> {
         let too_many = format!("more than {MAX_SET_POINTS} set-points: that is the limit of a run");
         let cells = Cells::read(text, MAX_SET_POINTS, &too_many);
         let Cells {
@@ -89,7 +89,11 @@ impl SetPointTable {
             }
             read.push(row);
         }
-        Ok(Self { place, rows: read })
+        Ok(Self {
+            place,
+            largest: read.iter().map(|row| row.id).max(),
+            rows: read,
+        })
     }
 }
 

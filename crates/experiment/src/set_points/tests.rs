@@ -105,16 +105,21 @@ fn a_log_omits_what_changes_nothing_and_joins_what_is_at_one_step() {
     log.push(6, 0, 7, SetPoint::Release);
     log.push(6, 0, 7, point(1.0, None));
     log.push(8, 0, 7, SetPoint::Release);
+    // The hash of a state contains the sign of zero.
+    for (step, direction) in [(9, 0.0), (10, -0.0), (11, -0.0), (12, 0.0)] {
+        log.push(step, 0, 4, point(direction, None));
+    }
     let csv = log.csv(|step| u64::from(step == 2));
     assert_eq!(
         csv,
         "step,id,direction,weight,turn,speed\n1,7,0.1,,,\n2,7,0.1,,,\n5,2,-1,,,\n\
-         5,7,0.3,,model,0.30000000000000004\n6,7,1,,model,model\n8,7,,,,\n"
+         5,7,0.3,,model,0.30000000000000004\n6,7,1,,model,model\n8,7,,,,\n\
+         9,4,0,,,\n10,4,-0,,,\n12,4,0,,,\n"
     );
     let csv = log.csv(|step| 2 * u64::from(step == 2));
     assert_eq!(csv.lines().nth(2), Some("2,7,0.1,,,,1"), "{csv}");
-    assert_eq!(csv.lines().last(), Some("8,7,,,,,"), "{csv}");
-    assert_eq!(log.last_step(), Some(8));
+    assert_eq!(csv.lines().last(), Some("12,4,0,,,,"), "{csv}");
+    assert_eq!(log.last_step(), Some(12));
     for step in 0..=crate::limits::MAX_SET_POINTS {
         assert!(step < 90_000 || !log.is_too_long() || step > 99_990);
         log.push(step, 0, 1, point(step as f64, None));
@@ -122,6 +127,35 @@ fn a_log_omits_what_changes_nothing_and_joins_what_is_at_one_step() {
     assert!(log.is_too_long());
     log.clear();
     assert!(log.is_empty() && !log.is_too_long());
+}
+
+#[test]
+fn a_zero_has_its_sign_in_the_hash() {
+    let [hash, negative] = ["0", "-0"].map(|direction| {
+        let csv = format!("step,id,direction\n19,4,{direction}\n");
+        hash_of(files(&csv, ""))
+    });
+    assert_ne!(hash, negative);
+}
+
+#[test]
+fn many_rows_are_checked_quickly_and_the_line_of_the_first_wrong_one_is_found() {
+    let mut csv = "step,id,direction\n".to_owned();
+    for k in 0..crate::limits::MAX_SET_POINTS {
+        csv += &format!("{},{},0\n", k / 1000, k % 1000);
+    }
+    let table = SetPointTable::read(Place::File("a.csv".to_owned()), &csv).unwrap();
+    let began = std::time::Instant::now();
+    for _ in 0..90_000 {
+        table.check(100, 1000).unwrap();
+    }
+    assert!(began.elapsed().as_secs() < 3, "{:?}", began.elapsed());
+    for (steps, most, line) in [(99, 1000, 99_002), (100, 999, 1001), (99, 999, 1001)] {
+        let rejected = table.check(steps, most).unwrap_err().to_string();
+        assert!(rejected.contains(&format!("line {line},")), "{rejected}");
+    }
+    let none = SetPointTable::read(Place::Within(0), "step,id,direction\n").unwrap();
+    none.check(0, 0).unwrap();
 }
 
 #[test]
