@@ -1,12 +1,16 @@
 //! Progress and results of experiments.
 
-use jostle_experiment::{LiveCommand, LiveRun, Plan};
+use jostle_experiment::{LiveCommand, LiveRun, MAX_COMMANDS, Plan};
 use jostle_proto as proto;
 use jostle_results::table::{OrderSeries, Series};
 use serde::Serialize;
 use serde_json::json;
 
 use crate::experiments::{Report, TrajectoryRows};
+use crate::swarm::schedule::MAX_SCHEDULED;
+
+// A run that can be played can be scheduled.
+const _: () = assert!(MAX_COMMANDS.0 == MAX_SCHEDULED.0 && MAX_COMMANDS.1 == MAX_SCHEDULED.1);
 
 pub fn progress(report: Report) -> proto::Progress {
     let progress = report.progress;

@@ -45,7 +45,7 @@ pub fn check(checkpoint: &Checkpoint) -> Result<(), SnapshotError> {
     let mut watches = checkpoint.watches.iter().enumerate();
     let is_twice = |(k, it): (usize, &Waiting)| {
         let before = &checkpoint.watches[..k];
-        before.iter().any(|other| other.watch == it.watch)
+        before.iter().any(|other| other.watch.is_same(&it.watch))
     };
     if watches.any(is_twice) {
         return impossible("a condition waits twice with the same action".to_owned());

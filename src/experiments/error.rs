@@ -58,6 +58,8 @@ pub enum ExperimentError {
     },
     #[error("there are {0} experiments, the maximum: delete one that is over")]
     TooMany(usize),
+    #[error("{0}")]
+    TooLong(String),
     #[error("cannot write the experiment: {0}")]
     NotStored(String),
     #[error("cannot read the experiment: {0}")]

@@ -35,7 +35,10 @@ pub enum SwarmError {
     Overtaken(u64),
     #[error("a condition ended the protocol before step {0} came")]
     Ended(u64),
-    #[error("the condition holds already: send the action itself, or leave out from_step")]
+    #[error(
+        "the condition holds already: send the action itself; without from_step the condition waits for \
+         the next step"
+    )]
     HoldsAlready,
     #[error(
         "no condition with event {0:?} waits, and none of the newest commands is that it held: it was removed \

@@ -8,7 +8,7 @@ use crate::swarm::error::SwarmError;
 use crate::swarm::sender::Sender;
 
 /// Limits of the scheduled commands: their number and the bytes of their text.
-const MAX_SCHEDULED: (usize, usize) = (1024, 256 * 1024);
+pub const MAX_SCHEDULED: (usize, usize) = (1024, 256 * 1024);
 
 #[derive(Clone, Debug)]
 pub struct Scheduled {

@@ -27,6 +27,8 @@ pub struct Watch {
     pub from: Option<u64>,
     /// The step at which it no longer waits, if there is one.
     pub before: Option<u64>,
+    /// Whether it is of a protocol, which may have equal ones.
+    pub is_protocol: bool,
     /// The verb and the arguments of the internal command that executes it.
     pub fired: Arc<Sender>,
 }
@@ -58,11 +60,12 @@ pub enum Action {
 }
 
 impl Watch {
-    /// Whether one of them replaces the other: they are equal, or have the same event.
-    fn is_same(&self, other: &Watch) -> bool {
+    /// Whether one of them replaces the other: they are equal and not of a protocol, or have the same
+    /// event.
+    pub fn is_same(&self, other: &Watch) -> bool {
         match (&self.action, &other.action) {
             (Action::Event(one), Action::Event(other)) => one == other,
-            _ => self == other,
+            _ => !self.is_protocol && self == other,
         }
     }
 }
@@ -124,8 +127,9 @@ pub struct Watches {
 }
 
 impl Watches {
-    /// Adds a condition, instead of one with the same action. Returns whether it holds in `state`
-    /// already, if that is the first state in which it is evaluated; it is not added then.
+    /// Adds a condition, instead of the one that it replaces. Returns whether it holds in `state`
+    /// already, if that is the first state in which it is evaluated; it is not added then, and replaces
+    /// only one with the same event.
     ///
     /// # Errors
     ///
@@ -144,17 +148,21 @@ impl Watches {
         }
         let is_evaluated = watch.from.is_some_and(|from| from <= state.step);
         let mut waiting = Waiting::new(watch, Held::default(), sender);
-        if is_evaluated && waiting.observe(&View::new(state, &self.past)) {
-            return Ok(true);
+        let holds = is_evaluated && waiting.observe(&View::new(state, &self.past));
+        if !holds || matches!(waiting.watch.action, Action::Event(_)) {
+            self.waiting.retain(|it| !it.watch.is_same(&waiting.watch));
         }
-        self.waiting.retain(|it| !it.watch.is_same(&waiting.watch));
-        self.waiting.push(waiting);
-        Ok(false)
+        if !holds {
+            self.waiting.push(waiting);
+        }
+        Ok(holds)
     }
 
-    /// Removes a condition that has been executed.
+    /// Removes a condition that has been executed; of equal ones the first.
     pub fn remove(&mut self, watch: &Watch) {
-        self.waiting.retain(|it| it.watch != *watch);
+        if let Some(first) = self.waiting.iter().position(|it| it.watch == *watch) {
+            self.waiting.remove(first);
+        }
     }
 
     /// Removes the one with this event.

@@ -353,9 +353,9 @@ async fn bad_conditions_are_rejected_and_change_nothing() {
         ("order > 0.9 for 0", "above 0"),
         ("order > $share", "$share"),
         ("msd > 2", "lag"),
-        ("drift > 0 or order > 1.5", "0 to 1"),
-        // 20,834 steps of 12 individuals.
-        ("order > 0 or msd(416.67) > 1", "250008 poses"),
+        ("drift > 0 and order > 1.5", "0 to 1"),
+        // 12,501 steps of 12 individuals, and 8 for each step.
+        ("order > 0 or msd(250.02) > 1", "250020 poses"),
         ("msd(1e300) > 1", "250000"),
         (&*long, "1000"),
         (&*dense, "1000"),

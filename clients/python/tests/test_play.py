@@ -129,6 +129,7 @@ when = "nematic >= 0 for 3.5"
     status = swarm.status()
     assert 0 < status.step < STEPS
     assert status.state_hash == row.state_hash
+    swarm.delete()
 
 
 @pytest.mark.parametrize(
@@ -159,10 +160,20 @@ def test_a_run_that_is_no_number_is_rejected(client: jostle.Client) -> None:
 def test_more_commands_than_can_be_scheduled_leave_no_swarm(client: jostle.Client) -> None:
     many = TURN.replace("every = 0.5", "every = 0.05").replace("duration = 4", "duration = 100")
     many = many.replace("until = 3", "until = 90")
-    with pytest.raises(jostle.ResourceExhausted) as caught:
+    with pytest.raises(jostle.ResourceExhausted, match="larger `every`"):
         client.play(many, name="live")
+    assert "live" not in [it.swarm for it in client.swarms()]
+
+
+def test_more_conditions_than_can_wait_leave_no_swarm(client: jostle.Client) -> None:
+    when = '[[at]]\nwhen = "order > 0.9999"\nset = { pi2 = 1 }\n'
+    with pytest.raises(jostle.ResourceExhausted) as caught:
+        client.play(TURN + 17 * when, name="live")
     assert any("was not scheduled" in note for note in caught.value.__notes__)
     assert "live" not in [it.swarm for it in client.swarms()]
+    swarm = client.play(TURN + 16 * when, name="live")
+    assert len(swarm.status().when or []) == 16
+    swarm.delete()
 
 
 def test_the_file_of_a_steered_swarm_has_a_run_with_its_hash(

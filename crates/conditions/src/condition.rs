@@ -69,16 +69,31 @@ impl Condition {
 const ROUNDING: f64 = 1e-9;
 
 impl Condition {
-    /// Returns why a comparison never holds, if one does not: its number is beyond the range of its
-    /// measure.
+    /// Returns why the condition never holds, if so: the numbers of comparisons without which it does
+    /// not hold are beyond the ranges of their measures.
     #[must_use]
     pub fn never_holds(&self) -> Option<String> {
-        let impossible = self.comparisons.iter().find(|it| !it.is_possible())?;
+        let impossible = self.impossible(&self.root)?;
         let definition = impossible.measure.definition();
         Some(format!(
-            "{impossible} never holds: the range of {} is {}",
+            "{impossible} never holds: the range of {} is {}; give a number within it",
             definition.name, definition.range
         ))
+    }
+
+    /// Returns the first comparison because of which a part never holds; none if it may hold.
+    fn impossible(&self, node: &Node) -> Option<&Comparison> {
+        match node {
+            Node::Comparison(index) => {
+                let comparison = &self.comparisons[*index];
+                (!comparison.is_possible()).then_some(comparison)
+            }
+            Node::All(nodes) => nodes.iter().find_map(|it| self.impossible(it)),
+            Node::Any(nodes) => {
+                let parts: Option<Vec<_>> = nodes.iter().map(|it| self.impossible(it)).collect();
+                parts?.first().copied()
+            }
+        }
     }
 }
 

@@ -183,8 +183,21 @@ fn a_comparison_beyond_the_range_of_its_measure_never_holds() {
             Some("order > 1.5 never holds: the range of order is 0 to 1"),
         ),
         (
-            "milling < 0.5 and (drift >= 2 for 3 or order > 0)",
+            "order > 1.5",
+            Some("range of order is 0 to 1; give a number within it"),
+        ),
+        (
+            "milling < 0.5 and drift >= 2 for 3",
             Some("drift >= 2 for 3"),
+        ),
+        // Of the parts of an `or` one may hold.
+        ("milling < 0.5 and (drift >= 2 for 3 or order > 0)", None),
+        ("order > 0 or order > 1.5", None),
+        ("order > 0 or (order > 1.5 and drift > 0)", None),
+        ("order > 1.5 or drift >= 2 for 3", Some("order > 1.5 never")),
+        (
+            "(drift > 0 or order > 0.5) and (drift >= 3 or order < -1)",
+            Some("drift >= 3 never"),
         ),
         ("msd(2) <= -0.1", Some("at least 0")),
         ("clusters.count(0.1) < 0.5", Some("1 to n")),

@@ -84,7 +84,7 @@ pub struct TriggerOutline {
     pub condition: String,
     /// The step from which it is evaluated.
     pub from_step: u64,
-    /// Why one of its comparisons never holds, if so.
+    /// Why it never holds, if so.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub never_holds: Option<String>,
 }

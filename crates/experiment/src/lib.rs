@@ -45,7 +45,7 @@ pub use limits::{
 };
 pub use merge::{Difference, MergeError, Parts, missing};
 pub use plan::{Columns, Plan, PlannedRun, Point};
-pub use play::{LiveCommand, LiveRun, PlayError};
+pub use play::{LiveCommand, LiveRun, MAX_COMMANDS, PlayError};
 pub use progress::{ExecutionControl, Progress};
 pub use protocol::{Block, Protocol, Trigger, Variables};
 pub use run::{FinishedRun, execute_run, start};

@@ -13,6 +13,9 @@ use crate::plan::{Plan, PlannedRun};
 use crate::protocol::{Block, Protocol, Trigger};
 use crate::run::{self, DIRECTION, INFORMED_BY};
 
+/// The most commands that a swarm schedules, and the most bytes of their arguments.
+pub const MAX_COMMANDS: (usize, usize) = (1024, 256 * 1024);
+
 /// What a client sends to a daemon so that a swarm has the states of a run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LiveRun {
@@ -22,7 +25,7 @@ pub struct LiveRun {
     pub steps: u64,
     /// The commands, in the order in which a client sends them.
     pub commands: Vec<LiveCommand>,
-    /// The condition that ends the run, and pauses the swarm.
+    /// The condition that ends the run, and pauses the swarm; none if it never holds.
     pub stop: Option<String>,
 }
 
@@ -71,6 +74,13 @@ pub enum PlayError {
          run`, or steer a swarm with a controller"
     )]
     SetPoints,
+    /// The run has more commands than a swarm schedules.
+    #[error(
+        "the run has more commands after step 0 than a swarm schedules, which is {} with {} KiB of \
+         arguments: execute it with `jostle experiment run`, or choose a larger `every`",
+        MAX_COMMANDS.0, MAX_COMMANDS.1 / 1024
+    )]
+    TooMany,
     /// The values of a ramp are invalid.
     #[error("the [[at]] of line {line}, at step {step}: {reason}")]
     Invalid {
@@ -90,7 +100,8 @@ impl LiveRun {
     ///
     /// [`PlayError::Start`] if the file has `start`, [`PlayError::SetPoints`] if it has `setpoints`,
     /// [`PlayError::StopsAtStart`] if the run ends with a fault at step 0, [`PlayError::Costly`] if a
-    /// daemon does not evaluate a condition.
+    /// daemon does not evaluate a condition, [`PlayError::TooMany`] if a swarm does not schedule all
+    /// commands.
     pub fn new(plan: &Plan, run: &PlannedRun) -> Result<Self, PlayError> {
         if plan.base.is_some() {
             return Err(PlayError::Start);
@@ -107,11 +118,12 @@ impl LiveRun {
             steps: point.steps,
             has_conditions: protocol.blocks.iter().any(|it| it.trigger().is_some()),
             draw: INFORMED_BY,
+            bytes: 0,
             commands: Vec::new(),
         };
         if point.informed > 0 {
             let inform = Change::inform(Selection::Count(point.informed), DIRECTION);
-            player.push(0, None, &[inform]);
+            player.push(0, None, &[inform])?;
         }
         let at_once = player.push_conditions(&run::start(plan, run)?)?;
         player.push_executions(at_once)?;
@@ -119,7 +131,7 @@ impl LiveRun {
             spec: spec::to_proto(&point.spec, run.seed),
             steps: point.steps,
             commands: player.commands,
-            stop: protocol.stop.as_ref().map(|it| it.condition.to_string()),
+            stop: stop_of(protocol).map(|it| it.condition.to_string()),
         })
     }
 }
@@ -134,6 +146,8 @@ struct Player<'a> {
     has_conditions: bool,
     /// The key of the draws of the next change.
     draw: u64,
+    /// The bytes of the arguments of the scheduled commands.
+    bytes: usize,
     commands: Vec<LiveCommand>,
 }
 
@@ -143,13 +157,15 @@ impl<'a> Player<'a> {
         let (protocol, steps) = (self.protocol, self.steps);
         let past = Past::default();
         let view = View::new(start, &past);
+        let injected = usize::try_from(protocol.injected()).unwrap_or(usize::MAX);
+        let most = start.configuration.n().saturating_add(injected);
         let holds = |trigger: &Trigger| {
-            check_cost(&trigger.condition, start.configuration.n())?;
+            check_cost(&trigger.condition, most)?;
             Ok::<_, PlayError>(trigger.observe(&view, 0, self.dt, &mut Held::default()))
         };
         let mut at_once = Vec::new();
         let mut conditions = Vec::new();
-        if let Some(stop) = &protocol.stop {
+        if let Some(stop) = stop_of(protocol) {
             if holds(stop)? {
                 return Err(PlayError::StopsAtStart);
             }
@@ -160,7 +176,7 @@ impl<'a> Player<'a> {
             });
         }
         for (index, block) in protocol.blocks.iter().enumerate() {
-            let Some(trigger) = block.trigger() else {
+            let Some(trigger) = block.trigger().filter(|it| can_hold(it)) else {
                 continue;
             };
             if holds(trigger)? {
@@ -182,11 +198,16 @@ impl<'a> Player<'a> {
     /// Adds the executions of the blocks without conditions, after those that are executed at once.
     fn push_executions(&mut self, at_once: Vec<(usize, &Block)>) -> Result<(), PlayError> {
         let mut executions = Vec::new();
+        let mut scheduled = 0;
         for (index, block) in at_once {
             executions.push((0, false, index, 0, block));
         }
         for (index, block) in self.protocol.blocks.iter().enumerate() {
             for (executed, step) in steps_of(block, self.dt, self.steps) {
+                scheduled += usize::from(step > 0);
+                if scheduled > MAX_COMMANDS.0 {
+                    return Err(PlayError::TooMany);
+                }
                 executions.push((step, true, index, executed, block));
             }
         }
@@ -194,12 +215,12 @@ impl<'a> Player<'a> {
         for (step, _, _, executed, block) in executions {
             let changes = changes(block, executed, step)?;
             let count = changes.len() as u64;
-            self.push(step, block.draw.map(|it| it + executed * count), &changes);
+            self.push(step, block.draw.map(|it| it + executed * count), &changes)?;
         }
         Ok(())
     }
 
-    fn push(&mut self, step: u64, draw: Option<u64>, changes: &[Change]) {
+    fn push(&mut self, step: u64, draw: Option<u64>, changes: &[Change]) -> Result<(), PlayError> {
         let next = self.draw;
         if draw.is_none() {
             self.draw += changes.len() as u64;
@@ -209,8 +230,26 @@ impl<'a> Player<'a> {
             draw: draw.or_else(|| (!self.has_conditions).then_some(next)),
             protocol: self.has_conditions,
         };
+        // A daemon executes those of step 0 at once.
+        if step > 0 {
+            self.bytes += serde_json::to_vec(&args).map_or(0, |it| it.len());
+            if self.bytes > MAX_COMMANDS.1 {
+                return Err(PlayError::TooMany);
+            }
+        }
         self.commands.push(LiveCommand::Batch { step, args });
+        Ok(())
     }
+}
+
+/// Returns the condition that ends the run; none if it never holds.
+fn stop_of(protocol: &Protocol) -> Option<&Trigger> {
+    protocol.stop.as_ref().filter(|it| can_hold(it))
+}
+
+/// Whether a daemon accepts the condition. The run has the same states without one that never holds.
+fn can_hold(trigger: &Trigger) -> bool {
+    trigger.condition.never_holds().is_none()
 }
 
 /// Returns a condition of a protocol, without its action. `before` is the first step at which it does
@@ -393,5 +432,62 @@ uninform = { select = { fraction = 0.5 } }
         assert!(matches!(&args.commands[0], verbs::Change::Set(set) if set.pi2 == Some(1.0)));
         let stops = commands("[stop]\nwhen = \"order >= 0\"\n").unwrap_err();
         assert!(matches!(stops, PlayError::StopsAtStart), "{stops}");
+    }
+
+    /// The result of the first run of a file with this duration, which has only these blocks.
+    fn played_alone(duration: f64, blocks: &str) -> Result<LiveRun, PlayError> {
+        let head =
+            format!("name = \"a\"\nduration = {duration:?}\nspec = {{ n = 2, dt = 0.02 }}\n");
+        let plan = Plan::parse(&format!("{head}{blocks}")).unwrap();
+        LiveRun::new(&plan, &plan.runs()[0])
+    }
+
+    #[test]
+    fn at_most_1024_commands_are_scheduled() {
+        let set = "[[at]]\nevery = 0.02\nset = { pi2 = 1 }\n";
+        // One at step 0, which is not scheduled, and one before each other step.
+        let live = played_alone(20.5, set).unwrap();
+        assert_eq!(live.commands.len(), 1025);
+        for duration in [20.52, 2e7] {
+            let error = played_alone(duration, set).unwrap_err();
+            assert!(matches!(error, PlayError::TooMany), "{error}");
+            assert!(error.to_string().contains("1024 with 256 KiB"), "{error}");
+        }
+    }
+
+    #[test]
+    fn the_bytes_of_the_scheduled_commands_are_limited() {
+        let pose = |k: u32| format!("{{ x = {k}0, y = 100, alpha = 0.5 }}");
+        let poses: Vec<String> = (10..310).map(pose).collect();
+        let inject = format!(
+            "[[at]]\nevery = 0.02\ninject = {{ at = [{}] }}\n",
+            poses.join(", ")
+        );
+        // Of each, the poses alone have at least 9,000 bytes, and at most 12,000.
+        assert!(played_alone(0.4, &inject).is_ok());
+        let error = played_alone(0.64, &inject).unwrap_err();
+        assert!(matches!(error, PlayError::TooMany), "{error}");
+    }
+
+    #[test]
+    fn injected_individuals_count_for_the_cost_of_a_condition() {
+        let costly = "[stop]\nwhen = \"clusters.largest > 1e6\"\n";
+        let inject = |count: u64| {
+            format!(
+                "[[at]]\nevery = 0.02\nfrom = 0.02\nuntil = 0.04\ninject = {{ count = {count} }}\n{costly}"
+            )
+        };
+        // Two executions, and 2 individuals at the start.
+        assert!(played_alone(0.06, &inject(9_999)).is_ok());
+        let error = played_alone(0.06, &inject(10_000)).unwrap_err();
+        assert!(matches!(error, PlayError::Costly { .. }), "{error}");
+    }
+
+    #[test]
+    fn conditions_that_never_hold_are_left_out() {
+        let never =
+            "[[at]]\nwhen = \"order > 1.5\"\nset = { pi2 = 1 }\n[stop]\nwhen = \"order < -1\"\n";
+        let live = played_alone(2.0, never).unwrap();
+        assert_eq!((live.commands, live.stop), (Vec::new(), None));
     }
 }

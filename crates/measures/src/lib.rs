@@ -53,6 +53,6 @@ pub use families::alignment::nematic_order;
 pub use families::histograms;
 pub use gaps::{TOUCHING, cluster_sizes};
 pub use measure::Measure;
-pub use past::{Frame, MAX_PAST, Past, PastError, check_past};
+pub use past::{FRAME_POSES, Frame, MAX_PAST, Past, PastError, check_past};
 pub use registry::definitions;
 pub use view::View;

@@ -6,12 +6,21 @@ use std::collections::VecDeque;
 use jostle_physics::model::{CELL, Configuration, State};
 use thiserror::Error;
 
-/// The most poses of earlier steps, that is, the most steps of a [`Past`] times the number of
-/// individuals.
+/// The most poses of earlier steps: for each step of a [`Past`] the number of individuals and
+/// [`FRAME_POSES`].
 ///
-/// A checkpoint contains the past. A pose has 28 bytes, so the past adds about 7 MB to it at most.
+/// A pose has 28 bytes in memory, so a past takes about 7 MB at most, with the frame of the newest step
+/// beside it. A checkpoint contains the past with at most 32 bytes for each pose, 8 MB.
 /// [`Past`] does not apply this limit: its user calls [`check_past`], also when individuals are added.
 pub const MAX_PAST: u64 = 250_000;
+
+/// How many poses take as much memory as a frame without its individuals.
+pub const FRAME_POSES: u64 = 8;
+
+/// Returns for how many poses a frame of `n` individuals counts.
+fn poses_of(n: usize) -> u64 {
+    (n as u64).saturating_add(FRAME_POSES)
+}
 
 /// Checks that a past of `lag_steps` steps of `n` individuals is within [`MAX_PAST`].
 ///
@@ -19,7 +28,7 @@ pub const MAX_PAST: u64 = 250_000;
 ///
 /// [`PastError::TooLarge`].
 pub fn check_past(lag_steps: u64, n: usize) -> Result<(), PastError> {
-    let poses = lag_steps.saturating_mul(n as u64);
+    let poses = lag_steps.saturating_mul(poses_of(n));
     match poses <= MAX_PAST {
         true => Ok(()),
         false => Err(PastError::TooLarge { poses }),
@@ -31,7 +40,7 @@ pub fn check_past(lag_steps: u64, n: usize) -> Result<(), PastError> {
 pub enum PastError {
     /// It has more than [`MAX_PAST`] poses.
     #[error(
-        "the measures need {poses} poses of earlier steps (steps times individuals), the limit is {MAX_PAST}: choose a shorter lag or a smaller group"
+        "the measures need {poses} poses of earlier steps (for each step the individuals and {FRAME_POSES}), the limit is {MAX_PAST}: choose a shorter lag or a smaller group"
     )]
     TooLarge {
         /// Their number; `u64::MAX` if it is larger.
@@ -83,7 +92,9 @@ impl Frame {
         let columns = [&self.x, &self.y, &self.alpha];
         let is_rectangular = columns.iter().all(|column| column.len() == n);
         let mut numbers = columns.into_iter().flatten();
-        let reason = if !is_rectangular {
+        let reason = if n == 0 {
+            "it has no individuals"
+        } else if !is_rectangular {
             "its columns have different lengths"
         } else if !self.id.is_sorted_by(|one, next| one < next) {
             "its ids do not increase"
@@ -128,8 +139,8 @@ pub struct Past {
     lag_steps: u64,
     /// Their steps strictly increase.
     frames: VecDeque<Frame>,
-    /// The number of poses in the frames.
-    poses: usize,
+    /// For how many poses the frames count.
+    poses: u64,
 }
 
 impl Past {
@@ -147,8 +158,8 @@ impl Past {
     ///
     /// # Errors
     ///
-    /// [`PastError::Frame`] if columns have different lengths or numbers that are not finite, or if ids
-    /// or steps do not increase.
+    /// [`PastError::Frame`] if columns have different lengths or numbers that are not finite, if there
+    /// are no individuals, or if ids or steps do not increase.
     pub fn from_frames(
         lag_steps: u64,
         frames: impl IntoIterator<Item = Frame>,
@@ -206,21 +217,21 @@ impl Past {
         }
     }
 
-    /// Returns the number of poses before those of the newest frame.
+    /// Returns for how many poses the frames before the newest one count; see [`MAX_PAST`].
     #[must_use]
     pub fn earlier_poses(&self) -> u64 {
-        let newest = self.frames.back().map_or(0, |frame| frame.id.len());
-        (self.poses - newest) as u64
+        let newest = self.frames.back();
+        self.poses - newest.map_or(0, |frame| poses_of(frame.id.len()))
     }
 
     fn push(&mut self, frame: Frame) {
-        self.poses += frame.id.len();
+        self.poses += poses_of(frame.id.len());
         self.frames.push_back(frame);
     }
 
     fn pop(&mut self, end: fn(&mut VecDeque<Frame>) -> Option<Frame>) -> Option<Frame> {
         let frame = end(&mut self.frames)?;
-        self.poses -= frame.id.len();
+        self.poses -= poses_of(frame.id.len());
         Some(frame)
     }
 

@@ -2,13 +2,16 @@
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
-use jostle_experiment::{Files, LiveRun, Plan};
+use jostle_experiment::{Files, LiveRun, Plan, PlayError};
 use jostle_proto::{ExpandArgs, ExperimentArgs, ExperimentResult, NodeReply, SubmitArgs};
 
 use crate::api::context::{Context, Parsed};
 use crate::convert::commands::{CommandError, check_name};
 use crate::convert::{self, Payload};
 use crate::experiments::ExperimentError;
+
+/// The most bytes of a reply around its result.
+const ENVELOPE_BYTES: usize = 1024;
 
 impl Context {
     pub(super) fn experiment(
@@ -29,6 +32,7 @@ impl Context {
             checked.map_err(|error| error.within(action.to_owned()))?;
         }
         let (node, responder) = (self.node.clone(), command.responder.clone());
+        let max_bytes = self.max_message_bytes;
         self.experiment_files.submit(move |experiments| {
             let done = match &args {
                 ExperimentArgs::Submit(args) => {
@@ -53,7 +57,7 @@ impl Context {
                     experiments.delete(&args.name).map(|it| (false, it))
                 }
                 ExperimentArgs::Expand(args) => {
-                    let expanded = expand(args.clone());
+                    let expanded = expand(args.clone(), max_bytes);
                     return responder.finish(expanded, move |result| {
                         Payload::json(&NodeReply { node, result })
                     });
@@ -94,8 +98,9 @@ fn files(
     })
 }
 
-/// Returns a run of a plan as the swarm and the commands that have its states.
-fn expand(args: ExpandArgs) -> Result<ExperimentResult, ExperimentError> {
+/// Returns a run of a plan as the swarm and the commands that have its states, in at most `max_bytes`
+/// of JSON.
+fn expand(args: ExpandArgs, max_bytes: usize) -> Result<ExperimentResult, ExperimentError> {
     let ExpandArgs {
         toml,
         points,
@@ -122,10 +127,22 @@ fn expand(args: ExpandArgs) -> Result<ExperimentResult, ExperimentError> {
         );
         reject("run", reason)
     })?;
-    let live = LiveRun::new(&plan, found).map_err(|error| reject("toml", error.to_string()))?;
-    Ok(ExperimentResult {
+    let live = LiveRun::new(&plan, found).map_err(|error| match error {
+        PlayError::TooMany => ExperimentError::TooLong(error.to_string()),
+        error => reject("toml", error.to_string()),
+    })?;
+    let result = ExperimentResult {
         created: false,
         progress: convert::planned(&plan),
         expanded: Some(convert::expanded(&found.name, live)),
-    })
+    };
+    let bytes = Payload::json(&result).bytes.len();
+    if bytes.saturating_add(ENVELOPE_BYTES) > max_bytes {
+        let problem = format!(
+            "the commands of the run have {bytes} bytes, more than a message: execute it with `jostle \
+             experiment run`"
+        );
+        return Err(ExperimentError::TooLong(problem));
+    }
+    Ok(result)
 }

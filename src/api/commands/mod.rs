@@ -26,6 +26,7 @@ use crate::convert::{self, Payload};
 use crate::swarm::command::Command;
 use crate::swarm::frame::Stamp;
 use crate::swarm::handle::{CommandMessage, Handle, Message, Outcome};
+use crate::swarm::watch::Action;
 
 impl Context {
     /// Executes a command to a swarm.
@@ -55,11 +56,14 @@ impl Context {
     ) -> Result<(), CommandError> {
         let request = self.request(incoming)?;
         let (mut message, returns_state) = commands::read(verb, &request)?;
-        // The journal may have such a condition, of an earlier version.
-        if let Command::Watch(watch) = &message.command
-            && let Some(reason) = watch.condition.never_holds()
-        {
-            return Err(CommandError::NeverHolds(reason));
+        // The journal may have such conditions, of an earlier version.
+        if let Command::Watch(watch) = &message.command {
+            if let Some(reason) = watch.condition.never_holds() {
+                return Err(CommandError::NeverHolds(reason));
+            }
+            if let Action::Event(event) = &watch.action {
+                commands::check_name("event", event)?;
+            }
         }
         let timeout = commands::timeout(&request)?;
         if let Some(controller) = message.command.controller()

@@ -144,6 +144,7 @@ pub fn when(args: WhenArgs) -> Result<Command, CommandError> {
         action,
         from,
         before,
+        is_protocol: fired.protocol,
         fired: Arc::new(Sender {
             verb: "fired",
             args: text,

@@ -22,7 +22,9 @@ impl WireCode for ExperimentError {
             ExperimentError::Phase { .. } | ExperimentError::Unfinished { .. } => {
                 ErrorCode::IncorrectState
             }
-            ExperimentError::TooMany(_) => ErrorCode::ResourceExhausted,
+            ExperimentError::TooMany(_) | ExperimentError::TooLong(_) => {
+                ErrorCode::ResourceExhausted
+            }
             ExperimentError::NotStored(_) => ErrorCode::StorageFull,
             ExperimentError::Unreadable(_) => ErrorCode::Internal,
             ExperimentError::Stopping => ErrorCode::Busy,
@@ -37,6 +39,7 @@ impl WireCode for ExperimentError {
                 json!({"field": "run", "value": run})
             }
             ExperimentError::TooMany(limit) => json!({"limit": limit}),
+            ExperimentError::TooLong(_) => json!({"field": "expand.toml"}),
             _ => Value::Null,
         })
     }

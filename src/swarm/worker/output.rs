@@ -3,6 +3,8 @@
 use std::sync::{Arc, OnceLock};
 use std::time::Instant;
 
+use serde_json::Value;
+
 use crate::swarm::frame::{self, Event, EventKind, Frame, Stamp, Summary};
 use crate::swarm::handle::Outcome;
 use crate::swarm::history::Entry;
@@ -35,18 +37,16 @@ impl Worker {
         self.waiters = waiters;
     }
 
+    /// Whether the condition with an event waits, or the last command that concerns it is that it held.
     fn event_status(&self, event: &str) -> EventStatus {
         if self.watches.has_event(event) {
             return EventStatus::Waits;
         }
-        let has = |entry: &Entry| {
-            let args = (entry.sender.verb == "fired").then_some(&*entry.sender.args);
-            args.and_then(|args| serde_json::from_str::<serde_json::Value>(args).ok())
-                .is_some_and(|args| args["event"] == event)
-        };
-        match self.history.entries(0, usize::MAX).records.iter().any(has) {
-            true => EventStatus::Held,
-            false => EventStatus::Unknown,
+        let entries = self.history.entries(0, usize::MAX).records;
+        let mut newest_first = entries.iter().rev();
+        match newest_first.find(|it| concerns(it, event)) {
+            Some(entry) if entry.sender.verb == "fired" => EventStatus::Held,
+            _ => EventStatus::Unknown,
         }
     }
 
@@ -160,4 +160,18 @@ impl Worker {
         self.metrics
             .set_measured(is_measured.then(|| self.frame(false)));
     }
+}
+
+/// Whether a command adds, executes or removes the condition with an event.
+fn concerns(entry: &Entry, event: &str) -> bool {
+    match entry.sender.verb {
+        "reset" => true,
+        "when" | "fired" => serde_json::from_str::<Value>(&entry.sender.args)
+            .is_ok_and(|args| args["event"] == event || is_cancel_of_all(&args)),
+        _ => false,
+    }
+}
+
+fn is_cancel_of_all(args: &Value) -> bool {
+    args["cancel"] == true && args["event"].is_null()
 }

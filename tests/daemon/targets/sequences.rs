@@ -139,6 +139,7 @@ fn watch(effect: Effect) -> Watch {
         },
         from: None,
         before: None,
+        is_protocol: false,
         fired: Arc::new(Sender::default()),
     }
 }

@@ -85,9 +85,13 @@ async fn a_condition_that_holds_already_does_not_wait() {
     let at_once = json!({"condition": "order >= 0", "pause": true, "from_step": 0});
     let (code, message) = client.err("a", "when", at_once).await;
     assert_eq!(code, ErrorCode::Conflict, "{message}");
+    assert!(message.contains("next step"), "{message}");
     for args in [
         event("order > 0", ""),
         event("order > 0", &"x".repeat(65)),
+        event("order > 0", "a;b"),
+        event("order > 0", "a=b"),
+        event("order > 0", "A"),
         json!({"condition": "order > 0", "event": "a", "pause": true}),
         json!({"condition": "order > 0", "event": "a", "protocol": true}),
         json!({"condition": "order > 0", "pause": true, "draw": 3}),
@@ -127,5 +131,60 @@ async fn a_condition_that_holds_already_does_not_wait() {
     assert_eq!(waiting(client, "a").await, json!(["order >= 0"]));
     let reply = client.ok("a", "step", json!({"steps": 20})).await;
     assert_eq!(reply["result"]["steps"], 2, "{reply}");
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_condition_that_holds_already_replaces_the_one_with_its_event() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    client.create("a", spec()).await;
+    client.ok("a", "when", event("order > 1", "mine")).await;
+    let reply = client.ok("a", "when", event("order >= 0", "mine")).await;
+    assert_eq!(reply["result"], json!({"holds": true}));
+    assert_eq!(waiting(client, "a").await, Value::Null);
+    // One that is rejected replaces none.
+    let at_step = |step: u64| json!({"condition": "order >= 0", "pause": true, "from_step": step});
+    client.ok("a", "when", at_step(3)).await;
+    client.ok("a", "step", json!({"steps": 2})).await;
+    client.err("a", "when", at_step(1)).await;
+    assert_eq!(waiting(client, "a").await, json!(["order >= 0"]));
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn only_the_last_condition_with_an_event_is_waited_for() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    client.create("a", spec()).await;
+    let path = keys::get(PREFIX, "a", "wait?event=mine;timeout_secs=1");
+    let code = async || {
+        let reply = client.query(&path, None).await;
+        reply.map_or_else(|error| Some(error.code), |_| None)
+    };
+    let next = json!({"condition": "order >= 0", "event": "mine"});
+    let never = json!({"condition": "order > 1", "event": "mine"});
+    for (verb, args) in [
+        ("when", json!({"cancel": true, "event": "mine"})),
+        ("when", json!({"cancel": true})),
+        ("reset", json!({})),
+    ] {
+        client.ok("a", "when", next.clone()).await;
+        client.ok("a", "step", json!({"steps": 2})).await;
+        assert_eq!(code().await, None, "{verb}");
+        client
+            .ok("a", "when", json!({"cancel": true, "event": "other"}))
+            .await;
+        assert_eq!(code().await, None, "{verb}");
+        client.ok("a", "when", never.clone()).await;
+        assert_eq!(code().await, Some(ErrorCode::DeadlineExceeded), "{verb}");
+        client.ok("a", verb, args.clone()).await;
+        assert_eq!(code().await, Some(ErrorCode::NotFound), "{verb} {args}");
+        // The same without a second condition.
+        client.ok("a", "when", next.clone()).await;
+        client.ok("a", "step", json!({"steps": 2})).await;
+        client.ok("a", verb, args.clone()).await;
+        assert_eq!(code().await, Some(ErrorCode::NotFound), "{verb} {args}");
+    }
     daemon.stop().await;
 }

@@ -104,14 +104,14 @@ async fn a_group_that_grows_beyond_the_limit_of_a_past_fulfils_no_condition_on_i
     client
         .create("a", json!({"n": 4, "seed": 1, "dt": 0.001, "rate": null}))
         .await;
-    // 60,000 steps of 4 individuals are within the limit, of 5 beyond it.
-    client.ok("a", "when", pause("msd(60) >= 0")).await;
+    // 20,000 steps of 4 individuals, and 8 for each step, are within the limit, of 5 beyond it.
+    client.ok("a", "when", pause("msd(20) >= 0")).await;
     client.ok("a", "when", pause("msd(0.01) > 1e-9")).await;
     client.ok("a", "inject", json!({"count": 1})).await;
-    let (code, message) = client.err("a", "when", pause("msd(60) >= 0")).await;
+    let (code, message) = client.err("a", "when", pause("msd(20) >= 0")).await;
     assert_eq!(code, ErrorCode::InvalidArgument, "{message}");
     let status = run(client, "a").await;
     assert_eq!(status["step"], 10, "{status}");
-    assert_eq!(waiting(client, "a").await, json!(["msd(60) >= 0"]));
+    assert_eq!(waiting(client, "a").await, json!(["msd(20) >= 0"]));
     daemon.stop().await;
 }

@@ -6,7 +6,7 @@ use serde_json::json;
 use super::{fired, verifies};
 use crate::support::daemon_process::{killed, start};
 
-/// Two blocks with conditions, which draw, among others that draw; one condition needs earlier states.
+/// Blocks with conditions, which draw, among others that draw; two are equal, and need earlier states.
 const PROTOCOL: &str = r#"
 name = "play"
 seed = 5
@@ -26,6 +26,10 @@ every = 1
 from = 0
 until = 12
 inform = { select = { count = 1 }, direction = -1 }
+[[at]]
+when = "msd(2) > 0.5 and order >= 0"
+from = 3
+remove = { select = { count = 2 } }
 [[at]]
 when = "msd(2) > 0.5 and order >= 0"
 from = 3

@@ -72,6 +72,6 @@ fn a_condition_that_never_holds_is_marked() {
     let text = "name = \"a\"\nduration = 2\n[[grid]]\nn = 5\n[stop]\nwhen = \"order > 1.5\"\n";
     let plan = Plan::parse(text).unwrap();
     let shown = DryRun::of(&plan, &Subset::all(&plan)).unwrap().to_string();
-    let expected = "when order > 1.5 (order > 1.5 never holds: the range of order is 0 to 1)";
+    let expected = "when order > 1.5 (order > 1.5 never holds: the range of order is 0 to 1; give a number within it)";
     assert!(shown.contains(expected), "{shown}");
 }

@@ -99,10 +99,7 @@ fn find<'a>(plan: &'a Plan, run: Option<&str>) -> Result<&'a PlannedRun, Failure
     let Some(wanted) = run else {
         return Ok(&runs[0]);
     };
-    let by_number = wanted.parse::<usize>().ok();
-    let index = by_number.and_then(|number| number.checked_sub(1));
-    let found = index.or_else(|| plan.index(wanted));
-    found.and_then(|index| runs.get(index)).ok_or_else(|| {
+    plan.find(wanted).ok_or_else(|| {
         let names = runs.iter().map(|run| run.name.as_str());
         let meant = did_you_mean(wanted, names).map_or(String::new(), |it| format!("; {it}"));
         Failure::argument(

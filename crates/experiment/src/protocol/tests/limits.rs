@@ -45,7 +45,7 @@ fn the_number_of_columns_is_limited() {
 
 #[test]
 fn a_past_that_an_injection_makes_too_large_ends_the_run() {
-    // 90 steps of 20 individuals are few; of 3,000 they are 270,000, above the limit of 250,000.
+    // 90 steps of 20 individuals are few; of 3,000 they are 90 times 3,008, above the limit of 250,000.
     let inject = |count: usize| {
         plan(&format!(
             "[[at]]\nstep = 3\ninject = {{ count = {count}, within = {{ x = 0, y = 0, radius = 500 }} \
@@ -54,7 +54,7 @@ fn a_past_that_an_injection_makes_too_large_ends_the_run() {
     };
     let fault = finished(&inject(2980), 0).fault.unwrap();
     assert!(fault.starts_with("step 3: "), "{fault}");
-    assert!(fault.contains("270000 poses"), "{fault}");
+    assert!(fault.contains("270720 poses"), "{fault}");
     assert_eq!(finished(&inject(20), 0).fault, None);
 }
 
