@@ -325,6 +325,9 @@ pub struct WaitingCondition {
     /// The step since which each comparison of the condition has held, in the order of the text;
     /// `null` for one that does not hold.
     pub since: Vec<Option<u64>>,
+    /// The step of its command; its measures do not use earlier states.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub first: u64,
     /// The command `when`.
     pub sent: Sent,
 }

@@ -60,6 +60,7 @@ pub fn snapshot(swarm: &str, checkpoint: &Checkpoint) -> proto::Snapshot {
             .iter()
             .map(|waiting| WaitingCondition {
                 since: waiting.held.steps().to_vec(),
+                first: waiting.first,
                 sent: sent(&waiting.sender),
             })
             .collect(),
@@ -99,7 +100,7 @@ pub fn checkpoint(
         match read(&sender).map_err(SnapshotError::Unreadable)? {
             Command::Watch(watch) => {
                 let held = waiting.since.clone().into();
-                Ok(watch::Waiting::new(*watch, held, sender))
+                Ok(watch::Waiting::new(*watch, waiting.first, held, sender))
             }
             _ => {
                 let problem = format!("{} is no condition", sender.verb);

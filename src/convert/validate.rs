@@ -35,8 +35,10 @@ pub fn check(checkpoint: &Checkpoint) -> Result<(), SnapshotError> {
         return impossible("a command waits for a step that is past".to_owned());
     }
     let step = checkpoint.simulation.state.step;
-    let since = |it: &Waiting| it.held.steps().iter().flatten().any(|since| *since > step);
-    if checkpoint.watches.iter().any(since) {
+    let is_early = |it: &Waiting| {
+        it.first > step || it.held.steps().iter().flatten().any(|since| *since > step)
+    };
+    if checkpoint.watches.iter().any(is_early) {
         return impossible("a condition holds since a step that is not reached".to_owned());
     }
     if checkpoint.watches.len() > MAX_WATCHES {

@@ -77,6 +77,9 @@ pub struct Waiting {
     pub watch: Watch,
     /// Since when its comparisons hold.
     pub held: Held,
+    /// The step of its command: its measures do not use earlier states, which only other conditions
+    /// need.
+    pub first: u64,
     /// The client that sent it.
     pub sender: Arc<Sender>,
     /// The text of the condition.
@@ -84,12 +87,13 @@ pub struct Waiting {
 }
 
 impl Waiting {
-    /// A condition whose comparisons hold since `held`.
-    pub fn new(watch: Watch, held: Held, sender: Arc<Sender>) -> Self {
+    /// A condition of a command at step `first`, whose comparisons hold since `held`.
+    pub fn new(watch: Watch, first: u64, held: Held, sender: Arc<Sender>) -> Self {
         let text = watch.condition.to_string().into();
         Waiting {
             watch,
             held,
+            first,
             sender,
             text,
         }
@@ -114,6 +118,7 @@ impl Waiting {
             self.held = Held::default();
             return false;
         }
+        view.ignore_before(self.first);
         condition.observe(view, state.step, dt, &mut self.held)
     }
 }
@@ -147,7 +152,7 @@ impl Watches {
             return Err(SwarmError::TooManyWatches(count));
         }
         let is_evaluated = watch.from.is_some_and(|from| from <= state.step);
-        let mut waiting = Waiting::new(watch, Held::default(), sender);
+        let mut waiting = Waiting::new(watch, state.step, Held::default(), sender);
         let holds = is_evaluated && waiting.observe(&View::new(state, &self.past));
         if !holds || matches!(waiting.watch.action, Action::Event(_)) {
             self.waiting.retain(|it| !it.watch.is_same(&waiting.watch));

@@ -115,3 +115,25 @@ async fn a_group_that_grows_beyond_the_limit_of_a_past_fulfils_no_condition_on_i
     assert_eq!(waiting(client, "a").await, json!(["msd(20) >= 0"]));
     daemon.stop().await;
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_condition_does_not_use_the_states_that_others_need() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut daemon = start(folder.path()).await;
+    let (begin, lag) = (200, 50);
+    for name in ["alone", "beside"] {
+        create_informed(&daemon.1, name).await;
+        if name == "beside" {
+            let other = json!({"condition": "msd(3) > 1e6", "event": "never"});
+            daemon.1.ok(name, "when", other).await;
+        }
+        daemon.1.ok(name, "step", json!({"steps": begin})).await;
+        daemon.1.ok(name, "when", pause("msd(1) > 1e-9")).await;
+    }
+    daemon = killed(folder.path(), daemon).await;
+    for name in ["alone", "beside"] {
+        let status = run(&daemon.1, name).await;
+        assert_eq!(status["step"], begin + lag, "{name}");
+    }
+    drop(daemon);
+}
