@@ -180,7 +180,7 @@ pub fn experiments() -> Vec<Row> {
             &[r#"@node/test/cmd/experiment {"delete": {"name": "small"}}"#],
         )
         .says("deleted small"),
-        row("experiment results <name>small", &[results])
+        row("experiment results <name>small", &[results, progress])
             .says("v_pd")
             .says_not("n=5 informed=1 #0"),
         row("experiment results <name>small --csv", &[results]).says("n=5 informed=1 #0,"),
@@ -218,7 +218,7 @@ pub fn experiments() -> Vec<Row> {
         .writes("n5.parquet"),
         row(
             "plot <what>small --y order --over-time --out {}/over.svg",
-            &[&[results][..], &series].concat(),
+            &[&[results, progress][..], &series].concat(),
         )
         .writes("over.svg"),
         row(
