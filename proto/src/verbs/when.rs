@@ -28,7 +28,7 @@ pub struct WhenArgs {
     )]
     #[schemars(length(min = 1, max = MAX_CHANGES))]
     pub commands: Option<Vec<Change>>,
-    /// Only publish the event `fired`, with this name, 1 to 64 characters; `get/wait` waits for it. A
+    /// Only publish the event `fired`, with this name, a name as of swarms; `get/wait` waits for it. A
     /// waiting condition with the same name is replaced. Such a command counts as an annotation:
     /// it changes no random draw.
     #[serde(default, skip_serializing_if = "Option::is_none")]

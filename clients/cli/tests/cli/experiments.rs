@@ -19,6 +19,40 @@ fn file(folder: &Path, name: &str, text: &str) -> String {
     path.to_str().unwrap().to_owned()
 }
 
+/// With 3 individuals at the start, individual 3 does not exist yet at step 10.
+const FAULTY: &str = "name = \"faulty\"\nseed = 3\nreplicates = 2\nduration = 5\nsetpoints = \"\"\"\n\
+                      step,id,direction\n10,3,1\n\"\"\"\ngrid = [{ n = [3, 4, 8] }]\n\
+                      spec = { dt = 0.05 }\nmeasure = { order_every = 5, series_every = 5, columns = [\"order\"] }\n\
+                      [[at]]\nstep = 50\ninject = { count = 1 }\n";
+
+#[tokio::test(flavor = "multi_thread")]
+async fn faulted_runs_are_counted_and_left_out_of_charts() {
+    let folder = tempfile::tempdir().unwrap();
+    let data = folder.path().join("data");
+    let daemon = Daemon::with(&[("data_dir", data.to_str().unwrap())]).await;
+    let faulty = file(folder.path(), "faulty.toml", FAULTY);
+    daemon.jostle(&format!("experiment run {faulty}")).await;
+    let summary = daemon.said("experiment results faulty").await;
+    assert!(summary.contains("2 runs ended by a fault"), "{summary}");
+    let out = folder.path().join("results").display().to_string();
+    let fetched = format!("experiment results faulty -o {out}");
+    daemon.said(&fetched).await;
+    for what in [
+        format!("plot {out} --y v --x n"),
+        format!("plot {out} --y order --over-time"),
+        "plot faulty --y v --x n".to_owned(),
+    ] {
+        let picture = folder.path().join("a.svg");
+        let ended = daemon
+            .jostle(&format!("{what} -o {}", picture.display()))
+            .await;
+        assert_eq!(ended.code, Some(0), "{ended:?}");
+        let note = "left out: 2 runs ended by a fault";
+        assert!(ended.stderr.contains(note), "{what}: {ended:?}");
+        fs::remove_file(&picture).unwrap();
+    }
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn an_experiment_is_run_listed_and_its_tables_are_those_of_the_daemon() {
     let folder = tempfile::tempdir().unwrap();
