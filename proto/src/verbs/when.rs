@@ -28,9 +28,9 @@ pub struct WhenArgs {
     )]
     #[schemars(length(min = 1, max = MAX_CHANGES))]
     pub commands: Option<Vec<Change>>,
-    /// Only publish the event `fired`, with this name, a name as of swarms; `get/wait` waits for it. A
-    /// waiting condition with the same name is replaced. Such a command counts as an annotation:
-    /// it changes no random draw.
+    /// Only publish the event `fired` with this name, which has the form of a swarm's name; `get/wait`
+    /// waits for it. A waiting condition with the same name is replaced. Such a command counts as an
+    /// annotation: it changes no random draw.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub event: Option<String>,
     /// Evaluate states from this step on. If the swarm is there already, its present state is the

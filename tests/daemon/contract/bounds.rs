@@ -63,7 +63,7 @@ fn bounds(schema: &Value, root: &Value, value: &Value, field: &str, place: &str)
             match place.ends_with("/measures") {
                 // They must differ.
                 true => (1..=count)
-                    .map(|gap| json!(format!("clusters.count({gap})")))
+                    .map(|gap| json!(format!("clusters.count(0.{gap:03})")))
                     .collect(),
                 false => vec![items[0].clone(); count],
             }
