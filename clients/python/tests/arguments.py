@@ -88,6 +88,8 @@ NOT_SENT: dict[tuple[str, str], str] = {
     ("Swarm.at", "step"): "is the option `at_step` of every command",
     ("Client.swarm", "name"): "is in the key of every row of Swarm",
     ("Client.experiment", "name"): "is in the key of every row of Experiment",
+    ("Client.play", "timeout"): "is that of each of its requests: test_play.py",
+    ("Client.play", "request_id"): "those of its requests begin with it: test_play.py",
     ("Experiment.wait", "timeout"): "ends the wait on this machine: test_timeouts.py",
     ("Swarm.states", "timeout"): "ends the wait on this machine: test_timeouts.py",
     ("Swarm.orders", "timeout"): "ends the wait on this machine: test_timeouts.py",

@@ -46,7 +46,7 @@ def _members(name: str, kind: type) -> Iterator[tuple[str, Callable[..., Any]]]:
         id(member)
         for base in kind.__mro__[1:]
         if base.__name__ in jostle.__all__
-        for member in vars(base).values()
+        for _, member in inspect.getmembers(base)
     }
     for member, thing in inspect.getmembers(kind, _is_own):
         if not member.startswith("_") and id(thing) not in inherited:

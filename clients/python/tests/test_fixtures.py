@@ -110,6 +110,8 @@ def add_unknown(message: Any) -> Any:
         return message
     # The published measures are a map: their names are no fields.
     is_map = {"measures"} if isinstance(message.get("measures"), dict) else set()
+    # A run's spec is handed on as it is.
+    is_map |= {"spec"} if {"commands", "stop"} <= message.keys() else set()
     known = {k: v if k in FREE | is_map else add_unknown(v) for k, v in message.items()}
     return {**known, "colour": {"hue": [1, None, "red"]}}
 

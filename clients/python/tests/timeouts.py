@@ -58,6 +58,7 @@ ENDED: dict[str, Ended] = {
     "Client.discard": Ended(call("school")),
     "Client.replay": Ended(call(recording="night")),
     "Client.submit": Ended(call(PLAN)),
+    "Client.play": Ended(call(PLAN)),
     "Client.record": Ended(call("school")),
     "Client.stop_recording": Ended(call("night")),
     "Client.delete_recording": Ended(call("night")),

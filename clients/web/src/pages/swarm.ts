@@ -43,9 +43,15 @@ export function swarmPage(name: string, session: Session): Page {
   const informing = el("div", {});
   const informs = panel("Inform", "", true, informing);
 
+  let exists = false;
+  const refreshConditions = () => {
+    if (exists) {
+      void conditions.refresh();
+    }
+  };
   const catchUp = () => {
     void events.catchUp();
-    void conditions.refresh();
+    refreshConditions();
   };
 
   let factor: number | null = null;
@@ -74,8 +80,13 @@ export function swarmPage(name: string, session: Session): Page {
       informs.hidden = replay;
       conditionPanel.hidden = replay;
       download.hidden = replay;
+      const isNew = !exists;
+      exists = row !== undefined;
       if (!row) {
         return;
+      }
+      if (isNew) {
+        refreshConditions();
       }
       phase.show(row.phase);
       setText(reason, row.reason ?? "");
@@ -89,7 +100,8 @@ export function swarmPage(name: string, session: Session): Page {
       if (event.event.kind !== "lapsed") {
         void playback.refresh();
       }
-      void conditions.refresh();
+      exists &&= event.event.kind !== "deleted";
+      refreshConditions();
     },
     replaced: () => {
       replaceEvents();

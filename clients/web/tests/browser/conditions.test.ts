@@ -65,15 +65,21 @@ test("a condition informs, uninforms and sets", async () => {
 
 test("conditions of other clients are listed, and all are removed", async () => {
   const page = await site.open("/swarm/school-2");
-  await site.daemon.command("school-2", "when", { condition: "order < 0", pause: true });
-  await add(page, "milling > 2");
-  await until("both", async () => (await waiting(page)).join() === "order < 0,milling > 2");
+  await site.daemon.command("school-2", "when", { condition: "order < 1e-9", pause: true });
+  await add(page, "milling > 0.999999");
+  await until(
+    "both",
+    async () => (await waiting(page)).join() === "order < 0.000000001,milling > 0.999999",
+  );
   await page.getByRole("button", { name: "Remove all" }).click();
   await until("none", async () => (await waiting(page)).length === 0);
   await page.getByText("No condition waits.").waitFor();
   const other = await site.open("/swarm/school-2");
-  await site.daemon.command("school-2", "when", { condition: "order < 0", pause: true });
-  await until("another client's", async () => (await waiting(other)).join() === "order < 0");
+  await site.daemon.command("school-2", "when", { condition: "order < 1e-9", pause: true });
+  await until(
+    "another client's",
+    async () => (await waiting(other)).join() === "order < 0.000000001",
+  );
 });
 
 test("an error of a condition is beside the field, and its word is selected", async () => {
