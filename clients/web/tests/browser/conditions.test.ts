@@ -69,7 +69,7 @@ test("conditions of other clients are listed, and all are removed", async () => 
   await add(page, "milling > 0.999999");
   await until(
     "both",
-    async () => (await waiting(page)).join() === "order < 0.000000001,milling > 0.999999",
+    async () => (await waiting(page)).join() === "order < 1e-9,milling > 0.999999",
   );
   await page.getByRole("button", { name: "Remove all" }).click();
   await until("none", async () => (await waiting(page)).length === 0);
@@ -78,7 +78,7 @@ test("conditions of other clients are listed, and all are removed", async () => 
   await site.daemon.command("school-2", "when", { condition: "order < 1e-9", pause: true });
   await until(
     "another client's",
-    async () => (await waiting(other)).join() === "order < 0.000000001",
+    async () => (await waiting(other)).join() === "order < 1e-9",
   );
 });
 
