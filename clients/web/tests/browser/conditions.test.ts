@@ -76,10 +76,7 @@ test("conditions of other clients are listed, and all are removed", async () => 
   await page.getByText("No condition waits.").waitFor();
   const other = await site.open("/swarm/school-2");
   await site.daemon.command("school-2", "when", { condition: "order < 1e-9", pause: true });
-  await until(
-    "another client's",
-    async () => (await waiting(other)).join() === "order < 1e-9",
-  );
+  await until("another client's", async () => (await waiting(other)).join() === "order < 1e-9");
 });
 
 test("an error of a condition is beside the field, and its word is selected", async () => {
