@@ -2,12 +2,25 @@
 //! ends a command that takes too long.
 
 use std::fs;
+use std::hash::{BuildHasher as _, RandomState};
+use std::net::TcpListener;
 use std::os::unix::process::ExitStatusExt as _;
 use std::path::Path;
 use std::process::{Command, Output};
 use std::time::{Duration, Instant};
 
 use crate::support::small_disk::SmallDisk;
+
+/// A port of this address on which no process listens, for a daemon that is started with it later.
+///
+/// It is below the ports that the kernel assigns itself: one of those, assigned to a socket that is
+/// closed again, may be assigned to another process before the daemon listens on it.
+pub fn free_port(address: &str) -> u16 {
+    (0_u16..)
+        .map(|attempt| 10_000 + (RandomState::new().hash_one(attempt) % 22_000) as u16)
+        .find(|port| TcpListener::bind((address, *port)).is_ok())
+        .unwrap()
+}
 
 /// A test that needs a disk of its own, run by the test below as a process.
 #[test]

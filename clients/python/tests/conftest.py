@@ -19,6 +19,7 @@ import pytest
 import zenoh
 
 import jostle
+from chaos.node import free_ports
 from needs import pytest_sessionfinish as pytest_sessionfinish
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -272,9 +273,7 @@ def eventually(what: str, holds: Callable[[], bool]) -> None:
 
 def find_free_endpoint() -> str:
     """An endpoint on which no process listens."""
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{free.getsockname()[1]}"
+    return f"tcp/127.0.0.1:{free_ports(1)[0]}"
 
 
 @pytest.fixture

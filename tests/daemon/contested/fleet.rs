@@ -13,6 +13,7 @@ use tempfile::TempDir;
 use zenoh::Session;
 
 use super::create;
+use crate::harness::free_port;
 use crate::support::Client;
 use crate::support::daemon_process::{DaemonProcess, StoreCopy};
 use crate::support::process::{Process, jostled, send_signal};
@@ -74,14 +75,9 @@ pub struct RestartableDaemon {
 
 impl RestartableDaemon {
     pub fn new(node: &'static str) -> Self {
-        let port = TcpListener::bind("127.0.0.1:0")
-            .unwrap()
-            .local_addr()
-            .unwrap()
-            .port();
         RestartableDaemon {
             node,
-            endpoint: format!("tcp/127.0.0.1:{port}"),
+            endpoint: format!("tcp/127.0.0.1:{}", free_port("127.0.0.1")),
             folder: tempfile::tempdir().unwrap(),
         }
     }

@@ -1,7 +1,7 @@
 //! The addresses that `jostled auth init` and `auth address` write.
 
 use std::fs::{self, File};
-use std::net::{SocketAddr, TcpListener};
+use std::net::SocketAddr;
 use std::path::Path;
 use std::process::Output;
 
@@ -10,6 +10,7 @@ use jostled::auth::folder::Folder;
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
+use crate::harness::free_port;
 use crate::support::process::{Process, jostled};
 use crate::support::tls::https_by;
 use crate::support::{NODE, PREFIX, until};
@@ -32,12 +33,6 @@ fn done(folder: &Path, arguments: &[&str]) -> String {
     let ended = auth(folder, arguments);
     assert!(ended.status.success(), "{arguments:?}: {ended:?}");
     String::from_utf8(ended.stdout).unwrap()
-}
-
-/// A port of this address that is free.
-fn free(address: &str) -> u16 {
-    let listener = TcpListener::bind((address, 0)).unwrap();
-    listener.local_addr().unwrap().port()
 }
 
 struct AuthFolder {
@@ -113,7 +108,7 @@ async fn addresses_that_init_is_given_are_those_of_the_daemon_and_of_people() {
     let daemon = AuthFolder::new();
     let path = daemon.folder.path();
     let [first, second] = ["127.0.0.2", "127.0.0.3"];
-    let ports = [first, first, second, second].map(free);
+    let ports = [first, first, second, second].map(free_port);
     let listen = format!("tls/{first}:{}", ports[0]);
     let http = format!("https://{first}:{}", ports[1]);
     let people = ["vera=viewer", "olga=operator"];

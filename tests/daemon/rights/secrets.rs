@@ -1,7 +1,6 @@
 //! No secret is in any log or reply, and the permissions over HTTP.
 
 use std::fs::{self, File};
-use std::net::TcpListener;
 
 use futures_util::StreamExt;
 use jostle_proto::{Credentials, keys};
@@ -14,6 +13,7 @@ use tokio_tungstenite::client_async;
 use tokio_tungstenite::tungstenite::client::IntoClientRequest;
 
 use super::{AuthDaemon, PEOPLE, SessionCredentials, UserSession};
+use crate::harness::free_port;
 use crate::support::http::send;
 use crate::support::process::{Process, jostled};
 use crate::support::tls::https;
@@ -212,11 +212,7 @@ async fn no_secret_is_in_any_log_nor_among_what_is_kept() {
     let folder = Folder::new(base.path().join("auth"));
     let people = PEOPLE.map(|(name, role)| (name.to_owned(), role));
     issue::init(&folder, &[], &people).unwrap();
-    let port = || {
-        let taken = TcpListener::bind("127.0.0.1:0").unwrap();
-        taken.local_addr().unwrap().to_string()
-    };
-    let (zenoh, address) = (port(), port());
+    let [zenoh, address] = ["127.0.0.1"; 2].map(|host| format!("{host}:{}", free_port(host)));
     let [out, log] = ["out", "log"].map(|name| base.path().join(name));
     let data = tempfile::tempdir().unwrap();
     let mut command = jostled(&["serve", "--node", NODE, "--log", "trace"]);

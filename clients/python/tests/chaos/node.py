@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import random
 import re
 import socket
 import subprocess
@@ -137,12 +139,15 @@ class Node:
 
 
 def free_ports(count: int) -> list[int]:
-    """Ports on which no process listens yet."""
-    sockets = [socket.socket() for _ in range(count)]
-    try:
-        for free in sockets:
-            free.bind(("127.0.0.1", 0))
-        return [free.getsockname()[1] for free in sockets]
-    finally:
-        for free in sockets:
-            free.close()
+    """Distinct ports on which no process listens, for daemons that are started with them later.
+
+    They are below the ports that the kernel assigns itself: one of those, assigned to a socket that
+    is closed again, may be assigned to another process before the daemon listens on it.
+    """
+    ports: set[int] = set()
+    while len(ports) < count:
+        port = random.SystemRandom().randrange(10_000, 32_000)
+        with socket.socket() as free, contextlib.suppress(OSError):
+            free.bind(("127.0.0.1", port))
+            ports.add(port)
+    return list(ports)
