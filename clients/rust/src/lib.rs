@@ -6,7 +6,7 @@
 //! ```
 //! use jostle_client::{Client, ConnectOptions};
 //! use jostle_client::proto::{Spec, verbs::*};
-//! # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/daemon/mod.rs"));
+//! # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/examples_daemon.rs"));
 //! # #[tokio::main(flavor = "multi_thread")]
 //! # async fn main() -> Result<(), jostle_client::Error> {
 //! # let daemon = Daemon::start().await;
@@ -44,7 +44,7 @@
 //! ```
 //! use jostle_client::{Client, ConnectOptions, EventsFrom, FollowOptions, Update};
 //! use jostle_client::proto::{Spec, verbs::*};
-//! # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/daemon/mod.rs"));
+//! # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/examples_daemon.rs"));
 //! # #[tokio::main(flavor = "multi_thread")]
 //! # async fn main() -> Result<(), jostle_client::Error> {
 //! # let daemon = Daemon::start().await;
@@ -83,7 +83,7 @@
 //! ```
 //! use jostle_client::{Client, ConnectOptions};
 //! use jostle_client::proto::{Spec, verbs::*};
-//! # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/daemon/mod.rs"));
+//! # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/examples_daemon.rs"));
 //! # #[tokio::main(flavor = "multi_thread")]
 //! # async fn main() -> Result<(), jostle_client::Error> {
 //! # let daemon = Daemon::start().await;

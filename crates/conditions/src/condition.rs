@@ -73,31 +73,46 @@ impl Condition {
     /// not hold are beyond the ranges of their measures.
     #[must_use]
     pub fn never_holds(&self) -> Option<String> {
-        let impossible = self.impossible(&self.root)?;
-        let definition = impossible.measure.definition();
-        Some(format!(
-            "{impossible} never holds: the range of {} is {}; give a number within it",
-            definition.name, definition.range
-        ))
+        self.never_holds_within(f64::INFINITY)
     }
 
-    /// Returns the first comparison because of which a part never holds; none if it may hold.
-    fn impossible(&self, node: &Node) -> Option<&Comparison> {
+    /// Returns why the condition does not hold in a run of this many time units, if so: as
+    /// [`Self::never_holds`], and for comparisons that would have to hold for longer than the run.
+    #[must_use]
+    pub fn never_holds_within(&self, time: f64) -> Option<String> {
+        self.impossible(&self.root, time)
+    }
+
+    /// Returns why a part never holds, by its first comparison for which it does not; none if it may
+    /// hold.
+    fn impossible(&self, node: &Node, time: f64) -> Option<String> {
         match node {
-            Node::Comparison(index) => {
-                let comparison = &self.comparisons[*index];
-                (!comparison.is_possible()).then_some(comparison)
-            }
-            Node::All(nodes) => nodes.iter().find_map(|it| self.impossible(it)),
+            Node::Comparison(index) => self.comparisons[*index].impossible(time),
+            Node::All(nodes) => nodes.iter().find_map(|it| self.impossible(it, time)),
             Node::Any(nodes) => {
-                let parts: Option<Vec<_>> = nodes.iter().map(|it| self.impossible(it)).collect();
-                parts?.first().copied()
+                let parts: Option<Vec<_>> =
+                    nodes.iter().map(|it| self.impossible(it, time)).collect();
+                parts?.into_iter().next()
             }
         }
     }
 }
 
 impl Comparison {
+    /// Returns why it does not hold within this many time units, if so.
+    fn impossible(&self, time: f64) -> Option<String> {
+        if !self.is_possible() {
+            let definition = self.measure.definition();
+            return Some(format!(
+                "{self} never holds: the range of {} is {}; give a number within it",
+                definition.name, definition.range
+            ));
+        }
+        (self.duration? > time + ROUNDING).then(|| {
+            format!("{self} never holds: only {time} time units are left; give a shorter duration")
+        })
+    }
+
     /// Whether a value in the range of the measure fulfils it, or one beyond it by rounding.
     fn is_possible(&self) -> bool {
         let (least, greatest) = self.measure.definition().limits();

@@ -6,7 +6,7 @@ use std::fmt::{self, Display};
 use serde::Serialize;
 
 use crate::error::PlanError;
-use crate::plan::{Plan, PlannedRun};
+use crate::plan::{Plan, PlannedRun, Point};
 use crate::protocol::{Block, Trigger};
 use crate::subset::Subset;
 
@@ -135,7 +135,8 @@ fn condition(run: &str) -> &str {
 impl Outline {
     fn of(plan: &Plan, index: usize) -> Result<Option<Self>, PlanError> {
         let run = &plan.runs()[index];
-        let Some(protocol) = &plan.point(run).protocol else {
+        let point = plan.point(run);
+        let Some(protocol) = &point.protocol else {
             return Ok(None);
         };
         let blocks = plan.blocks(run)?;
@@ -143,10 +144,13 @@ impl Outline {
         Ok(Some(Self {
             number: index + 1,
             run: run.name.clone(),
-            steps: plan.point(run).steps,
+            steps: point.steps,
             blocks: blocks.len(),
             listed_blocks: listed.map(|it| BlockOutline::of(plan, run, it)).collect(),
-            stop: protocol.stop.as_ref().map(TriggerOutline::of),
+            stop: protocol
+                .stop
+                .as_ref()
+                .map(|it| TriggerOutline::of(it, point)),
             set_points: protocol.set_points.as_ref().map(|table| {
                 let (count, steps) = table.extent();
                 SetPointsOutline { count, steps }
@@ -180,18 +184,19 @@ impl BlockOutline {
         Self {
             line: block.line,
             executions,
-            when: block.trigger().map(TriggerOutline::of),
+            when: block.trigger().map(|it| TriggerOutline::of(it, point)),
             listed_executions: listed.take(3).chain(last).map(outline).collect(),
         }
     }
 }
 
 impl TriggerOutline {
-    fn of(trigger: &Trigger) -> Self {
+    fn of(trigger: &Trigger, point: &Point) -> Self {
+        let left = point.steps.saturating_sub(trigger.from) as f64 * point.spec.parameters.dt;
         Self {
             condition: trigger.condition.to_string(),
             from_step: trigger.from,
-            never_holds: trigger.condition.never_holds(),
+            never_holds: trigger.condition.never_holds_within(left),
         }
     }
 }

@@ -178,11 +178,13 @@ _ALL = [
         targets="-p jostled -p jostled-tests --test architecture --test measured",
         opt_levels=("jostled=0",),
     ),
+    # Without the daemon, which depends on them. The command line is named so that cargo selects the
+    # same features as for the whole workspace, whose dependencies are compiled.
     Cargo(
         "physics",
         ("crates/physics/", "crates/measures/src/"),
         ("crates/physics/src/", "crates/measures/src/"),
-        targets="-p jostle-physics -p jostle-measures --lib --test physics",
+        targets="-p jostle-physics -p jostle-measures -p jostle-cli --lib --test physics",
         opt_levels=("jostle-physics=1",),
     ),
     Cargo(
@@ -194,24 +196,27 @@ _ALL = [
             "crates/experiment/src/",
             "crates/physics/src/",
         ),
-        targets="-p jostle-conditions -p jostle-convert -p jostle-experiment --lib",
-        opt_levels=("jostle-physics=1",),
+        targets="-p jostle-conditions -p jostle-convert -p jostle-experiment -p jostle-cli --lib",
+        opt_levels=(
+            "jostle-experiment=0",
+            "jostle-physics=1",
+            "jostle-proto=0",
+            "jostle-results=0",
+        ),
     ),
-    # Without the daemon, which depends on them. The command line is named so that cargo selects the
-    # same features as for the whole workspace, whose dependencies are compiled.
     Cargo(
         "proto",
         ("proto/src/", "proto/contract/"),
         ("proto/src/",),
         targets="-p jostle-proto -p jostle-contract -p jostle-cli --lib --test contract",
-        opt_levels=("jostle-proto=1",),
+        opt_levels=("jostle-proto=0",),
     ),
     Cargo(
         "results",
         ("crates/results/src/",),
         ("crates/results/src/",),
         targets="-p jostle-results -p jostle-cli --lib",
-        opt_levels=("jostle-results=1",),
+        opt_levels=("jostle-proto=0", "jostle-results=0"),
     ),
     Cargo(
         "client",

@@ -62,7 +62,7 @@ class Plan:
         return f"""\
 name = "grid-{number}"
 seed = {self.seed + number}
-replicates = {min(150, round(self.seconds / 2))}
+replicates = {min(75, round(self.seconds / 2))}
 duration = 150
 
 [[grid]]

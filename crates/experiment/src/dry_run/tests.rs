@@ -74,4 +74,14 @@ fn a_condition_that_never_holds_is_marked() {
     let shown = DryRun::of(&plan, &Subset::all(&plan)).unwrap().to_string();
     let expected = "when order > 1.5 (order > 1.5 never holds: the range of order is 0 to 1; give a number within it)";
     assert!(shown.contains(expected), "{shown}");
+    // Two time units are left, or one.
+    for (duration, from, is_marked) in [(2.0, 0, false), (2.1, 0, true), (2.0, 1, true)] {
+        let text = format!(
+            "name = \"a\"\nduration = 2\n[[grid]]\nn = 5\n[stop]\n\
+             when = \"order > 0.5 for {duration}\"\nfrom = {from}\n"
+        );
+        let plan = Plan::parse(&text).unwrap();
+        let shown = DryRun::of(&plan, &Subset::all(&plan)).unwrap().to_string();
+        assert_eq!(shown.contains("time units are left"), is_marked, "{shown}");
+    }
 }

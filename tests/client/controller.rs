@@ -1,9 +1,5 @@
 //! A controller in lock-step, and how it resumes after errors.
 
-#![expect(clippy::unwrap_used, reason = "tests")]
-
-mod daemon;
-
 use std::time::{Duration, Instant};
 
 use jostle_client::{Client, ConnectOptions, Controller, Error};
@@ -13,7 +9,7 @@ use jostle_proto::verbs::{
 };
 use jostle_proto::{ErrorCode, Spec};
 
-use daemon::Daemon;
+use crate::daemon::Daemon;
 
 async fn join(client: &Client, name: &str, ids: &[u32]) -> Controller {
     let args = JoinArgs {

@@ -1,9 +1,5 @@
 //! Follows a swarm of a daemon in a process of its own, which is killed and started again.
 
-#![expect(clippy::unwrap_used, reason = "tests")]
-
-mod daemon;
-
 use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
@@ -13,7 +9,7 @@ use jostle_client::{Client, ConnectOptions, Error, EventsFrom, Follow, FollowOpt
 use jostle_proto::verbs::{AnnotateArgs, CreateArgs, DeleteArgs, RunArgs};
 use jostle_proto::{EventKind, Spec};
 
-use daemon::{Daemon, serve};
+use crate::daemon::{Daemon, serve};
 
 /// Makes a copy of this program a daemon: its folder and its endpoint.
 const DAEMON: &str = "JOSTLE_CLIENT_TEST_DAEMON";
@@ -27,7 +23,7 @@ struct Process(Child);
 impl Process {
     fn start(folder: &Path, listen: &str) -> (Self, String) {
         let mut child = Command::new(std::env::current_exe().unwrap())
-            .args(["daemon_process", "--exact", "--nocapture"])
+            .args(["follow::daemon_process", "--exact", "--nocapture"])
             .env(DAEMON, format!("{} {listen}", folder.display()))
             .stdout(Stdio::piped())
             .spawn()
