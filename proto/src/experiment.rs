@@ -58,6 +58,10 @@ pub struct ExpandedRun {
     /// The spec of the swarm, with the seed of the run.
     #[serde(deserialize_with = "lenient")]
     pub spec: Spec,
+    /// The snapshot from which `restore` creates the swarm, its CBOR as base64; left out if `create`
+    /// creates it from `spec`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub snapshot: Option<String>,
     /// How many steps the run takes, at most.
     #[schemars(range(max = LARGEST_WHOLE))]
     pub steps: u64,

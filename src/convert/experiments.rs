@@ -1,5 +1,7 @@
 //! Progress and results of experiments.
 
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
 use jostle_experiment::{LiveCommand, LiveRun, MAX_COMMANDS, Plan};
 use jostle_proto as proto;
 use jostle_results::table::{OrderSeries, Series};
@@ -54,6 +56,7 @@ pub fn expanded(run: &str, live: LiveRun) -> proto::ExpandedRun {
     proto::ExpandedRun {
         run: run.to_owned(),
         spec: live.spec,
+        snapshot: live.snapshot.map(|bytes| STANDARD.encode(bytes)),
         steps: live.steps,
         commands: commands
             .map(|command| match command {

@@ -199,6 +199,9 @@ impl ExperimentManager {
         state.entries.remove(name);
         state.version += 1;
         self.0.changed.notify_all();
+        drop(state);
+        // Requests from here on find no experiment of this name.
+        self.0.results.forget_deleted();
         Ok(report)
     }
 
@@ -337,8 +340,9 @@ impl ExperimentManager {
             return Ok(plan);
         }
         let plan = Arc::new(read_plan(name, &self.0.jobs.folder(name))?);
+        // Meanwhile another experiment of this name may have been submitted, with its plan.
         if let Some(entry) = self.lock().entries.get_mut(name) {
-            entry.plan = Some(plan.clone());
+            entry.plan.get_or_insert_with(|| plan.clone());
         }
         Ok(plan)
     }

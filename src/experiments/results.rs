@@ -21,29 +21,51 @@ pub struct Results {
     pub finished: Arc<FinishedRuns>,
 }
 
-/// The results that were read last, with the name of their experiment and the length of its list of
-/// finished runs: a client requests one page after the other.
+/// The results that were read last: a client requests one page after the other.
 #[derive(Debug, Default)]
-pub struct ResultsCache(Mutex<Option<(String, u64, Results)>>);
+pub struct ResultsCache(Mutex<Cached>);
+
+#[derive(Debug, Default)]
+struct Cached {
+    /// With the name of their experiment and the length of its list of finished runs.
+    last: Option<(String, u64, Results)>,
+    /// How many experiments were deleted. Another experiment may have the name of a deleted one, and a
+    /// list of the same length.
+    deletions: u64,
+}
 
 impl ResultsCache {
+    /// Drops the results of a deleted experiment, also those that another thread reads at present.
+    pub fn forget_deleted(&self) {
+        let mut cached = self.0.lock();
+        cached.last = None;
+        cached.deletions += 1;
+    }
+
     pub fn read(&self, name: &str, folder: &Path, plan: &Plan) -> Result<Results, ExperimentError> {
         // The list is only appended to.
         let list = fs::metadata(folder.join("runs.jsonl"));
         let length = list.map_or(0, |list| list.len());
-        if let Some((of, cached, results)) = &*self.0.lock()
-            && of == name
-            && *cached == length
-        {
-            return Ok(results.clone());
-        }
+        let deletions = {
+            let cached = self.0.lock();
+            if let Some((of, its_length, results)) = &cached.last
+                && of == name
+                && *its_length == length
+            {
+                return Ok(results.clone());
+            }
+            cached.deletions
+        };
         let mut finished = Folder::read(folder, plan).map_err(ExperimentError::unreadable)?;
         let rows = numbered(plan, std::mem::take(&mut finished.rows));
         let results = Results {
             rows: Arc::new(rows),
             finished: Arc::new(finished),
         };
-        *self.0.lock() = Some((name.to_owned(), length, results.clone()));
+        let mut cached = self.0.lock();
+        if cached.deletions == deletions {
+            cached.last = Some((name.to_owned(), length, results.clone()));
+        }
         Ok(results)
     }
 }

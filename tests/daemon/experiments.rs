@@ -1,9 +1,11 @@
 //! Experiments on a daemon: they continue without their clients, and after a restart.
 
+use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
+use jostle_experiment::{Plan, execute_run};
 use jostle_proto::{ErrorCode, keys};
 use serde_json::{Value, json};
 
@@ -316,6 +318,37 @@ async fn what_is_unfinished_goes_on_in_another_daemon_and_what_is_paused_does_no
     ok(client, json!({"cancel": {"name": "going"}})).await;
     wait_for_phase(client, "next", "finished").await;
     daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_experiment_under_the_name_of_a_deleted_one_has_its_own_rows() {
+    let folder = tempfile::tempdir().unwrap();
+    let (mut process, client) = start_daemon(folder.path()).await;
+    let list = folder.path().join("experiments/again/runs.jsonl");
+    // Executes a run of this seed, checks its row, and returns the length of the list of runs.
+    let length = async |seed: u64| {
+        let toml =
+            format!("name = \"again\"\nseeds = [{seed}]\nduration = 1\nspec = {{ n = 5 }}\n");
+        submit(&client, &toml).await;
+        wait_for_phase(&client, "again", "finished").await;
+        let rows = rows(&client, "again", 10).await;
+        let plan = Plan::parse(&toml).unwrap();
+        let run = execute_run(&plan, &plan.runs()[0], |_| true).unwrap();
+        assert_eq!(rows[0]["state_hash"], run.row.unwrap().state_hash);
+        let length = fs::metadata(&list).unwrap().len();
+        ok(&client, json!({"delete": {"name": "again"}})).await;
+        length
+    };
+    // The daemon caches rows, and must not mistake one list for another of the same length.
+    let mut seeds = BTreeMap::new();
+    for seed in 10..60 {
+        if let Some(same) = seeds.insert(length(seed).await, seed) {
+            assert_eq!(length(same).await, length(seed).await);
+            break;
+        }
+    }
+    assert!(seeds.len() < 50, "{seeds:?}");
+    process.kill();
 }
 
 /// A daemon in its own process, and a client of it.

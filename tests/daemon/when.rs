@@ -193,13 +193,18 @@ async fn kills_do_not_change_the_step() {
     daemon.0.kill();
 }
 
-async fn restore(client: &Client, swarm: &str, name: &str) {
+/// The snapshot file of a swarm.
+async fn snapshot_of(client: &Client, swarm: &str) -> Vec<u8> {
     let replies = client.session.get(keys::get(PREFIX, swarm, "snapshot"));
     let sample = replies.await.unwrap().recv_async().await.unwrap();
     let sample = sample.into_result().unwrap();
     let reply: Reply<Snapshot> = ciborium::from_reader(&*sample.payload().to_bytes()).unwrap();
-    let snapshot = STANDARD.encode(jostle_proto::to_cbor(&reply.result));
-    let args = json!({"name": name, "snapshot": snapshot}).to_string();
+    jostle_proto::to_cbor(&reply.result)
+}
+
+/// Creates a swarm from a snapshot file.
+async fn restore(client: &Client, snapshot: &[u8], name: &str) {
+    let args = json!({"name": name, "snapshot": STANDARD.encode(snapshot)}).to_string();
     let key = keys::node_cmd(PREFIX, NODE, "restore");
     client.query(&key, Some(args.as_bytes())).await.unwrap();
 }
@@ -214,7 +219,7 @@ async fn copies_in_the_middle_of_a_duration_pause_at_the_same_step() {
     let before = json!({"timeout_secs": 60, "args": {"steps": step - 80}});
     client.ok("a", "step", before).await;
     client.ok("a", "fork", json!({"name": "forked"})).await;
-    restore(client, "a", "restored").await;
+    restore(client, &snapshot_of(client, "a").await, "restored").await;
     let earlier = json!({"name": "earlier", "step": step - 120});
     client.ok("a", "fork", earlier).await;
     let daemon = daemon.restart().await;

@@ -132,6 +132,27 @@ when = "nematic >= 0 for 3.5"
     swarm.delete()
 
 
+def test_a_played_run_from_a_snapshot_has_the_hash_of_the_run(
+    client: jostle.Client, tmp_path: Path
+) -> None:
+    grown = client.create("grown", {"n": 12, "dt": 0.05, "seed": 9})
+    grown.step(30)
+    grown.snapshot().save(tmp_path / "grown.snapshot")
+    file = tmp_path / "turn.toml"
+    file.write_text('start = "grown.snapshot"\n' + TURN)
+    experiment = client.submit(file).wait(MAX_WAIT_SECS)
+    rows = experiment.rows()
+    experiment.delete()
+    assert len({row.state_hash for row in rows}) == len(rows)
+    for number, row in enumerate(rows, start=1):
+        swarm = client.play(file, number, name="live")
+        assert swarm.status().step == 0
+        swarm.step(STEPS)
+        assert swarm.status().state_hash == row.state_hash
+        swarm.delete()
+    grown.delete()
+
+
 @pytest.mark.parametrize(
     ("source", "run", "message"),
     [

@@ -21,6 +21,9 @@ pub const MAX_COMMANDS: (usize, usize) = (1024, 256 * 1024);
 pub struct LiveRun {
     /// The spec of the swarm, with the seed of the run.
     pub spec: Spec,
+    /// The snapshot from which the swarm is restored, as the bytes of a file, with the seed of the run;
+    /// none if the swarm is created from its spec.
+    pub snapshot: Option<Vec<u8>>,
     /// The number of steps of the run, at most.
     pub steps: u64,
     /// The commands, in the order in which a client sends them.
@@ -62,12 +65,6 @@ pub enum PlayError {
     /// The run has no start.
     #[error(transparent)]
     NoStart(#[from] ChangeError),
-    /// The run starts from a snapshot.
-    #[error(
-        "the run starts from a snapshot with another seed: `jostle restore` creates a swarm from a \
-         snapshot"
-    )]
-    Start,
     /// The run has set-points.
     #[error(
         "the file has setpoints, which cannot be scheduled: execute the run with `jostle experiment \
@@ -98,17 +95,17 @@ impl LiveRun {
     ///
     /// # Errors
     ///
-    /// [`PlayError::Start`] if the file has `start`, [`PlayError::SetPoints`] if it has `setpoints`,
-    /// [`PlayError::StopsAtStart`] if the run ends with a fault at step 0, [`PlayError::Costly`] if a
-    /// daemon does not evaluate a condition, [`PlayError::TooMany`] if a swarm does not schedule all
-    /// commands.
+    /// [`PlayError::SetPoints`] if the file has `setpoints`, [`PlayError::StopsAtStart`] if the run ends
+    /// with a fault at step 0, [`PlayError::Costly`] if a daemon does not evaluate a condition,
+    /// [`PlayError::TooMany`] if a swarm does not schedule all commands.
     pub fn new(plan: &Plan, run: &PlannedRun) -> Result<Self, PlayError> {
-        if plan.base.is_some() {
-            return Err(PlayError::Start);
-        }
         if plan.set_points.is_some() {
             return Err(PlayError::SetPoints);
         }
+        let snapshot = plan
+            .base
+            .as_ref()
+            .map(|it| it.snapshot(&plan.spec(run), run::reserve()));
         let point = plan.point(run);
         let empty = Protocol::default();
         let protocol = point.protocol.as_deref().unwrap_or(&empty);
@@ -121,7 +118,8 @@ impl LiveRun {
             bytes: 0,
             commands: Vec::new(),
         };
-        if point.informed > 0 {
+        // A snapshot has its informed individuals.
+        if point.informed > 0 && snapshot.is_none() {
             let inform = Change::inform(Selection::Count(point.informed), DIRECTION);
             player.push(0, None, &[inform])?;
         }
@@ -129,6 +127,7 @@ impl LiveRun {
         player.push_executions(at_once)?;
         Ok(Self {
             spec: spec::to_proto(&point.spec, run.seed),
+            snapshot: snapshot.transpose()?,
             steps: point.steps,
             commands: player.commands,
             stop: stop_of(protocol).map(|it| it.condition.to_string()),

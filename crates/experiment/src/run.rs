@@ -286,7 +286,7 @@ impl<'a> CurrentRun<'a> {
 }
 
 /// Returns the callback that limits the size of the group, as the plan limits it at the start.
-fn reserve() -> ReserveMemory {
+pub fn reserve() -> ReserveMemory {
     Box::new(|reservation| match reservation {
         Reservation::Grow(n) if n as u64 > MAX_INDIVIDUALS => Err(ReserveError::TooMany {
             n,

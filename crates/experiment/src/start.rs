@@ -8,7 +8,8 @@ use jostle_physics::observables::RunningMeans;
 use jostle_physics::simulation::{
     Change, ChangeError, Checkpoint, Exactness, ReserveMemory, Settings, Simulation, Spec, Start,
 };
-use jostle_proto::Snapshot;
+use jostle_proto::snapshot::SnapshotPhase;
+use jostle_proto::{Snapshot, to_cbor};
 
 use crate::limits::MAX_INDIVIDUALS;
 
@@ -134,6 +135,21 @@ impl Base {
         simulation.measures.clone_from(&spec.measures);
         simulation.spec = spec.clone();
         Ok(simulation)
+    }
+
+    /// Returns the snapshot file of the state from which a run starts, as [`Self::simulation`].
+    ///
+    /// # Errors
+    ///
+    /// [`ChangeError`] if the state cannot have the parameters of `spec`.
+    pub fn snapshot(&self, spec: &Spec, reserve: ReserveMemory) -> Result<Vec<u8>, ChangeError> {
+        let checkpoint = self.simulation(spec, reserve)?.checkpoint();
+        let doing = SnapshotPhase::Paused {
+            reason: "created".to_owned(),
+        };
+        Ok(to_cbor(
+            &snapshot::to_proto("run", &checkpoint, doing).sealed(),
+        ))
     }
 }
 

@@ -4,7 +4,8 @@ use jostle_proto::ErrorCode;
 use serde_json::json;
 
 use super::{
-    N, create_informed, first_step, inform, pause, pauses_at, restore, run, verifies, waiting,
+    N, create_informed, first_step, inform, pause, pauses_at, restore, run, snapshot_of, verifies,
+    waiting,
 };
 use crate::support::Daemon;
 use crate::support::daemon_process::{killed, start};
@@ -56,7 +57,8 @@ async fn measures_of_earlier_states_survive_kills_and_copies() {
             daemon.1.ok("a", "pause", json!({})).await;
             let name = format!("forked-{to}");
             daemon.1.ok("a", "fork", json!({"name": name})).await;
-            restore(&daemon.1, "a", &format!("restored-{to}")).await;
+            let snapshot = snapshot_of(&daemon.1, "a").await;
+            restore(&daemon.1, &snapshot, &format!("restored-{to}")).await;
         }
         daemon = killed(folder.path(), daemon).await;
         assert_eq!(waiting(&daemon.1, "a").await, json!([MOVING]));

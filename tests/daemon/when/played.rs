@@ -1,9 +1,10 @@
 //! Protocols that are played as swarms, compared with the runs of their files.
 
-use jostle_experiment::{LiveCommand, LiveRun, Plan, execute_run};
+use jostle_experiment::{Files, LiveCommand, LiveRun, Plan, execute_run};
 use serde_json::json;
 
-use super::{fired, verifies};
+use super::{fired, restore, snapshot_of, verifies};
+use crate::support::Daemon;
 use crate::support::daemon_process::{killed, start};
 
 /// Blocks with conditions, which draw, among others that draw; two are equal, and need earlier states.
@@ -44,17 +45,17 @@ inform = { select = { count = 2 }, direction = 0.5 }
 "#;
 
 /// Plays the runs of a file, and compares each with its row. Kills the daemon in the middle.
-async fn plays_as_its_runs(file: &str, is_stopped: bool) {
+async fn plays_as_its_runs(plan: &Plan, is_stopped: bool) {
     let folder = tempfile::tempdir().unwrap();
     let mut daemon = start(folder.path()).await;
-    let plan = Plan::parse(file).unwrap();
     for (k, run) in plan.runs().iter().enumerate() {
         let swarm = format!("run-{k}");
-        let live = LiveRun::new(&plan, run).unwrap();
-        daemon
-            .1
-            .create(&swarm, serde_json::to_value(&live.spec).unwrap())
-            .await;
+        let live = LiveRun::new(plan, run).unwrap();
+        let spec = serde_json::to_value(&live.spec).unwrap();
+        match &live.snapshot {
+            Some(snapshot) => restore(&daemon.1, snapshot, &swarm).await,
+            None => drop(daemon.1.create(&swarm, spec).await),
+        }
         for command in &live.commands {
             match command {
                 LiveCommand::Batch { step, args } => {
@@ -76,7 +77,7 @@ async fn plays_as_its_runs(file: &str, is_stopped: bool) {
         let until = json!({"until_step": live.steps, "rate": null});
         daemon.1.ok(&swarm, "run", until).await;
         let status = daemon.1.get(&swarm, "wait?phase=paused").await;
-        let row = execute_run(&plan, run, |_| true).unwrap().row.unwrap();
+        let row = execute_run(plan, run, |_| true).unwrap().row.unwrap();
         assert_eq!(status["step"].as_u64(), Some(row.steps), "{status}");
         assert_eq!(
             status["result"]["state_hash"], row.state_hash,
@@ -89,6 +90,9 @@ async fn plays_as_its_runs(file: &str, is_stopped: bool) {
         let count = fired(&daemon.1, &swarm).await.len();
         assert!(count >= 2, "{count} fired");
         verifies(&daemon.1, &swarm).await;
+        if live.snapshot.is_some() {
+            continue;
+        }
         // Its commands as a file give the same state.
         let reply = daemon.1.get(&swarm, "experiment").await;
         let text = reply["result"]["file"].as_str().unwrap();
@@ -101,12 +105,37 @@ async fn plays_as_its_runs(file: &str, is_stopped: bool) {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_played_protocol_has_the_states_of_its_run() {
-    plays_as_its_runs(PROTOCOL, false).await;
+    plays_as_its_runs(&Plan::parse(PROTOCOL).unwrap(), false).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_played_stop_pauses_in_the_last_state_of_the_run() {
     // It holds at the step of a repeated block, whose commands are not executed.
     let stop = format!("{PROTOCOL}[stop]\nfrom = 8\nwhen = \"order >= 0 for 1\"\n");
-    plays_as_its_runs(&stop, true).await;
+    plays_as_its_runs(&Plan::parse(&stop).unwrap(), true).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_played_run_from_a_snapshot_has_its_states() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    let spec = json!({"n": 14, "dt": 0.1, "noise": 0.05, "seed": 8});
+    client.create("grown", spec).await;
+    // Informed for a time that ends in the run, and with draws of a protocol.
+    let inform = json!({"verb": "inform", "args": {"select": {"count": 4}, "direction": 1,
+                        "for_time": 6}});
+    let batch = json!({"commands": [inform], "protocol": true});
+    client.ok("grown", "batch", batch).await;
+    client.ok("grown", "step", json!({"steps": 30})).await;
+    let snapshot = snapshot_of(client, "grown").await;
+    let start = format!("start = \"grown.snapshot\"\n{PROTOCOL}");
+    let files = Files {
+        toml: start
+            .replace("n = 14\n", "")
+            .replace("informed = [0, 4]", "pi3 = [1, 1.5]"),
+        start: Some(snapshot),
+        ..Files::default()
+    };
+    plays_as_its_runs(&Plan::of(files).unwrap(), false).await;
+    daemon.stop().await;
 }

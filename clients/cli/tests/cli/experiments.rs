@@ -6,7 +6,7 @@ use std::process::Command;
 
 use serde_json::json;
 
-use crate::support::{Daemon, until};
+use crate::support::{Daemon, object, until};
 
 const SMALL: &str = "name = \"small\"\nseed = 3\nreplicates = 2\nduration = 20\n\
                      grid = [{ n = [3, 8] }]\nmeasure = { order_every = 500, series_every = 400, record_every = 400, \
@@ -51,6 +51,41 @@ async fn faulted_runs_are_counted_and_left_out_of_charts() {
         assert!(ended.stderr.contains(note), "{what}: {ended:?}");
         fs::remove_file(&picture).unwrap();
     }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_run_from_a_snapshot_is_played() {
+    let folder = tempfile::tempdir().unwrap();
+    let data = folder.path().join("data");
+    let daemon = Daemon::with(&[("data_dir", data.to_str().unwrap())]).await;
+    daemon.said("create grown --n 9 --noise 0.1 --seed 2").await;
+    daemon.said("step grown 40").await;
+    let snapshot = folder.path().join("grown.snapshot");
+    daemon
+        .said(&format!("snapshot grown -o {}", snapshot.display()))
+        .await;
+    let text = "name = \"later\"\nstart = \"grown.snapshot\"\nseeds = [6, 7]\nduration = 2\n[[at]]\n\
+                step = 20\ninject = { count = 2 }\n";
+    let later = file(folder.path(), "later.toml", text);
+    daemon.said(&format!("experiment run {later}")).await;
+    let out = folder.path().join("results");
+    daemon
+        .said(&format!("experiment results later -o {}", out.display()))
+        .await;
+    let table = fs::read_to_string(out.join("results.csv")).unwrap();
+    for (number, row) in (1..).zip(table.lines().skip(1)) {
+        let said = daemon
+            .said(&format!("experiment play {later} --run {number} --as live"))
+            .await;
+        assert!(said.contains("scheduled 1 command:"), "{said}");
+        daemon.said("step live 100").await;
+        let status = object(&daemon.jostle("--json status live").await);
+        let hash = status["result"]["state_hash"].as_str().unwrap();
+        assert!(row.contains(hash), "{hash}\n{row}");
+        daemon.said("delete live --yes").await;
+    }
+    assert_eq!(table.lines().count(), 3);
+    daemon.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -56,8 +56,7 @@ class Player:
         Raises:
             AlreadyExists: The name of the swarm is taken.
             InvalidArgument: The experiment is invalid, has no such run, or that run cannot be
-                scheduled: it has set-points or a start from a snapshot, or its `[stop]` holds at
-                the start.
+                scheduled: it has set-points, or its `[stop]` holds at the start.
             OSError: The file cannot be read.
             ResourceExhausted: There are more commands than can be scheduled.
         """
@@ -73,8 +72,12 @@ class Player:
         if expanded is None:
             raise Unavailable("the daemon is of a version that expands no runs: upgrade it")
         name = name or reply.progress.name
-        create = {"name": name, "spec": expanded.spec, "exist_ok": False}
-        self._command("create", create, CreateResult, timeout, request_id)
+        if expanded.snapshot is None:
+            create = {"name": name, "spec": expanded.spec, "exist_ok": False}
+            self._command("create", create, CreateResult, timeout, request_id)
+        else:
+            restore = {"name": name, "snapshot": expanded.snapshot}
+            self._command("restore", restore, CreateResult, timeout, request_id)
         swarm = Swarm(self._session, name)
         for number, command in enumerate(expanded.commands, start=1):
             try:

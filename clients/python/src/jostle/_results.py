@@ -95,6 +95,8 @@ class ExpandedRun(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         run: Its name.
         spec: The spec of the swarm, with the seed of the run.
+        snapshot: The snapshot from which the swarm is restored, in base64; None if it is created
+            from its spec.
         steps: The number of its steps, at most.
         commands: The commands to send, in this order.
         stop: The condition that ends the run and pauses the swarm.
@@ -105,6 +107,7 @@ class ExpandedRun(msgspec.Struct, frozen=True, kw_only=True):
     steps: int
     commands: list[RunCommand]
     stop: str | None
+    snapshot: str | None = None
 
 
 class ExperimentResult(msgspec.Struct, frozen=True, kw_only=True):

@@ -1,9 +1,11 @@
 //! `experiment play`: the swarm of a run, with the commands of its protocol scheduled.
 
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
 use jostle_client::{Client, CommandOptions};
 use jostle_experiment::{LiveCommand, LiveRun, Plan, PlannedRun};
 use jostle_proto::Reply;
-use jostle_proto::verbs::{CreateArgs, CreateResult, DeleteArgs};
+use jostle_proto::verbs::{CreateArgs, CreateResult, DeleteArgs, RestoreArgs};
 use serde_json::json;
 
 use crate::arguments::PlayArguments;
@@ -22,11 +24,6 @@ pub async fn play(context: &Context, arguments: &PlayArguments) -> Result<(), Fa
     let run = find(&plan, arguments.run.as_deref())?;
     let live = LiveRun::new(&plan, run).map_err(|error| wrong(error.to_string()))?;
     let swarm = arguments.swarm.as_deref().unwrap_or(&plan.name);
-    let create = CreateArgs {
-        name: swarm.to_owned(),
-        spec: live.spec.clone(),
-        exist_ok: false,
-    };
     let options = |k: usize| CommandOptions {
         // A retry with the same id executes nothing twice.
         request_id: arguments.sender.request_id.as_ref().map(|id| match k {
@@ -35,7 +32,22 @@ pub async fn play(context: &Context, arguments: &PlayArguments) -> Result<(), Fa
         }),
         ..(&arguments.sender).into()
     };
-    let created = client.command_node("create", &create, options(0)).await;
+    let name = swarm.to_owned();
+    let created = match &live.snapshot {
+        Some(bytes) => {
+            let snapshot = STANDARD.encode(bytes);
+            let restore = RestoreArgs { name, snapshot };
+            client.command_node("restore", &restore, options(0)).await
+        }
+        None => {
+            let create = CreateArgs {
+                name,
+                spec: live.spec.clone(),
+                exist_ok: false,
+            };
+            client.command_node("create", &create, options(0)).await
+        }
+    };
     let answer = created.map_err(|error| match Failure::from(error) {
         failure if failure.code() == "already_exists" => Failure::new(
             "already_exists",
