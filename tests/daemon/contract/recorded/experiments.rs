@@ -6,7 +6,7 @@ use jostle_proto::keys;
 use serde_json::{Value, json};
 
 use super::documents::Recorded;
-use super::recording_client::{FIXTURE_NODE, RecordingClient};
+use super::recording_client::{FIXTURE_NODE, RecordingClient, args};
 use crate::support::{PREFIX, until};
 
 /// An experiment of four short runs, two of them with an informed individual.
@@ -119,6 +119,12 @@ pub async fn record_fixtures(recorded: &Recorded) {
     let turn = json!({"expand": {"toml": TURN}});
     recorder
         .node_cmd("experiment.reply.expanded", "experiment", turn)
+        .await;
+    let start = &args("experiment.args.expand_files")["expand"]["start"];
+    let later = "name = \"later\"\nduration = 1.0\nstart = \"school.snapshot\"\n";
+    let later = json!({"expand": {"toml": later, "start": start}});
+    recorder
+        .node_cmd("experiment.reply.expanded_start", "experiment", later)
         .await;
 
     for name in ["long", "next"] {
