@@ -35,13 +35,18 @@ def workers() -> int:
     return sum(it.name in ("jostle-worker", "jostle-listener") for it in threading.enumerate())
 
 
-def run_delay_secs() -> float:
-    """How long threads of this process were ready to run and waited for a CPU."""
-    total = 0
+def run_delays() -> dict[str, int]:
+    """For each thread of this process, how long it was ready to run and waited for a CPU, in ns."""
+    delays = {}
     for task in Path("/proc/self/task").iterdir():
         with suppress(FileNotFoundError, ProcessLookupError):
-            total += int((task / "schedstat").read_text().split()[1])
-    return total / 1e9
+            delays[task.name] = int((task / "schedstat").read_text().split()[1])
+    return delays
+
+
+def run_delay_secs(before: dict[str, int]) -> float:
+    """How long threads waited for a CPU since `before`; those that ended are left out."""
+    return sum(delay - before.get(task, 0) for task, delay in run_delays().items()) / 1e9
 
 
 def run(main: Callable[[], Coroutine[Any, Any, None]]) -> None:
@@ -53,13 +58,13 @@ def run(main: Callable[[], Coroutine[Any, Any, None]]) -> None:
         async def watch() -> None:
             nonlocal gap
             while True:
-                began, delay = time.monotonic(), run_delay_secs()
+                began, delays = time.monotonic(), run_delays()
                 await asyncio.sleep(0.005)
                 took = time.monotonic() - began
                 if took > gap:
                     # On a busy machine the thread of the loop, or the one that holds the
                     # interpreter's lock, waits for a CPU: that time does not count.
-                    gap = max(gap, took - (run_delay_secs() - delay))
+                    gap = max(gap, took - run_delay_secs(delays))
 
         watching = asyncio.create_task(watch())
         try:
