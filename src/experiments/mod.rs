@@ -199,9 +199,6 @@ impl ExperimentManager {
         state.entries.remove(name);
         state.version += 1;
         self.0.changed.notify_all();
-        drop(state);
-        // Requests from here on find no experiment of this name.
-        self.0.results.forget_deleted();
         Ok(report)
     }
 
@@ -224,8 +221,8 @@ impl ExperimentManager {
         Ok(self.results(name, &plan)?.rows)
     }
 
-    fn results(&self, name: &str, plan: &Plan) -> Result<Results, ExperimentError> {
-        self.0.results.read(name, &self.0.jobs.folder(name), plan)
+    fn results(&self, name: &str, plan: &Arc<Plan>) -> Result<Results, ExperimentError> {
+        self.0.results.read(&self.0.jobs.folder(name), plan)
     }
 
     /// The order over time of one run.
@@ -282,7 +279,7 @@ impl ExperimentManager {
     fn finished_run(
         &self,
         name: &str,
-        plan: &Plan,
+        plan: &Arc<Plan>,
         run: &str,
     ) -> Result<(usize, Results), ExperimentError> {
         let Some(index) = plan.index(run) else {
@@ -340,11 +337,11 @@ impl ExperimentManager {
             return Ok(plan);
         }
         let plan = Arc::new(read_plan(name, &self.0.jobs.folder(name))?);
-        // Meanwhile another experiment of this name may have been submitted, with its plan.
-        if let Some(entry) = self.lock().entries.get_mut(name) {
-            entry.plan.get_or_insert_with(|| plan.clone());
+        // Another request may have read it meanwhile: an experiment has one plan.
+        match self.lock().entries.get_mut(name) {
+            Some(entry) => Ok(entry.plan.get_or_insert(plan).clone()),
+            None => Ok(plan),
         }
-        Ok(plan)
     }
 
     /// Enqueues an experiment that is paused or over.

@@ -23,49 +23,39 @@ pub struct Results {
 
 /// The results that were read last: a client requests one page after the other.
 #[derive(Debug, Default)]
-pub struct ResultsCache(Mutex<Cached>);
+pub struct ResultsCache(Mutex<Option<Cached>>);
 
-#[derive(Debug, Default)]
+#[derive(Debug)]
 struct Cached {
-    /// With the name of their experiment and the length of its list of finished runs.
-    last: Option<(String, u64, Results)>,
-    /// How many experiments were deleted. Another experiment may have the name of a deleted one, and a
-    /// list of the same length.
-    deletions: u64,
+    /// The plan that the experiment has since its submission: another experiment may have the name of a
+    /// deleted one, and a list of the same length.
+    plan: Arc<Plan>,
+    /// The length of the list of finished runs, which is only appended to.
+    length: u64,
+    results: Results,
 }
 
 impl ResultsCache {
-    /// Drops the results of a deleted experiment, also those that another thread reads at present.
-    pub fn forget_deleted(&self) {
-        let mut cached = self.0.lock();
-        cached.last = None;
-        cached.deletions += 1;
-    }
-
-    pub fn read(&self, name: &str, folder: &Path, plan: &Plan) -> Result<Results, ExperimentError> {
-        // The list is only appended to.
+    pub fn read(&self, folder: &Path, plan: &Arc<Plan>) -> Result<Results, ExperimentError> {
         let list = fs::metadata(folder.join("runs.jsonl"));
         let length = list.map_or(0, |list| list.len());
-        let deletions = {
-            let cached = self.0.lock();
-            if let Some((of, its_length, results)) = &cached.last
-                && of == name
-                && *its_length == length
-            {
-                return Ok(results.clone());
-            }
-            cached.deletions
-        };
+        if let Some(cached) = &*self.0.lock()
+            && Arc::ptr_eq(&cached.plan, plan)
+            && cached.length == length
+        {
+            return Ok(cached.results.clone());
+        }
         let mut finished = Folder::read(folder, plan).map_err(ExperimentError::unreadable)?;
         let rows = numbered(plan, std::mem::take(&mut finished.rows));
         let results = Results {
             rows: Arc::new(rows),
             finished: Arc::new(finished),
         };
-        let mut cached = self.0.lock();
-        if cached.deletions == deletions {
-            cached.last = Some((name.to_owned(), length, results.clone()));
-        }
+        *self.0.lock() = Some(Cached {
+            plan: plan.clone(),
+            length,
+            results: results.clone(),
+        });
         Ok(results)
     }
 }

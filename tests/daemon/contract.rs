@@ -194,7 +194,7 @@ async fn every_channel_of_the_document_is_served() {
                 _ => send(client, &swarm, &verb, &args).await,
             };
             if fixture.starts_with("experiment.args.expand_files") {
-                // A run with set-points is no swarm's.
+                // A run with set-points cannot be played.
                 assert_eq!(answer.unwrap_err().details["field"], "expand.toml");
                 continue;
             }

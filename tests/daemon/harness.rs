@@ -11,15 +11,21 @@ use std::time::{Duration, Instant};
 
 use crate::support::small_disk::SmallDisk;
 
-/// A port of this address on which no process listens, for a daemon that is started with it later.
+/// Distinct ports of this address on which no process listens, for daemons that are started with them
+/// later.
 ///
-/// It is below the ports that the kernel assigns itself: one of those, assigned to a socket that is
+/// They are below the ports that the kernel assigns itself: one of those, assigned to a socket that is
 /// closed again, may be assigned to another process before the daemon listens on it.
-pub fn free_port(address: &str) -> u16 {
-    (0_u16..)
-        .map(|attempt| 10_000 + (RandomState::new().hash_one(attempt) % 22_000) as u16)
-        .find(|port| TcpListener::bind((address, *port)).is_ok())
-        .unwrap()
+pub fn free_ports<const N: usize>(address: &str) -> [u16; N] {
+    let mut ports = [0; N];
+    for k in 0..N {
+        let mut drawn = (0..1000_u16)
+            .map(|attempt| 10_000 + (RandomState::new().hash_one(attempt) % 22_000) as u16);
+        let free =
+            drawn.find(|port| !ports.contains(port) && TcpListener::bind((address, *port)).is_ok());
+        ports[k] = free.expect("a free port");
+    }
+    ports
 }
 
 /// A test that needs a disk of its own, run by the test below as a process.

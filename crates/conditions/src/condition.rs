@@ -73,25 +73,24 @@ impl Condition {
     /// not hold are beyond the ranges of their measures.
     #[must_use]
     pub fn never_holds(&self) -> Option<String> {
-        self.never_holds_within(f64::INFINITY)
+        self.impossible(&self.root, None)
     }
 
-    /// Returns why the condition does not hold in a run of this many time units, if so: as
-    /// [`Self::never_holds`], and for comparisons that would have to hold for longer than the run.
+    /// Returns why the condition cannot hold within this many steps: a comparison is beyond the range
+    /// of its measure, or its duration is longer than the steps.
     #[must_use]
-    pub fn never_holds_within(&self, time: f64) -> Option<String> {
-        self.impossible(&self.root, time)
+    pub fn never_holds_within(&self, steps: u64, dt: f64) -> Option<String> {
+        self.impossible(&self.root, Some((steps, dt)))
     }
 
-    /// Returns why a part never holds, by its first comparison for which it does not; none if it may
-    /// hold.
-    fn impossible(&self, node: &Node, time: f64) -> Option<String> {
+    /// Returns the reason of the first comparison that makes a part impossible; none if it may hold.
+    fn impossible(&self, node: &Node, left: Option<(u64, f64)>) -> Option<String> {
         match node {
-            Node::Comparison(index) => self.comparisons[*index].impossible(time),
-            Node::All(nodes) => nodes.iter().find_map(|it| self.impossible(it, time)),
+            Node::Comparison(index) => self.comparisons[*index].impossible(left),
+            Node::All(nodes) => nodes.iter().find_map(|it| self.impossible(it, left)),
             Node::Any(nodes) => {
                 let parts: Option<Vec<_>> =
-                    nodes.iter().map(|it| self.impossible(it, time)).collect();
+                    nodes.iter().map(|it| self.impossible(it, left)).collect();
                 parts?.into_iter().next()
             }
         }
@@ -99,8 +98,8 @@ impl Condition {
 }
 
 impl Comparison {
-    /// Returns why it does not hold within this many time units, if so.
-    fn impossible(&self, time: f64) -> Option<String> {
+    /// Returns why it never holds, or not within this many steps of this length.
+    fn impossible(&self, left: Option<(u64, f64)>) -> Option<String> {
         if !self.is_possible() {
             let definition = self.measure.definition();
             return Some(format!(
@@ -108,8 +107,13 @@ impl Comparison {
                 definition.name, definition.range
             ));
         }
-        (self.duration? > time + ROUNDING).then(|| {
-            format!("{self} never holds: only {time} time units are left; give a shorter duration")
+        let (left, dt) = left?;
+        let steps = self.steps(dt);
+        (steps > left).then(|| {
+            format!(
+                "{self} never holds: its duration is {steps} steps, and {left} are left; give a shorter \
+                 one"
+            )
         })
     }
 

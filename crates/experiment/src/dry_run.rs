@@ -150,7 +150,7 @@ impl Outline {
             stop: protocol
                 .stop
                 .as_ref()
-                .map(|it| TriggerOutline::of(it, point)),
+                .map(|it| TriggerOutline::of(it, point, point.steps)),
             set_points: protocol.set_points.as_ref().map(|table| {
                 let (count, steps) = table.extent();
                 SetPointsOutline { count, steps }
@@ -184,19 +184,25 @@ impl BlockOutline {
         Self {
             line: block.line,
             executions,
-            when: block.trigger().map(|it| TriggerOutline::of(it, point)),
+            when: block.trigger().map(|it| {
+                // It is not evaluated on the last state.
+                TriggerOutline::of(it, point, point.steps.saturating_sub(1))
+            }),
             listed_executions: listed.take(3).chain(last).map(outline).collect(),
         }
     }
 }
 
 impl TriggerOutline {
-    fn of(trigger: &Trigger, point: &Point) -> Self {
-        let left = point.steps.saturating_sub(trigger.from) as f64 * point.spec.parameters.dt;
+    /// `last` is the last step at which it is evaluated.
+    fn of(trigger: &Trigger, point: &Point, last: u64) -> Self {
+        let left = last.saturating_sub(trigger.from);
         Self {
             condition: trigger.condition.to_string(),
             from_step: trigger.from,
-            never_holds: trigger.condition.never_holds_within(left),
+            never_holds: trigger
+                .condition
+                .never_holds_within(left, point.spec.parameters.dt),
         }
     }
 }

@@ -21,8 +21,8 @@ pub const MAX_COMMANDS: (usize, usize) = (1024, 256 * 1024);
 pub struct LiveRun {
     /// The spec of the swarm, with the seed of the run.
     pub spec: Spec,
-    /// The snapshot from which the swarm is restored, as the bytes of a file, with the seed of the run;
-    /// none if the swarm is created from its spec.
+    /// The contents of the snapshot file from which the swarm is restored, with the seed of the run; none
+    /// if the swarm is created from its spec.
     pub snapshot: Option<Vec<u8>>,
     /// The number of steps of the run, at most.
     pub steps: u64,
@@ -97,15 +97,12 @@ impl LiveRun {
     ///
     /// [`PlayError::SetPoints`] if the file has `setpoints`, [`PlayError::StopsAtStart`] if the run ends
     /// with a fault at step 0, [`PlayError::Costly`] if a daemon does not evaluate a condition,
-    /// [`PlayError::TooMany`] if a swarm does not schedule all commands.
+    /// [`PlayError::TooMany`] if a swarm does not schedule all commands, [`PlayError::NoStart`] if the
+    /// parameters do not fit the start.
     pub fn new(plan: &Plan, run: &PlannedRun) -> Result<Self, PlayError> {
         if plan.set_points.is_some() {
             return Err(PlayError::SetPoints);
         }
-        let snapshot = plan
-            .base
-            .as_ref()
-            .map(|it| it.snapshot(&plan.spec(run), run::reserve()));
         let point = plan.point(run);
         let empty = Protocol::default();
         let protocol = point.protocol.as_deref().unwrap_or(&empty);
@@ -118,13 +115,15 @@ impl LiveRun {
             bytes: 0,
             commands: Vec::new(),
         };
-        // A snapshot has its informed individuals.
-        if point.informed > 0 && snapshot.is_none() {
+        // In a snapshot they are informed already.
+        if point.informed > 0 && plan.base.is_none() {
             let inform = Change::inform(Selection::Count(point.informed), DIRECTION);
             player.push(0, None, &[inform])?;
         }
         let at_once = player.push_conditions(&run::start(plan, run)?)?;
         player.push_executions(at_once)?;
+        let base = plan.base.as_ref();
+        let snapshot = base.map(|it| it.snapshot(&plan.spec(run), run::reserve()));
         Ok(Self {
             spec: spec::to_proto(&point.spec, run.seed),
             snapshot: snapshot.transpose()?,

@@ -139,8 +139,8 @@ fn expand(args: ExpandArgs, max_bytes: usize) -> Result<ExperimentResult, Experi
     let bytes = Payload::json(&result).bytes.len();
     if bytes.saturating_add(ENVELOPE_BYTES) > max_bytes {
         let problem = format!(
-            "the commands of the run have {bytes} bytes, more than a message: execute it with `jostle \
-             experiment run`"
+            "the run has {bytes} bytes with its snapshot and commands, more than a message: execute it \
+             with `jostle experiment run`"
         );
         return Err(ExperimentError::TooLong(problem));
     }

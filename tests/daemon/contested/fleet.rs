@@ -13,7 +13,7 @@ use tempfile::TempDir;
 use zenoh::Session;
 
 use super::create;
-use crate::harness::free_port;
+use crate::harness::free_ports;
 use crate::support::Client;
 use crate::support::daemon_process::{DaemonProcess, StoreCopy};
 use crate::support::process::{Process, jostled, send_signal};
@@ -75,9 +75,10 @@ pub struct RestartableDaemon {
 
 impl RestartableDaemon {
     pub fn new(node: &'static str) -> Self {
+        let [port] = free_ports("127.0.0.1");
         RestartableDaemon {
             node,
-            endpoint: format!("tcp/127.0.0.1:{}", free_port("127.0.0.1")),
+            endpoint: format!("tcp/127.0.0.1:{port}"),
             folder: tempfile::tempdir().unwrap(),
         }
     }

@@ -10,7 +10,7 @@ use jostled::auth::folder::Folder;
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
-use crate::harness::free_port;
+use crate::harness::free_ports;
 use crate::support::process::{Process, jostled};
 use crate::support::tls::https_by;
 use crate::support::{NODE, PREFIX, until};
@@ -108,7 +108,7 @@ async fn addresses_that_init_is_given_are_those_of_the_daemon_and_of_people() {
     let daemon = AuthFolder::new();
     let path = daemon.folder.path();
     let [first, second] = ["127.0.0.2", "127.0.0.3"];
-    let ports = [first, first, second, second].map(free_port);
+    let ports = [free_ports::<2>(first), free_ports(second)].concat();
     let listen = format!("tls/{first}:{}", ports[0]);
     let http = format!("https://{first}:{}", ports[1]);
     let people = ["vera=viewer", "olga=operator"];

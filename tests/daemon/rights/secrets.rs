@@ -13,7 +13,7 @@ use tokio_tungstenite::client_async;
 use tokio_tungstenite::tungstenite::client::IntoClientRequest;
 
 use super::{AuthDaemon, PEOPLE, SessionCredentials, UserSession};
-use crate::harness::free_port;
+use crate::harness::free_ports;
 use crate::support::http::send;
 use crate::support::process::{Process, jostled};
 use crate::support::tls::https;
@@ -212,7 +212,7 @@ async fn no_secret_is_in_any_log_nor_among_what_is_kept() {
     let folder = Folder::new(base.path().join("auth"));
     let people = PEOPLE.map(|(name, role)| (name.to_owned(), role));
     issue::init(&folder, &[], &people).unwrap();
-    let [zenoh, address] = ["127.0.0.1"; 2].map(|host| format!("{host}:{}", free_port(host)));
+    let [zenoh, address] = free_ports("127.0.0.1").map(|port| format!("127.0.0.1:{port}"));
     let [out, log] = ["out", "log"].map(|name| base.path().join(name));
     let data = tempfile::tempdir().unwrap();
     let mut command = jostled(&["serve", "--node", NODE, "--log", "trace"]);

@@ -58,7 +58,8 @@ class Player:
             InvalidArgument: The experiment is invalid, has no such run, or that run cannot be
                 scheduled: it has set-points, or its `[stop]` holds at the start.
             OSError: The file cannot be read.
-            ResourceExhausted: There are more commands than can be scheduled.
+            ResourceExhausted: There are more commands than can be scheduled, or the run exceeds a
+                message.
         """
         args: dict[str, Any] = msgspec.to_builtins(read_files(source))
         if run is not None:

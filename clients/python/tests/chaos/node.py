@@ -144,10 +144,11 @@ def free_ports(count: int) -> list[int]:
     They are below the ports that the kernel assigns itself: one of those, assigned to a socket that
     is closed again, may be assigned to another process before the daemon listens on it.
     """
-    ports: set[int] = set()
-    while len(ports) < count:
-        port = random.SystemRandom().randrange(10_000, 32_000)
+    ports: list[int] = []
+    for port in random.SystemRandom().sample(range(10_000, 32_000), 1000):
         with socket.socket() as free, contextlib.suppress(OSError):
             free.bind(("127.0.0.1", port))
-            ports.add(port)
-    return list(ports)
+            ports.append(port)
+        if len(ports) == count:
+            return ports
+    raise RuntimeError("no port is free")

@@ -82,6 +82,11 @@ fn a_condition_that_never_holds_is_marked() {
         );
         let plan = Plan::parse(&text).unwrap();
         let shown = DryRun::of(&plan, &Subset::all(&plan)).unwrap().to_string();
-        assert_eq!(shown.contains("time units are left"), is_marked, "{shown}");
+        assert_eq!(shown.contains("are left"), is_marked, "{shown}");
+        // A block is not evaluated on the last state.
+        let block = text.replace("[stop]\n", "[[at]]\nset = { noise = 0.1 }\n");
+        let plan = Plan::parse(&block).unwrap();
+        let shown = DryRun::of(&plan, &Subset::all(&plan)).unwrap().to_string();
+        assert!(shown.contains("are left"), "{shown}");
     }
 }
