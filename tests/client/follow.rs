@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 use jostle_client::{Client, ConnectOptions, Error, EventsFrom, Follow, FollowOptions, Update};
 use jostle_proto::verbs::{AnnotateArgs, CreateArgs, DeleteArgs, RunArgs};
 use jostle_proto::{EventKind, Spec};
+use tempfile::TempDir;
 
 use crate::daemon::{Daemon, serve};
 
@@ -118,14 +119,20 @@ fn is_note(update: &Update, text: &str) -> Option<()> {
     (verb == "annotate" && args["text"] == text).then_some(())
 }
 
-#[tokio::test(flavor = "multi_thread")]
-async fn a_swarm_is_followed_through_a_kill_and_a_restart_until_it_is_deleted() {
+/// A daemon with the swarm `demo`: its folder, its process, its endpoint and a client of it.
+async fn daemon_with_a_swarm() -> (TempDir, Process, String, Client) {
     let folder = tempfile::tempdir().unwrap();
     let (daemon, endpoint) = Process::start(folder.path(), "tcp/127.0.0.1:0");
     let client = Client::connect(ConnectOptions::to(&*endpoint))
         .await
         .unwrap();
     create(&client).await;
+    (folder, daemon, endpoint, client)
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_swarm_is_followed_through_a_kill_and_a_restart_until_it_is_deleted() {
+    let (folder, daemon, endpoint, client) = daemon_with_a_swarm().await;
     client.execute("demo", &RunArgs::default()).await.unwrap();
     let options = FollowOptions {
         status: true,
@@ -197,12 +204,7 @@ async fn a_daemon_that_comes_back_without_the_swarm_ends_the_stream() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_suspended_daemon_is_not_one_without_swarms() {
-    let folder = tempfile::tempdir().unwrap();
-    let (daemon, endpoint) = Process::start(folder.path(), "tcp/127.0.0.1:0");
-    let client = Client::connect(ConnectOptions::to(&*endpoint))
-        .await
-        .unwrap();
-    create(&client).await;
+    let (_folder, daemon, _, client) = daemon_with_a_swarm().await;
     assert_eq!(client.swarms().await.unwrap(), ["demo"]);
     daemon.suspend();
     let swarms = client.swarms().await;

@@ -12,7 +12,7 @@ use crate::health::metrics::DaemonMetrics;
 use crate::swarm::frame::Frame;
 
 /// How long a request waits for the measures.
-const MAX_WAIT: Duration = Duration::from_secs(5);
+const MAX_WAIT: Duration = Duration::from_secs(2);
 
 /// Evaluates measures for one request at a time.
 pub struct Evaluations {
