@@ -163,6 +163,14 @@ pub fn run(options: &Options) -> Result<u8, Box<dyn Error>> {
     let path = label.as_ref().map(|label| unfinished(output, label));
     let path = path.unwrap_or_else(|| output.clone());
     let mut folder = Folder::open(&path, &plan)?;
+    let lacking = folder.lacking().and(&subset);
+    if !lacking.indices().is_empty() {
+        let count = counted(lacking.indices().len(), "run");
+        eprintln!(
+            "jostled: {count} of {} lack files and are executed again: {lacking}",
+            path.display()
+        );
+    }
     let control = ExecutionControl::new();
     let interrupted = Arc::new(AtomicBool::new(false));
     let has_time_passed = Arc::new(AtomicBool::new(false));

@@ -31,6 +31,11 @@ pub enum ExperimentError {
     #[error("run {run:?} of experiment {name:?} is not finished: retry when it is")]
     Unfinished { name: String, run: String },
     #[error(
+        "the file of run {run:?} of experiment {name:?} is missing: `jostle experiment resume` executes \
+         the run again"
+    )]
+    MissingFile { name: String, run: String },
+    #[error(
         "experiment {0:?} does not measure the order over time: submit it under another name with \
          order_every in [measure]"
     )]

@@ -4,6 +4,7 @@
 //! one is paused, its runs are suspended and the next experiment is executed.
 
 mod error;
+mod missing_files;
 mod results;
 mod scheduler;
 mod status;
@@ -90,6 +91,7 @@ impl ExperimentManager {
             changed: Condvar::new(),
         }));
         manager.schedule_next(&mut manager.lock());
+        manager.find_missing_files()?;
         Ok(manager)
     }
 
@@ -156,14 +158,15 @@ impl ExperimentManager {
         self.report(name)
     }
 
-    /// Resumes an experiment that is paused, cancelled or failed.
+    /// Resumes an experiment that is paused, cancelled or failed, or of which runs lack files.
     pub fn resume(&self, name: &str) -> Result<Report, ExperimentError> {
         let _serialized = self.begin_change()?;
         match self.phase(name)? {
             Phase::Queued | Phase::Running => {}
             Phase::Paused | Phase::Cancelled | Phase::Failed => self.enqueue(name)?,
-            phase @ Phase::Finished => {
-                return Err(wrong_phase(name, phase, "there is nothing left to do"));
+            Phase::Finished => {
+                self.check_resumable(name)?;
+                self.enqueue(name)?;
             }
         }
         self.report(name)
@@ -263,6 +266,10 @@ impl ExperimentManager {
         }
         let (index, _) = self.finished_run(name, &plan, run)?;
         let path = Folder::trajectory_path(&self.0.jobs.folder(name), index);
+        if !path.is_file() {
+            let (name, run) = (name.to_owned(), run.to_owned());
+            return Err(ExperimentError::MissingFile { name, run });
+        }
         let read = || {
             let about = (after == 0).then(|| trajectory::read_about(&path));
             let (rows, total) = trajectory::read_page(&path, after, limit)?;
@@ -422,8 +429,9 @@ fn load(name: &str, folder: &Path, status: Option<Status>) -> Entry {
     let mut loaded = None;
     if !status.phase.is_over() {
         let read = read_plan(name, folder).and_then(|plan| {
-            let read = Folder::read(folder, &plan).map_err(ExperimentError::unreadable)?;
-            Ok((plan, read.rows.len()))
+            let missing = Folder::missing_files(folder, &plan);
+            let missing = missing.map_err(ExperimentError::unreadable)?;
+            Ok((plan, missing.finished))
         });
         match read {
             Ok((plan, finished)) => {

@@ -44,10 +44,17 @@ impl Status {
         }
     }
 
-    /// Sets the plan's number of runs, of which at least so many are finished.
+    /// Sets the plan's number of runs, and how many of them are finished.
     pub(super) fn count(&mut self, runs: usize, finished: usize) {
         self.progress.runs = runs;
-        self.progress.finished = self.progress.finished.max(finished);
+        self.progress.finished = finished;
+    }
+
+    /// Sets how many runs of an experiment that is over are finished, and what is said of the others.
+    pub(super) fn set_lacking(&mut self, finished: usize, message: String) {
+        self.progress.finished = finished;
+        self.progress.share = finished as f64 / self.progress.runs.max(1) as f64;
+        self.message = Some(message);
     }
 }
 

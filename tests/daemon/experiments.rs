@@ -475,3 +475,130 @@ async fn runs_yield_to_live_swarms() {
     let (lowest, highest) = (runs.iter().min(), live.iter().max());
     assert!(highest.is_some() && lowest > highest, "{runs:?} {live:?}");
 }
+
+/// Restarts the daemon of a folder after `change`.
+async fn restart_after(
+    (mut process, client): (DaemonProcess, Client),
+    folder: &Path,
+    change: impl FnOnce(&Path),
+) -> (DaemonProcess, Client) {
+    client.session.close().await.unwrap();
+    process.kill();
+    change(&folder.join("experiments"));
+    start_daemon(folder).await
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_finished_experiment_that_lacks_files_says_so_and_waits_for_a_client() {
+    let toml = |name: &str| {
+        format!(
+            "name = \"{name}\"\nreplicates = 4\nduration = 1\nspec = {{ n = 4 }}\n\
+             measure = {{ record_every = 10 }}\n"
+        )
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let (process, client) = start_daemon(folder.path()).await;
+    for name in ["over", "queued", "older"] {
+        submit(&client, &toml(name)).await;
+        wait_for_phase(&client, name, "finished").await;
+    }
+    let file = |name: &str, run: u32| format!("{name}/trajectories/run-{run:06}.parquet");
+    let read = |path: String| fs::read(folder.path().join("experiments").join(path)).unwrap();
+    let whole = read(file("over", 3));
+    let replace = |path: &Path, from: &str, to: &str| {
+        let text = fs::read_to_string(path).unwrap();
+        assert!(text.contains(from), "{text}");
+        fs::write(path, text.replace(from, to)).unwrap();
+    };
+    let damage = |experiments: &Path| {
+        for name in ["over", "queued", "older"] {
+            fs::remove_file(experiments.join(file(name, 3))).unwrap();
+            let second = experiments.join(file(name, 2));
+            let bytes = fs::read(&second).unwrap();
+            fs::write(&second, &bytes[1..]).unwrap();
+        }
+        // As if the daemon had been killed before this experiment ended.
+        let status = experiments.join("queued/standing.json");
+        replace(&status, "\"phase\":\"finished\"", "\"phase\":\"queued\"");
+        let list = experiments.join("older/runs.jsonl");
+        replace(&list, "\"model_version\":", "\"model_version\":9");
+    };
+    let (process, client) = restart_after((process, client), folder.path(), damage).await;
+
+    let said = async |name: &str| {
+        let deadline = Instant::now() + TIMEOUT;
+        loop {
+            let progress = progress(&client, name).await;
+            if !progress["message"].is_null() {
+                assert_eq!(progress["phase"], "finished");
+                assert_eq!(
+                    (&progress["runs"], &progress["finished"]),
+                    (&json!(4), &json!(2))
+                );
+                return progress["message"].as_str().unwrap().to_owned();
+            }
+            assert!(Instant::now() < deadline, "{progress}");
+            tokio::time::sleep(Duration::from_millis(10)).await;
+        }
+    };
+    let resume = |name: &str| json!({"resume": {"name": name}});
+    // That of which the execution had not ended executes the two runs again.
+    wait_for_phase(&client, "queued", "finished").await;
+    assert!(read(file("queued", 3)) == whole && read(file("queued", 2)).len() > 1000);
+    assert_eq!(progress(&client, "queued").await["finished"], 4);
+
+    let message = "2 runs lack files: `jostle experiment resume` executes them again";
+    assert_eq!(said("over").await, message);
+    assert_eq!(
+        rows(&client, "over", 10).await.len(),
+        4,
+        "rows need no file"
+    );
+    assert!(
+        !folder
+            .path()
+            .join("experiments")
+            .join(file("over", 3))
+            .exists()
+    );
+    let read_run = async |run: &str| {
+        let series = format!("series?of=individuals;run={run}");
+        get(&client, "over", &series).await
+    };
+    let error = read_run("#2").await.unwrap_err();
+    assert_eq!(error.code, ErrorCode::IncorrectState);
+    assert!(
+        error
+            .message
+            .contains("run \"#2\" of experiment \"over\" is missing"),
+        "{error:?}"
+    );
+    assert!(read_run("#0").await.is_ok());
+    ok(&client, resume("over")).await;
+    wait_for_phase(&client, "over", "finished").await;
+    assert!(read(file("over", 3)) == whole);
+    assert!(read_run("#2").await.is_ok());
+    let over = progress(&client, "over").await;
+    assert_eq!(
+        (&over["finished"], &over["message"]),
+        (&json!(4), &Value::Null)
+    );
+    let (code, message) = error_of(&client, resume("over")).await;
+    assert_eq!(code, ErrorCode::IncorrectState);
+    assert!(message.contains("nothing left to do"), "{message}");
+
+    // Runs of another version of the model can be read only.
+    let message = said("older").await;
+    assert!(
+        message.starts_with("2 runs lack files, which cannot be executed again"),
+        "{message}"
+    );
+    assert_eq!(rows(&client, "older", 10).await.len(), 4);
+    let (code, message) = error_of(&client, resume("older")).await;
+    assert_eq!(code, ErrorCode::IncorrectState);
+    assert!(
+        message.contains("another version of the model"),
+        "{message}"
+    );
+    drop(process);
+}

@@ -13,7 +13,7 @@ use crate::plan::Plan;
 use crate::progress::{ExecutionControl, RunHandle};
 use crate::run::{FinishedRun, execute_run_from};
 use crate::subset::Subset;
-use crate::trajectory::{Recording, Trajectories};
+use crate::trajectory::{Recording, Trajectories, trajectory_file};
 
 /// Nice value of an experiment's threads, so that live swarms have priority.
 const NICENESS: i32 = 10;
@@ -198,7 +198,7 @@ fn execute_with_checkpoints(
     let recording = trajectories.record(plan, index, &mut checkpoint)?;
     let has_failed = || recording.as_ref().is_some_and(Recording::has_failed);
     let mut last = Instant::now();
-    let finished = execute_run_from(plan, run, checkpoint, recording.as_ref(), |current| {
+    let mut finished = execute_run_from(plan, run, checkpoint, recording.as_ref(), |current| {
         let continues = handle.report_steps(current.steps());
         if checkpoint_every.is_some_and(|every| !continues || last.elapsed() >= every) {
             let mut checkpoint = current.checkpoint();
@@ -214,8 +214,12 @@ fn execute_with_checkpoints(
         continues && !has_failed()
     });
     if let Some(recording) = recording {
-        match &finished {
-            Some(finished) => recording.finish(plan, run, finished.row.is_some())?,
+        match &mut finished {
+            Some(finished) => {
+                let length = recording.finish(plan, run, finished.row.is_some())?;
+                let files = length.map(|length| (trajectory_file(index), length));
+                finished.files.extend(files);
+            }
             None => recording.check()?,
         }
     }

@@ -14,7 +14,7 @@
 //! - `checkpoints/`, from which unfinished runs continue;
 //! - `lock`, which a process that writes to the folder holds exclusively.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::ffi::{OsStr, OsString};
 use std::fs::{self, File, OpenOptions};
 use std::io::{BufWriter, Seek as _, SeekFrom, Write as _};
@@ -35,6 +35,7 @@ use rustix::io::Errno;
 pub use self::checkpoints::Checkpoints;
 pub use self::error::FolderError;
 use self::error::io_error;
+use self::lacking::lacking;
 use self::list::{
     Entry, Header, Line, RUNS, Record, SERIES, parse_runs, read_line, read_or_empty, read_order,
     read_series, to_line,
@@ -48,18 +49,33 @@ use crate::trajectory::Trajectories;
 
 mod checkpoints;
 pub(crate) mod error;
+mod lacking;
 mod list;
 mod part;
 
 const LOCK: &str = "lock";
 
 /// The finished runs of a folder that is read without a lock.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub struct FinishedRuns {
     /// The rows, in the plan's order.
     pub rows: Vec<ResultRow>,
+    /// The version of the model that executed them. Only runs of [`MODEL_VERSION`] can be executed
+    /// again.
+    pub model_version: u32,
     /// The byte range of each run's line in the list, by its index in the plan.
     lines: BTreeMap<usize, Range<u64>>,
+}
+
+/// The finished runs of a folder of which files are missing.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct MissingFiles {
+    /// The number of finished runs whose files exist.
+    pub finished: usize,
+    /// The runs that lack files.
+    pub runs: Subset,
+    /// The version of the model that executed them.
+    pub model_version: u32,
 }
 
 /// The folder of an experiment, locked for writing.
@@ -71,6 +87,8 @@ pub struct Folder {
     length: u64,
     /// The finished runs by their index in the plan.
     finished: BTreeMap<usize, Entry>,
+    /// Those of which files are missing: they count as unfinished.
+    lacking: BTreeSet<usize>,
     /// The lock is released when this file is closed.
     _lock: File,
 }
@@ -86,16 +104,23 @@ impl Folder {
         fs::create_dir_all(path).map_err(|source| io_error(path, source))?;
         let lock = lock(path)?;
         claim(path, plan)?;
-        let list = path.join(RUNS);
-        let fail = |source| io_error(&list, source);
-        let bytes = read_or_empty(&list)?;
+        let file = path.join(RUNS);
+        let fail = |source| io_error(&file, source);
+        let bytes = read_or_empty(&file)?;
+        let list = parse_runs(path, plan, &bytes)?;
+        if list.model_version != MODEL_VERSION {
+            return Err(FolderError::OtherModel {
+                folder: path.to_owned(),
+                theirs: list.model_version,
+            });
+        }
+        let mut length = list.length;
         let mut runs = OpenOptions::new()
             .create(true)
             .truncate(false)
             .write(true)
-            .open(&list)
+            .open(&file)
             .map_err(fail)?;
-        let (finished, mut length) = parse_runs(path, plan, &bytes)?;
         // A run whose line is incomplete is not finished.
         runs.set_len(length).map_err(fail)?;
         runs.seek(SeekFrom::End(0)).map_err(fail)?;
@@ -114,25 +139,41 @@ impl Folder {
             path: path.to_owned(),
             runs,
             length,
-            finished,
+            lacking: lacking(path, plan, &list.finished),
+            finished: list.finished,
             _lock: lock,
         })
     }
 
-    /// Reads the finished runs. Does not lock the folder: another process may append runs
-    /// meanwhile.
+    /// Reads the finished runs, also those of another version of the model, and those of which files
+    /// are missing. Does not lock the folder: another process may append runs meanwhile.
     ///
     /// # Errors
     ///
     /// [`FolderError`].
     pub fn read(path: &Path, plan: &Plan) -> Result<FinishedRuns, FolderError> {
-        let bytes = read_or_empty(&path.join(RUNS))?;
-        let (finished, _) = parse_runs(path, plan, &bytes)?;
-        let rows = rows(&finished);
-        let entries = finished.into_iter();
+        let list = parse_runs(path, plan, &read_or_empty(&path.join(RUNS))?)?;
+        let rows = rows(&list.finished);
+        let entries = list.finished.into_iter();
         Ok(FinishedRuns {
             rows,
+            model_version: list.model_version,
             lines: entries.map(|(index, entry)| (index, entry.line)).collect(),
+        })
+    }
+
+    /// Finds the finished runs of a folder of which files are missing. Does not lock the folder.
+    ///
+    /// # Errors
+    ///
+    /// [`FolderError`].
+    pub fn missing_files(path: &Path, plan: &Plan) -> Result<MissingFiles, FolderError> {
+        let list = parse_runs(path, plan, &read_or_empty(&path.join(RUNS))?)?;
+        let lacking = lacking(path, plan, &list.finished);
+        Ok(MissingFiles {
+            finished: list.finished.len() - lacking.len(),
+            runs: Subset::of(lacking.into_iter().collect()),
+            model_version: list.model_version,
         })
     }
 
@@ -176,13 +217,20 @@ impl Folder {
         &self.path
     }
 
-    /// Returns whether a run is finished, by its index in the plan.
+    /// Returns whether a run is finished and its files exist, by its index in the plan.
     #[must_use]
     pub fn is_finished(&self, index: usize) -> bool {
-        self.finished.contains_key(&index)
+        self.finished.contains_key(&index) && !self.lacking.contains(&index)
     }
 
-    /// Returns the rows of the finished runs, in the plan's order.
+    /// Returns the runs that were finished and of which files are missing. They are executed again.
+    #[must_use]
+    pub fn lacking(&self) -> Subset {
+        Subset::of(self.lacking.iter().copied().collect())
+    }
+
+    /// Returns the rows of the finished runs, in the plan's order, also of those of which files are
+    /// missing.
     #[must_use]
     pub fn rows(&self) -> Vec<ResultRow> {
         rows(&self.finished)
@@ -204,6 +252,7 @@ impl Folder {
     #[must_use]
     pub fn faults(&self, subset: &Subset) -> Vec<(String, String)> {
         let runs = subset.indices().iter();
+        let runs = runs.filter(|index| self.is_finished(**index));
         let records = runs.map(|index| self.finished.get(index));
         let faults = records.flatten().filter_map(|Entry { record, .. }| {
             let fault = record.fault.as_ref()?;
@@ -231,6 +280,8 @@ impl Folder {
                 fault: finished.fault,
                 row: finished.row,
                 touch: finished.touch,
+                files: finished.files,
+                has_order: finished.order.is_some(),
             };
             let start = self.length + lines.len() as u64;
             lines.extend(to_line(&Line {
@@ -253,14 +304,15 @@ impl Folder {
         self.finished.extend(entries);
         let (checkpoints, trajectories) = (self.checkpoints(), self.trajectories());
         for index in indices {
+            self.lacking.remove(&index);
             checkpoints.remove(index);
             trajectories.remove_spool(index);
         }
         Ok(())
     }
 
-    /// Appends lines that were copied from other folders of the plan, and parses all lines again.
-    /// They are durable on return.
+    /// Appends lines that were copied from other folders of the plan, after the files that they name,
+    /// and parses all lines again. They are durable on return.
     ///
     /// # Errors
     ///
@@ -280,14 +332,16 @@ impl Folder {
         drop(writer);
         self.runs.sync_data().map_err(fail)?;
         let bytes = fs::read(&path).map_err(fail)?;
-        (self.finished, self.length) = parse_runs(&self.path, plan, &bytes)?;
+        let list = parse_runs(&self.path, plan, &bytes)?;
+        self.lacking = lacking(&self.path, plan, &list.finished);
+        (self.finished, self.length) = (list.finished, list.length);
         Ok(())
     }
 
-    /// Returns the number of finished runs.
+    /// Returns the number of finished runs whose files exist.
     #[must_use]
     pub fn finished(&self) -> usize {
-        self.finished.len()
+        self.finished.len() - self.lacking.len()
     }
 
     /// Removes a folder that no process writes to, with everything in it.
@@ -352,13 +406,14 @@ impl Folder {
         Ok(())
     }
 
-    /// Calls `each` with the index and the line of every run that has a row, in the plan's order.
+    /// Calls `each` with the index and the line of every run that has a row and its files, in the
+    /// plan's order.
     fn for_each_line(
         &self,
         mut each: impl FnMut(usize, &[u8]) -> Result<(), FolderError>,
     ) -> Result<(), FolderError> {
         for (&index, entry) in &self.finished {
-            if entry.record.row.is_some() {
+            if entry.record.row.is_some() && self.is_finished(index) {
                 each(index, &read_line(&self.path, &entry.line)?)?;
             }
         }

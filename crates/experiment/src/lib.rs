@@ -36,7 +36,7 @@ pub use export::{
     AppliedChange, ExportError, ExportOptions, ExportedFiles, SwarmHistory, experiment_file,
 };
 pub use files::{Files, FilesError, POINTS, SET_POINTS, START};
-pub use folder::{FinishedRuns, Folder, FolderError, unfinished};
+pub use folder::{FinishedRuns, Folder, FolderError, MissingFiles, unfinished};
 pub use grid::AXES;
 pub use jostle_physics::model::MODEL_VERSION;
 pub use limits::{

@@ -84,6 +84,17 @@ pub enum MergeError {
         /// Number of runs of the experiment.
         of: usize,
     },
+    /// Files of finished runs are missing, and no other part contains these runs.
+    #[error(
+        "{} of {of} runs lack files, {}: copy their parts again, or execute the same `jostled run` \
+         again, which executes these runs again", runs.indices().len(), shortened(runs)
+    )]
+    MissingFiles {
+        /// The runs.
+        runs: Subset,
+        /// Number of runs of the experiment.
+        of: usize,
+    },
     /// Runs that were executed again for verification have other results than in their part.
     #[error(
         "{} of {of} runs have another result when they are executed here: {}; compare the versions and \
@@ -197,6 +208,14 @@ impl Parts {
         }
         let is_missing = |index: &usize| part_of[*index].is_none();
         let missing: Vec<usize> = (0..part_of.len()).filter(is_missing).collect();
+        let lacks = |index: &usize| parts.iter().any(|part| part.lacking().contains(index));
+        let lacking: Vec<usize> = missing.iter().copied().filter(lacks).collect();
+        if !lacking.is_empty() {
+            return Err(MergeError::MissingFiles {
+                runs: Subset::of(lacking),
+                of: plan.runs().len(),
+            });
+        }
         if !missing.is_empty() {
             return Err(MergeError::Missing {
                 runs: Subset::of(missing),
@@ -301,7 +320,11 @@ impl Parts {
     fn execute_again(&self, index: usize) -> Result<Option<Difference>, FolderError> {
         let run = &self.plan.runs()[index];
         let part = &self.parts[self.part_of[index]];
-        let theirs = part.result(&self.plan, index)?;
+        // Here it is executed without a folder.
+        let theirs = FinishedRun {
+            files: BTreeMap::new(),
+            ..part.result(&self.plan, index)?
+        };
         let ours = execute_run(&self.plan, run, |_| true).unwrap_or_default();
         let hash = |result: FinishedRun| result.row.map_or_else(String::new, |row| row.state_hash);
         Ok((ours != theirs).then(|| Difference {
@@ -362,6 +385,14 @@ impl Parts {
             parts,
             part_of,
         } = self;
+        if plan.record_every.is_some() {
+            let trajectories = folder.trajectories();
+            for (index, &part) in part_of.iter().enumerate() {
+                if parts[part].has_row(index) {
+                    trajectories.copy(&Trajectories::of(parts[part].path()), index)?;
+                }
+            }
+        }
         let lines = part_of.iter().enumerate();
         folder.append_copies(
             plan,
@@ -370,14 +401,6 @@ impl Parts {
         let (finished, runs) = (folder.finished(), plan.runs().len());
         if finished != runs {
             return Err(MergeError::Incomplete { finished, runs });
-        }
-        if plan.record_every.is_some() {
-            let trajectories = folder.trajectories();
-            for (index, &part) in part_of.iter().enumerate() {
-                if parts[part].has_row(index) {
-                    trajectories.copy(&Trajectories::of(parts[part].path()), index)?;
-                }
-            }
         }
         Ok(folder.write_tables(plan)?)
     }

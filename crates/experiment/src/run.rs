@@ -1,5 +1,7 @@
 //! One run, from its start to its row in the table of results.
 
+use std::collections::BTreeMap;
+
 use jostle_convert::{past, snapshot};
 use jostle_measures::{Past, View, check_past};
 use jostle_physics::model::State;
@@ -45,6 +47,9 @@ pub struct FinishedRun {
     pub series: Option<Series>,
     /// The measurements of contacts, if the plan has `touch`.
     pub touch: Option<ContactStatistics>,
+    /// The files of the run in the folder of results, if it was executed for one: their paths in the
+    /// folder, with `/`, and their lengths in bytes.
+    pub files: BTreeMap<String, u64>,
 }
 
 /// A run between two steps.
@@ -281,6 +286,7 @@ impl<'a> CurrentRun<'a> {
             row,
             order,
             touch,
+            files: BTreeMap::new(),
         }
     }
 }

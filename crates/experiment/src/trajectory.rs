@@ -23,6 +23,11 @@ use crate::run::RunCheckpoint;
 mod about;
 mod spool;
 
+/// Returns the path of the trajectory of a run in a folder of results, by its index in the plan.
+pub fn trajectory_file(index: usize) -> String {
+    format!("{TRAJECTORIES}/{}", file_name(index + 1))
+}
+
 /// The trajectories of a folder. Each thread writes those of the runs that it executes.
 #[derive(Clone, Debug)]
 pub struct Trajectories(PathBuf);
@@ -144,16 +149,21 @@ impl Recording {
         }
     }
 
-    /// Ends the recording of a run that is finished: writes its file, or removes the frames of a run
-    /// that has no row.
+    /// Ends the recording of a run that is finished: writes its file and returns its length in bytes,
+    /// or none for a run that has no row.
     ///
     /// # Errors
     ///
     /// [`FolderError`] if it cannot be written, or one of the frames could not.
-    pub fn finish(self, plan: &Plan, run: &PlannedRun, has_row: bool) -> Result<(), FolderError> {
+    pub fn finish(
+        self,
+        plan: &Plan,
+        run: &PlannedRun,
+        has_row: bool,
+    ) -> Result<Option<u64>, FolderError> {
         self.check()?;
         if !has_row {
-            return Ok(());
+            return Ok(None);
         }
         let (mut spool, _) = self.spool.into_inner();
         spool
@@ -161,7 +171,10 @@ impl Recording {
             .map_err(|source| io_error(&self.path, source))?;
         let removed = jostle_atomic_file::remove_unfinished(&self.target);
         removed.map_err(|source| io_error(&self.target, source))?;
-        spool::convert(&self.path, &self.target, &about(plan, run))
+        spool::convert(&self.path, &self.target, &about(plan, run))?;
+        let written = fs::metadata(&self.target);
+        let written = written.map_err(|source| io_error(&self.target, source))?;
+        Ok(Some(written.len()))
     }
 
     /// Returns the error of a frame that could not be written.

@@ -19,9 +19,9 @@ impl WireCode for ExperimentError {
             | ExperimentError::NoTrajectory(_) => ErrorCode::InvalidArgument,
             ExperimentError::Unknown(_) | ExperimentError::UnknownRun { .. } => ErrorCode::NotFound,
             ExperimentError::Exists(_) => ErrorCode::AlreadyExists,
-            ExperimentError::Phase { .. } | ExperimentError::Unfinished { .. } => {
-                ErrorCode::IncorrectState
-            }
+            ExperimentError::Phase { .. }
+            | ExperimentError::Unfinished { .. }
+            | ExperimentError::MissingFile { .. } => ErrorCode::IncorrectState,
             ExperimentError::TooMany(_) | ExperimentError::TooLong(_) => {
                 ErrorCode::ResourceExhausted
             }
@@ -35,9 +35,9 @@ impl WireCode for ExperimentError {
         object(match self {
             ExperimentError::Plan { line, field, .. } => json!({"field": field, "line": line}),
             ExperimentError::Name(name) => json!({"field": "submit.toml", "value": name}),
-            ExperimentError::UnknownRun { run, .. } | ExperimentError::Unfinished { run, .. } => {
-                json!({"field": "run", "value": run})
-            }
+            ExperimentError::UnknownRun { run, .. }
+            | ExperimentError::Unfinished { run, .. }
+            | ExperimentError::MissingFile { run, .. } => json!({"field": "run", "value": run}),
             ExperimentError::TooMany(limit) => json!({"limit": limit}),
             ExperimentError::TooLong(_) => json!({"field": "expand.toml"}),
             _ => Value::Null,

@@ -4,13 +4,14 @@ use std::collections::BTreeMap;
 use std::fs::{self, File};
 use std::io::{self, Read as _, Seek as _, SeekFrom};
 use std::ops::Range;
-use std::path::Path;
+use std::path::{Component, Path};
 
 use jostle_physics::model::MODEL_VERSION;
 use jostle_results::ResultRow;
 use jostle_results::contact_statistics::ContactStatistics;
 use jostle_results::table::{MeasureSeries, OrderSeries, Series};
-use serde::{Deserialize, Serialize};
+use serde::de::IgnoredAny;
+use serde::{Deserialize, Deserializer, Serialize};
 
 use super::error::{FolderError, io_error};
 use crate::plan::Plan;
@@ -38,6 +39,23 @@ pub struct Record {
     pub row: Option<ResultRow>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub touch: Option<ContactStatistics>,
+    /// The files of the run beside the list: their paths in the folder, with `/`, and their lengths in
+    /// bytes. Earlier versions did not store them.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub files: BTreeMap<String, u64>,
+    /// Whether the line contains the order over time.
+    #[serde(
+        default,
+        rename = "order",
+        skip_serializing,
+        deserialize_with = "is_present"
+    )]
+    pub has_order: bool,
+}
+
+/// Skips a value.
+fn is_present<'de, D: Deserializer<'de>>(value: D) -> Result<bool, D::Error> {
+    IgnoredAny::deserialize(value).map(|_| true)
 }
 
 /// A line of the list, with its time series, which is not kept in memory.
@@ -122,11 +140,6 @@ pub fn read_line(folder: &Path, line: &Range<u64>) -> Result<Vec<u8>, FolderErro
     Ok(bytes)
 }
 
-/// Returns whether a line contains the order over time.
-pub fn has_order(line: &[u8]) -> bool {
-    series_of(line).order.is_some()
-}
-
 fn series_of(line: &[u8]) -> SeriesOfLine {
     serde_json::from_slice(line).unwrap_or_default()
 }
@@ -193,6 +206,11 @@ pub fn read_order(
     })
 }
 
+/// Returns the path of the file of a run's order over time in folders of earlier versions.
+pub fn order_file(index: usize) -> String {
+    format!("{SERIES}/{index:06}")
+}
+
 /// Reads the file of a run's order over time: the orders and then the drifts, if the series has drifts, as
 /// little-endian doubles without a header.
 pub fn read_order_file(
@@ -200,7 +218,7 @@ pub fn read_order_file(
     index: usize,
     has_drift: bool,
 ) -> Result<StoredOrder, FolderError> {
-    let path = folder.join(SERIES).join(format!("{index:06}"));
+    let path = folder.join(order_file(index));
     let bytes = fs::read(&path).map_err(|source| io_error(&path, source))?;
     let (numbers, _) = bytes.as_chunks();
     let mut order: Vec<f64> = numbers.iter().copied().map(f64::from_le_bytes).collect();
@@ -212,19 +230,26 @@ pub fn read_order_file(
     Ok(StoredOrder { order, drift })
 }
 
-/// Parses the list of runs. Returns the finished runs by their index in the plan, and the number of bytes in complete
-/// lines.
-pub fn parse_runs(
-    folder: &Path,
-    plan: &Plan,
-    bytes: &[u8],
-) -> Result<(BTreeMap<usize, Entry>, u64), FolderError> {
+/// The parsed list of runs.
+pub struct List {
+    /// The finished runs by their index in the plan.
+    pub finished: BTreeMap<usize, Entry>,
+    /// The number of bytes in complete lines.
+    pub length: u64,
+    /// The version of the model that executed the runs.
+    pub model_version: u32,
+}
+
+/// Parses the list of runs. Of several lines of one run the last one is valid: a run whose files were
+/// missing was executed again.
+pub fn parse_runs(folder: &Path, plan: &Plan, bytes: &[u8]) -> Result<List, FolderError> {
     let damaged = |line: usize, reason: String| FolderError::Damaged {
         path: folder.join(RUNS),
         line: line + 1,
         reason,
     };
     let (mut finished, mut length) = (BTreeMap::new(), 0);
+    let mut model_version = MODEL_VERSION;
     for (number, line) in bytes.split_inclusive(|&byte| byte == b'\n').enumerate() {
         let is_last = length + line.len() == bytes.len();
         if number == 0 {
@@ -234,12 +259,7 @@ pub fn parse_runs(
                 Ok(_) => unreachable!("only the last line can lack a newline"),
                 Err(error) => return Err(damaged(number, error.to_string())),
             };
-            if header.model_version != MODEL_VERSION {
-                return Err(FolderError::OtherModel {
-                    folder: folder.to_owned(),
-                    theirs: header.model_version,
-                });
-            }
+            model_version = header.model_version;
         } else {
             let mut record: Record = match serde_json::from_slice(line) {
                 Ok(record) if line.ends_with(b"\n") => record,
@@ -260,6 +280,10 @@ pub fn parse_runs(
                 let reason = format!("run {run:?} has seed {seed}, expected {planned}");
                 return Err(damaged(number, reason));
             }
+            if let Some(path) = record.files.keys().find(|path| !is_inside(path)) {
+                let reason = format!("invalid file name {path:?}");
+                return Err(damaged(number, reason));
+            }
             // Earlier versions stored the reason beside the row alone.
             if let Some(row) = &mut record.row {
                 row.fault.clone_from(&record.fault);
@@ -269,7 +293,17 @@ pub fn parse_runs(
         }
         length += line.len();
     }
-    Ok((finished, length as u64))
+    Ok(List {
+        finished,
+        length: length as u64,
+        model_version,
+    })
+}
+
+/// Returns whether a path is relative and stays in its folder.
+fn is_inside(path: &str) -> bool {
+    let is_normal = |component| matches!(component, Component::Normal(_));
+    !path.is_empty() && Path::new(path).components().all(is_normal)
 }
 
 pub fn to_line(value: &impl Serialize) -> Vec<u8> {

@@ -1,18 +1,19 @@
 //! Reads the folder of a part of an experiment, to copy its runs into another folder.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{self, File};
 use std::io;
 use std::path::{Path, PathBuf};
 
+use jostle_physics::model::MODEL_VERSION;
 use rustix::fs::{FlockOperation, flock};
 use rustix::io::Errno;
 
 use super::LOCK;
 use super::error::{FolderError, io_error};
+use super::lacking::lacking;
 use super::list::{
-    Entry, Line, RUNS, has_order, parse_runs, read_line, read_or_empty, read_order, read_series,
-    to_line,
+    Entry, Line, RUNS, parse_runs, read_line, read_or_empty, read_order, read_series, to_line,
 };
 use crate::files::{EXPERIMENT, Files};
 use crate::plan::Plan;
@@ -23,6 +24,7 @@ use crate::run::FinishedRun;
 pub struct Part {
     path: PathBuf,
     finished: BTreeMap<usize, Entry>,
+    lacking: BTreeSet<usize>,
 }
 
 impl Part {
@@ -56,10 +58,17 @@ impl Part {
     /// [`FolderError`]; also if another process writes to the folder.
     pub fn read(folder: &Path, plan: &Plan) -> Result<Self, FolderError> {
         let _lock = lock_shared(folder)?;
-        let (finished, _) = parse_runs(folder, plan, &read_or_empty(&folder.join(RUNS))?)?;
+        let list = parse_runs(folder, plan, &read_or_empty(&folder.join(RUNS))?)?;
+        if list.model_version != MODEL_VERSION {
+            return Err(FolderError::OtherModel {
+                folder: folder.to_owned(),
+                theirs: list.model_version,
+            });
+        }
         Ok(Self {
             path: folder.to_owned(),
-            finished,
+            lacking: lacking(folder, plan, &list.finished),
+            finished: list.finished,
         })
     }
 
@@ -68,9 +77,16 @@ impl Part {
         &self.path
     }
 
-    /// Returns the indices of its finished runs in the plan, in ascending order.
+    /// Returns the indices of its finished runs in the plan, in ascending order, without those of which
+    /// files are missing.
     pub fn finished(&self) -> Vec<usize> {
-        self.finished.keys().copied().collect()
+        let finished = self.finished.keys().copied();
+        finished.filter(|it| !self.lacking.contains(it)).collect()
+    }
+
+    /// Returns the indices of its finished runs of which files are missing.
+    pub fn lacking(&self) -> &BTreeSet<usize> {
+        &self.lacking
     }
 
     /// Returns whether a run is finished and has a row.
@@ -98,6 +114,7 @@ impl Part {
             order: order.transpose()?,
             series: series.transpose()?,
             touch: record.touch,
+            files: record.files,
         })
     }
 
@@ -113,7 +130,7 @@ impl Part {
             return Err(io_error(&path, io::ErrorKind::NotFound.into()));
         };
         let line = read_line(&self.path, &entry.line)?;
-        if plan.order_every.is_none() || entry.record.row.is_none() || has_order(&line) {
+        if plan.order_every.is_none() || entry.record.row.is_none() || entry.record.has_order {
             return Ok(line);
         }
         let order = read_order(&self.path, plan, index, &line)?;
