@@ -7,6 +7,8 @@ pub mod chart;
 pub mod claims;
 pub mod contact_statistics;
 pub mod disorder;
+#[cfg(test)]
+mod flips;
 pub mod recording;
 #[cfg(test)]
 mod samples;

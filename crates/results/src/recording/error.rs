@@ -86,6 +86,15 @@ pub enum RecordingError {
     Table(#[from] TableError),
 }
 
+/// Converts the error of a Parquet recording that is read.
+pub fn unreadable(error: TableError) -> RecordingError {
+    match error {
+        TableError::Malformed { path, reason } => RecordingError::Unreadable { path, reason },
+        TableError::Io { path, source } => io_error(&path, source),
+        error => error.into(),
+    }
+}
+
 /// Converts a system error; a full disk or quota becomes [`RecordingError::Full`].
 pub fn io_error(path: &Path, source: io::Error) -> RecordingError {
     let path = path.to_owned();

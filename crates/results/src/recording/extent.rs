@@ -5,14 +5,19 @@ use std::io;
 use std::io::{Read as _, Seek as _};
 use std::path::Path;
 
+use ::parquet::file::reader::FileReader as _;
 use mcap::sans_io::summary_reader::{SummaryReadEvent, SummaryReader};
-use parquet::file::reader::{FileReader as _, SerializedFileReader};
 
-use super::error::io_error;
-use super::{Format, RecordingError, mcap as written};
+use super::error::{self, io_error};
+use super::{Format, RecordingError, bytes_at, mcap as written};
+use crate::table::parquet;
 
 /// The metadata key for the number of frames of a part.
 pub const FRAMES: &str = "frames";
+
+/// The length of a footer of MCAP with the magic after it: code, length, two offsets at 9 and 17, and at 25
+/// a checksum over the summary and the bytes of the footer before the checksum.
+const FOOTER_BYTES: u64 = 37;
 
 /// The extent of a whole part.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -32,8 +37,8 @@ impl Extent {
         let bytes = file.metadata().map_err(|source| io_error(part, source))?;
         let bytes = bytes.len();
         let (frames, last) = match Format::of(part)? {
-            Format::Parquet => (frames_of_parquet(part, file)?, 0),
-            Format::Mcap => of_mcap(part, file)?,
+            Format::Parquet => (frames_of_parquet(part)?, 0),
+            Format::Mcap => of_mcap(part, file, bytes)?,
         };
         Ok(Extent {
             frames,
@@ -43,9 +48,8 @@ impl Extent {
     }
 }
 
-fn frames_of_parquet(part: &Path, file: File) -> Result<u64, RecordingError> {
-    let reader =
-        SerializedFileReader::new(file).map_err(|error| unreadable(part, &error.to_string()))?;
+fn frames_of_parquet(part: &Path) -> Result<u64, RecordingError> {
+    let reader = parquet::open(part).map_err(error::unreadable)?;
     let metadata = reader.metadata().file_metadata().key_value_metadata();
     let frames = metadata
         .into_iter()
@@ -55,7 +59,9 @@ fn frames_of_parquet(part: &Path, file: File) -> Result<u64, RecordingError> {
     frames.ok_or_else(|| unreadable(part, "its metadata have no number of frames"))
 }
 
-fn of_mcap(part: &Path, mut file: File) -> Result<(u64, u64), RecordingError> {
+fn of_mcap(part: &Path, mut file: File, length: u64) -> Result<(u64, u64), RecordingError> {
+    check_summary(part, &mut file, length)?;
+    file.rewind().map_err(|source| io_error(part, source))?;
     let mut reader = SummaryReader::new();
     while let Some(event) = reader.next_event() {
         match event.map_err(|error| unreadable(part, &error.to_string()))? {
@@ -83,6 +89,35 @@ fn of_mcap(part: &Path, mut file: File) -> Result<(u64, u64), RecordingError> {
     };
     let frames = channel.and_then(|id| statistics.channel_message_counts.get(&id));
     Ok((frames.copied().unwrap_or(0), statistics.message_end_time))
+}
+
+/// Compares the checksum of the summary, which [`SummaryReader`] does not.
+fn check_summary(part: &Path, file: &mut File, length: u64) -> Result<(), RecordingError> {
+    let cut = || unreadable(part, "it is cut short");
+    let footer = length.checked_sub(FOOTER_BYTES).ok_or_else(cut)?;
+    let mut read = |from, to: u64| {
+        let bytes = usize::try_from(to - from).map_err(|_| cut())?;
+        bytes_at(file, from, bytes).map_err(|source| io_error(part, source))
+    };
+    let last = read(footer, length)?;
+    let start = last[9..]
+        .first_chunk()
+        .map_or(0, |it| u64::from_le_bytes(*it));
+    let stored = last[25..]
+        .first_chunk()
+        .map_or(0, |it| u32::from_le_bytes(*it));
+    let start = if start == 0 { footer } else { start };
+    if start > footer {
+        return Err(unreadable(
+            part,
+            "it is damaged: its summary has no beginning",
+        ));
+    }
+    let summary = read(start, footer + 25)?;
+    match stored == 0 || stored == crc32fast::hash(&summary) {
+        true => Ok(()),
+        false => Err(unreadable(part, "it is damaged: a checksum is wrong")),
+    }
 }
 
 fn unreadable(part: &Path, reason: &str) -> RecordingError {

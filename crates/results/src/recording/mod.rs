@@ -12,7 +12,7 @@
 //! their final format.
 
 mod error;
-mod extent;
+pub(crate) mod extent;
 mod folder;
 mod mcap;
 mod parquet;

@@ -15,7 +15,8 @@ use super::mcap::length;
 use super::temp_file::TempFile;
 use super::{About, Frame, RecordingError};
 use crate::table::TableError;
-use crate::table::column::ParquetValue;
+use crate::table::checksums;
+use crate::table::column::{ParquetValue, failed};
 use crate::table::parquet::{group, write_column};
 
 /// The unit of an origin, in body sizes.
@@ -51,12 +52,12 @@ macro_rules! columns {
             fn write(&mut self, part: &mut SerializedFileWriter<File>, path: &Path)
                 -> Result<(), TableError>
             {
-                let mut group = part.next_row_group().map_err(|error| malformed(path, &error))?;
+                let mut group = part.next_row_group().map_err(|error| failed(path, &error, ""))?;
                 $(
                     write_column(path, &mut group, stringify!($field), &self.$field)?;
                     self.$field.clear();
                 )*
-                group.close().map_err(|error| malformed(path, &error))?;
+                group.close().map_err(|error| failed(path, &error, ""))?;
                 Ok(())
             }
         }
@@ -110,7 +111,7 @@ impl ParquetPart {
             .and_then(|schema| {
                 SerializedFileWriter::new(file, Arc::new(schema), Arc::new(properties.build()))
             })
-            .map_err(|error| malformed(&temp_file.path, &error))?;
+            .map_err(|error| failed(&temp_file.path, &error, ""))?;
         Ok(ParquetPart {
             path: temp_file.path.clone(),
             writer,
@@ -180,9 +181,8 @@ impl ParquetPart {
         for pair in key_values(closing) {
             self.writer.append_key_value_metadata(pair);
         }
-        self.writer
-            .finish()
-            .map_err(|error| malformed(&temp_file.path, &error))?;
+        checksums::finish(self.writer, temp_file.partial())
+            .map_err(|error| failed(&temp_file.path, &error, ""))?;
         Ok(())
     }
 
@@ -209,11 +209,4 @@ fn key_values(about: &About) -> Vec<KeyValue> {
     pairs
         .map(|(key, value)| KeyValue::new(key.clone(), value.clone()))
         .collect()
-}
-
-fn malformed(path: &Path, error: &ParquetError) -> TableError {
-    TableError::Malformed {
-        path: path.to_owned(),
-        reason: error.to_string(),
-    }
 }

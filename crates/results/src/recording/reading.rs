@@ -67,7 +67,7 @@ enum Stop<E> {
 }
 
 /// Reads a whole file: calls `each` with every message in the order in which they were written, and
-/// returns the metadata of the recording.
+/// returns the metadata of the recording. If a checksum is wrong, the error may follow messages.
 ///
 /// # Errors
 ///
@@ -165,6 +165,10 @@ impl<E, F: FnMut(Message<'_>) -> Result<(), E>> Reading<F> {
             return Err(Stop::Damaged("it is no MCAP file".to_owned()));
         }
         let (mut at, mut body) = (MAGIC.len() as u64, Vec::new());
+        // The data section, then the summary. A checksum over each covers what is outside chunks.
+        let mut section = crc32fast::Hasher::new();
+        section.update(&magic);
+        let mut has_data_end = false;
         loop {
             self.unread = length.saturating_sub(at);
             let mut head = [0; RECORD_HEADER];
@@ -194,27 +198,56 @@ impl<E, F: FnMut(Message<'_>) -> Result<(), E>> Reading<F> {
                     .map_err(|error| explain(&error))?;
                 continue;
             }
+            body.resize(usize::try_from(bytes).map_err(|_| cut_short())?, 0);
+            file.read_exact(&mut body)
+                .map_err(|error| explain(&error))?;
             match code {
-                op::FOOTER => {
-                    self.unread = 0;
-                    return Ok(());
+                op::DATA_END => {
+                    self.end(section, &body)?;
+                    section = crc32fast::Hasher::new();
+                    has_data_end = true;
                 }
-                op::CHUNK | op::MESSAGE | op::CHANNEL | op::METADATA => {
-                    body.resize(usize::try_from(bytes).map_err(|_| cut_short())?, 0);
-                    file.read_exact(&mut body)
+                op::FOOTER => {
+                    let checked = body.len().saturating_sub(4);
+                    section.update(&head);
+                    section.update(&body[..checked]);
+                    self.end(section, &body[checked..])?;
+                    self.unread = length - at - bytes;
+                    file.read_exact(&mut magic)
                         .map_err(|error| explain(&error))?;
+                    self.unread = 0;
+                    return self.expect(has_data_end && magic == MAGIC);
+                }
+                _ => {
+                    section.update(&head);
+                    section.update(&body);
                     match self.record(code, at, &body) {
                         Err(Stop::Damaged(_)) if self.skips_damage => self.damaged += 1,
                         taken => taken?,
                     }
                 }
-                _ => {
-                    let skipped = i64::try_from(bytes).unwrap_or(i64::MAX);
-                    file.seek_relative(skipped)
-                        .map_err(|error| explain(&error))?;
-                }
             }
             at += bytes;
+        }
+    }
+
+    /// Compares the checksum of a section with the one that is stored; 0 is none.
+    fn end(&mut self, section: crc32fast::Hasher, stored: &[u8]) -> Result<(), Stop<E>> {
+        let stored = <[u8; 4]>::try_from(stored).map(u32::from_le_bytes);
+        let computed = section.finalize();
+        self.expect(stored.is_ok_and(|stored| stored == 0 || stored == computed))
+    }
+
+    /// Counts damage outside chunks, if there is any, or returns it as an error. A damaged chunk, which
+    /// is counted already, changes the checksum of its section.
+    fn expect(&mut self, is_intact: bool) -> Result<(), Stop<E>> {
+        match (is_intact, self.skips_damage) {
+            (true, _) => Ok(()),
+            (false, true) => {
+                self.damaged = self.damaged.max(1);
+                Ok(())
+            }
+            (false, false) => Err(wrong_checksum()),
         }
     }
 
@@ -231,8 +264,7 @@ impl<E, F: FnMut(Message<'_>) -> Result<(), E>> Reading<F> {
                 }
                 if header.uncompressed_crc != 0 && crc32fast::hash(&data) != header.uncompressed_crc
                 {
-                    let reason = "it is damaged: a checksum is wrong".to_owned();
-                    return Err(Stop::Damaged(reason));
+                    return Err(wrong_checksum());
                 }
                 self.chunk(from + (body.len() - data.len()) as u64, &data)?;
             }
@@ -349,6 +381,10 @@ fn cut_short<E>() -> Stop<E> {
     let reason = "it is cut short: its recorder was killed or is still running; if it was killed, \
                   `jostle record --recover FILE` makes a whole file of it";
     Stop::Cut(reason.to_owned())
+}
+
+fn wrong_checksum<E>() -> Stop<E> {
+    Stop::Damaged("it is damaged: a checksum is wrong".to_owned())
 }
 
 fn overrun<E>() -> Stop<E> {

@@ -5,19 +5,18 @@ use std::fs::{self, File};
 use std::io::{self, Read as _};
 use std::path::{Path, PathBuf};
 
-use parquet::file::reader::SerializedFileReader;
-
-use super::error::io_error;
+use super::error::{self, io_error};
 use super::mcap::{CHANNELS, McapPart, STATE};
 use super::parquet::ParquetPart;
 use super::reading::{self, Unfinished, read_unfinished};
 use super::temp_file::{self, PARTIAL, TempFile};
 use super::{About, Decode, Format, RecordingError, extent};
+use crate::table::parquet;
 
 /// The metadata key that marks a recovered recording.
 const RECOVERED: &str = "recovered";
 
-/// The first bytes of every Parquet file.
+/// The first and the last bytes of every Parquet file.
 const PARQUET: [u8; 4] = *b"PAR1";
 
 /// The outcome of a recovery.
@@ -246,15 +245,20 @@ fn is_whole(path: &Path, format: Format) -> Result<bool, RecordingError> {
                 damaged => Err(unreadable(
                     path,
                     &format!(
-                        "{damaged} of its chunks are damaged: rename it to end in .mcap.partial \
-                         and recover the others"
+                        "{damaged} of its chunks or its index are damaged: rename it to end in \
+                         .mcap.partial and recover the others"
                     ),
                 )),
             }
         }
         Format::Parquet => {
-            let file = File::open(path).map_err(|error| io_error(path, error))?;
-            Ok(SerializedFileReader::new(file).is_ok())
+            let Err(error) = parquet::check(path) else {
+                return Ok(true);
+            };
+            match ends_with(path, &PARQUET)? {
+                true => Err(error::unreadable(error)),
+                false => Ok(false),
+            }
         }
     }
 }
@@ -283,6 +287,15 @@ fn begins_with(path: &Path, magic: &[u8]) -> Result<bool, RecordingError> {
         let mut first = Vec::new();
         file.take(magic.len() as u64).read_to_end(&mut first)?;
         Ok(first == magic)
+    });
+    read.map_err(|error| io_error(path, error))
+}
+
+fn ends_with(path: &Path, magic: &[u8]) -> Result<bool, RecordingError> {
+    let read = File::open(path).and_then(|mut file| {
+        let end = file.metadata()?.len().checked_sub(magic.len() as u64);
+        let last = end.map(|end| super::bytes_at(&mut file, end, magic.len()));
+        Ok(last.transpose()?.is_some_and(|last| last == magic))
     });
     read.map_err(|error| io_error(path, error))
 }

@@ -1,6 +1,5 @@
 //! Parquet tables, for data frames.
 
-use std::fs::File;
 use std::io::Write;
 use std::path::Path;
 use std::sync::Arc;
@@ -13,6 +12,7 @@ use parquet::file::writer::{SerializedFileWriter, SerializedRowGroupWriter};
 use parquet::schema::types::Type;
 use tempfile::NamedTempFile;
 
+use super::checksums::{self, Checked};
 use super::column::{CellError, ParquetValue, failed};
 use super::{TableError, extra_names, has_faults, io_error};
 use crate::{COLUMNS, Cell, CellKind, Column, ExtraValue, FAULT, ResultRow};
@@ -175,11 +175,10 @@ pub fn begin_with(
         .map_err(|error| malformed(path, &error))
 }
 
-/// Ends the file and gives it its name.
+/// Ends the file with its checksums and gives it its name.
 pub fn finish(path: &Path, writer: SerializedFileWriter<NamedTempFile>) -> Result<(), TableError> {
-    let file = writer
-        .into_inner()
-        .map_err(|error| malformed(path, &error))?;
+    let unfinished = writer.inner().path().to_owned();
+    let file = checksums::finish(writer, &unfinished).map_err(|error| malformed(path, &error))?;
     jostle_atomic_file::publish(file, path).map_err(|source| io_error(path, source))
 }
 
@@ -196,10 +195,20 @@ pub fn for_each_group(
     Ok(())
 }
 
-/// Opens a file.
-pub fn open(path: &Path) -> Result<SerializedFileReader<File>, TableError> {
-    let file = File::open(path).map_err(|source| io_error(path, source))?;
-    SerializedFileReader::new(file).map_err(|error| malformed(path, &error))
+/// Opens a file. Its checksums are checked, if it has them: those of a row group before it is read.
+pub fn open(path: &Path) -> Result<SerializedFileReader<Checked>, TableError> {
+    Checked::open(path)
+        .and_then(SerializedFileReader::new)
+        .map_err(|error| malformed(path, &error))
+}
+
+/// Checks all bytes of a file that has checksums, and the footer of one that has none.
+pub fn check(path: &Path) -> Result<(), TableError> {
+    let whole = Checked::open(path).and_then(|file| {
+        file.check_all()?;
+        SerializedFileReader::new(file)
+    });
+    whole.map(drop).map_err(|error| malformed(path, &error))
 }
 
 /// Builds the schema of a table from the schemas of its columns.

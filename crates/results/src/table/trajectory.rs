@@ -13,6 +13,7 @@ use parquet::schema::types::{ColumnPath, Type};
 use tempfile::NamedTempFile;
 
 use super::TableError;
+use super::checksums;
 use super::column::{ParquetValue, failed};
 use super::parquet::{
     begin_with, finish, for_each_group, group, malformed, open, read_column, rows, write_column,
@@ -178,7 +179,7 @@ impl TrajectoryWriter {
     }
 }
 
-/// Reads the metadata of a file.
+/// Reads the metadata of a file, without its checksums.
 ///
 /// # Errors
 ///
@@ -187,6 +188,7 @@ pub fn read_about(path: &Path) -> Result<About, TableError> {
     let reader = open(path)?;
     let pairs = reader.metadata().file_metadata().key_value_metadata();
     let pairs = pairs.into_iter().flatten();
+    let pairs = pairs.filter(|pair| pair.key != checksums::KEY);
     Ok(pairs
         .map(|pair| (pair.key.clone(), pair.value.clone().unwrap_or_default()))
         .collect())

@@ -56,41 +56,20 @@ fn mcap_messages_are_read_in_order_with_their_offsets() {
 }
 
 #[test]
-fn truncated_files_are_rejected_and_damaged_ones_not_misread() {
+fn truncated_files_are_rejected() {
     let folder = tempfile::tempdir().unwrap();
     let path = recorded(folder.path());
     let whole = fs::read(&path).unwrap();
-    let (_, expected) = messages(&path).unwrap();
     let harmed = folder.path().join("harmed.mcap");
-    // The bytes after the footer's header are an index, which reading does not need.
-    let data = whole
-        .windows(7)
-        .rposition(|it| it == b"summary")
-        .unwrap_or(whole.len() - 45);
-    for length in 0..data.min(whole.len() - 40) {
+    for length in 0..whole.len() {
         fs::write(&harmed, &whole[..length]).unwrap();
-        let read = messages(&harmed);
-        assert!(
-            matches!(read, Err(RecordingError::Unreadable { .. })),
-            "{length}"
-        );
-    }
-    let mut rejected = 0;
-    for place in 0..whole.len() {
-        let mut bytes = whole.clone();
-        bytes[place] ^= 0x41;
-        fs::write(&harmed, &bytes).unwrap();
-        match messages(&harmed) {
-            Ok((_, messages)) => {
-                // Topic names and the records around the chunk have no checksum.
-                for message in &messages {
-                    assert!(expected.iter().any(|it| it.2 == message.2), "{place}");
-                }
-            }
-            Err(_) => rejected += 1,
+        for read in [messages(&harmed).map(drop), Extent::of(&harmed).map(drop)] {
+            assert!(
+                matches!(read, Err(RecordingError::Unreadable { .. })),
+                "{length}"
+            );
         }
     }
-    assert!(rejected > 400, "{rejected}");
 }
 
 /// Reads the partial file, as a kill of the recorder at this moment would leave it.

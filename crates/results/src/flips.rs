@@ -1,0 +1,252 @@
+//! Each flipped bit of a file of each kind is an error that names the file, or the data are equal. The
+//! files have some 4 kB; with `JOSTLE_LONG=1`, 20 kB.
+
+#![expect(clippy::unwrap_used, reason = "tests")]
+
+use std::fs::{self, OpenOptions};
+use std::io::{Seek as _, SeekFrom, Write as _};
+use std::path::{Path, PathBuf};
+use std::thread;
+use std::time::SystemTime;
+
+use crate::recording::extent::Extent;
+use crate::recording::{self, About, Frame, Moment, Recorder, RecordingError};
+use crate::samples::samples;
+use crate::table::order::{OrderSeries, OrderWriter};
+use crate::table::series::{self, MeasureSeries, Series, SeriesWriter};
+use crate::table::trajectory::{self, Trajectory, TrajectoryWriter};
+use crate::table::{self, TableError};
+
+/// A number without a short form.
+fn number(index: u64) -> f64 {
+    libm::sin(index as f64)
+}
+
+/// Returns a number of rows, larger with `JOSTLE_LONG=1`.
+fn scaled(rows: u64) -> u64 {
+    let is_long = std::env::var_os("JOSTLE_LONG").is_some();
+    rows * if is_long { 8 } else { 1 }
+}
+
+/// Flips each bit of `path` from a byte on, reads the file, and flips the bit back. The two halves of the file are done
+/// at the same time.
+fn each_flip<T: PartialEq>(
+    path: &Path,
+    from: usize,
+    read: impl Fn(&Path) -> Result<T, PathBuf> + Sync,
+) {
+    let whole = fs::read(path).unwrap();
+    assert!(whole.len() > 2000, "{}", whole.len());
+    let middle = (from + whole.len()) / 2;
+    let halves = [(from..middle, "first"), (middle..whole.len(), "second")];
+    thread::scope(|scope| {
+        for (places, name) in halves {
+            let (whole, read) = (&whole, &read);
+            scope.spawn(move || {
+                let path = path.with_file_name(format!("{name}-{}", file_name(path)));
+                fs::write(&path, whole).unwrap();
+                let Ok(expected) = read(&path) else {
+                    panic!("{} is intact", path.display());
+                };
+                let mut file = OpenOptions::new().write(true).open(&path).unwrap();
+                let mut put = |at: usize, byte: u8| {
+                    file.seek(SeekFrom::Start(at as u64)).unwrap();
+                    file.write_all(&[byte]).unwrap();
+                };
+                for at in places {
+                    for bit in 0..8 {
+                        put(at, whole[at] ^ 1 << bit);
+                        match read(&path) {
+                            Ok(read) => assert!(read == expected, "byte {at}, bit {bit}"),
+                            Err(named) => assert_eq!(named, path, "byte {at}, bit {bit}"),
+                        }
+                    }
+                    put(at, whole[at]);
+                }
+            });
+        }
+    });
+}
+
+fn file_name(path: &Path) -> &str {
+    path.file_name().unwrap().to_str().unwrap()
+}
+
+/// Returns the file that the error of a damaged table names.
+fn named(error: TableError) -> PathBuf {
+    match error {
+        TableError::Malformed { path, .. } => path,
+        error => panic!("{error}"),
+    }
+}
+
+fn named_by_recording(error: RecordingError) -> PathBuf {
+    match error {
+        RecordingError::Unreadable { path, .. } => path,
+        RecordingError::Table(error) => named(error),
+        error => panic!("{error}"),
+    }
+}
+
+#[test]
+fn of_results_are_found() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join(table::PARQUET_NAME);
+    let rows = samples().into_iter().cycle();
+    let rows: Vec<_> = rows.take(scaled(3) as usize).collect();
+    table::write_parquet(&path, &rows).unwrap();
+    each_flip(&path, 0, |path| table::read(path).map_err(named));
+}
+
+#[test]
+fn of_series_and_orders_are_found() {
+    let folder = tempfile::tempdir().unwrap();
+    let series = |run: u64| Series {
+        run: format!("n=3 #{run}"),
+        steps: (0..scaled(60)).collect(),
+        times: (0..scaled(60)).map(number).collect(),
+        measures: vec![MeasureSeries {
+            name: "msd(5)".to_owned(),
+            values: (0..scaled(60))
+                .map(|it| (it > 3).then(|| number(it)))
+                .collect(),
+        }],
+    };
+    let path = folder.path().join(series::SERIES_NAME);
+    let names = ["msd(5)".to_owned()].into_iter();
+    let mut writer = SeriesWriter::begin(&path, names).unwrap();
+    (0..3).for_each(|run| writer.append(&series(run)).unwrap());
+    writer.finish().unwrap();
+    each_flip(&path, 0, |path| series::read(path).map_err(named));
+
+    let path = folder.path().join(table::order::ORDER_NAME);
+    let mut writer = OrderWriter::begin(&path).unwrap();
+    let order = OrderSeries {
+        run: "led".to_owned(),
+        steps: (0..scaled(60)).collect(),
+        times: (0..scaled(60)).map(number).collect(),
+        orders: (0..scaled(60)).map(number).collect(),
+        drifts: (0..scaled(60)).map(number).collect(),
+    };
+    writer.append(&order).unwrap();
+    writer.finish().unwrap();
+    each_flip(&path, 0, |path| series::read(path).map_err(named));
+}
+
+#[test]
+fn of_trajectories_are_found() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join(trajectory::file_name(17));
+    let about = [
+        ("seed", "7"),
+        ("spec", "{\"n\":3,\"notes\":\"jostle.blake3\"}"),
+    ];
+    let about = about.map(|(key, value)| (key.to_owned(), value.to_owned()));
+    let mut writer = TrajectoryWriter::begin(&path, &about.into()).unwrap();
+    for step in 0..scaled(20) {
+        let column = |factor: u64| (0..5).map(|id| number(factor * step + id)).collect();
+        let rows = Trajectory {
+            step: vec![step; 5],
+            time: vec![number(step); 5],
+            id: (0..5).collect(),
+            x: column(3),
+            y: column(5),
+            alpha: column(7),
+            informed: vec![step % 2 == 0; 5],
+        };
+        writer.append(&rows).unwrap();
+    }
+    writer.finish().unwrap();
+    each_flip(&path, 0, |path| {
+        let about = trajectory::read_about(path).map_err(named)?;
+        let (page, total) = trajectory::read_page(path, 0, 200).map_err(named)?;
+        Ok((about, page, total))
+    });
+}
+
+/// Records states of four individuals.
+fn record(path: &Path) {
+    let about = [("swarm", "school"), ("spec", "{\"n\":4}")];
+    let about = about.map(|(key, value)| (key.to_owned(), value.to_owned()));
+    let mut recorder = Recorder::to_file(path, false, about.into(), decode).unwrap();
+    for number in 0..scaled(8) {
+        let published: Vec<u8> = number.to_le_bytes().repeat(8);
+        decode(&published, &mut |frame| recorder.frame(frame).unwrap()).unwrap();
+        recorder
+            .event(&moment(number), b"{\"kind\":\"set\"}")
+            .unwrap();
+        if number % 5 == 0 {
+            recorder.flush(&About::new()).unwrap();
+        }
+    }
+    let closing = About::from([("missed".to_owned(), "4".to_owned())]);
+    recorder.finish(&closing).unwrap();
+}
+
+fn moment(number: u64) -> Moment {
+    Moment {
+        epoch: 1,
+        number,
+        time: number as f64 * 0.1,
+        taken: SystemTime::UNIX_EPOCH,
+    }
+}
+
+fn decode(published: &[u8], take: &mut dyn FnMut(&Frame<'_>)) -> Result<(), String> {
+    let index = u64::from_le_bytes(*published.first_chunk().ok_or("too short")?);
+    let column = [1, 2, 3, 4].map(|id| number(4 * index + id));
+    take(&Frame {
+        swarm: "school",
+        moment: moment(index),
+        phase: "running",
+        step: index,
+        origin: [0, 0],
+        id: &[0, 1, 2, 3],
+        x: &column,
+        y: &column,
+        alpha: &column,
+        weight: &column,
+        direction: &column,
+        order: number(index),
+        drift: None,
+        worst_gap: Some(number(index)),
+        residual: 0.0,
+        contacts: 3,
+        published,
+    });
+    Ok(())
+}
+
+#[test]
+fn of_parquet_recordings_are_found() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("take.parquet");
+    record(&path);
+    each_flip(&path, 0, |path| {
+        let extent = Extent::of(path).map_err(named_by_recording)?;
+        table::parquet::check(path).map_err(named)?;
+        Ok(extent)
+    });
+}
+
+#[test]
+fn of_mcap_recordings_are_found() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("take.mcap");
+    record(&path);
+    each_flip(&path, 0, |path| {
+        let mut messages = Vec::new();
+        let about = recording::read(path, |message| {
+            let topic = message.topic.to_owned();
+            messages.push((topic, message.offset, message.bytes.to_vec()));
+            Ok(())
+        });
+        let about = about.map_err(named_by_recording)?;
+        Ok((about, messages))
+    });
+    // The summary at the end, which is all that a recording that resumes reads.
+    let summary = fs::read(&path).unwrap().len() - 900;
+    each_flip(&path, summary, |path| {
+        Extent::of(path).map_err(named_by_recording)
+    });
+}
