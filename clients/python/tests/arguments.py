@@ -106,6 +106,7 @@ NOT_SENT: dict[tuple[str, str], str] = {
     ("Recording.to_csv", "path"): "writes a file of this machine",
     ("Recording.to_extxyz", "path"): "writes a file of this machine",
     ("read_recording", "path"): _FILE,
+    ("read_table", "path"): _FILE,
     ("frame", "records"): "makes a table on this machine",
     ("WhoAmI.may", "verb"): "looks into a reply",
     **{

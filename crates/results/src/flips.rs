@@ -164,6 +164,41 @@ fn of_trajectories_are_found() {
     });
 }
 
+#[test]
+fn a_page_is_read_without_the_other_row_groups() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join(trajectory::file_name(1));
+    let rows = 140_000_u32;
+    let column = || vec![0.25; rows as usize];
+    let mut writer = TrajectoryWriter::begin(&path, &About::new()).unwrap();
+    let steps = Trajectory {
+        step: (0..rows.into()).collect(),
+        time: column(),
+        id: (0..rows).collect(),
+        x: column(),
+        y: column(),
+        alpha: column(),
+        informed: vec![true; rows as usize],
+    };
+    writer.append(&steps).unwrap();
+    writer.finish().unwrap();
+
+    // In the second of three row groups.
+    let mut bytes = fs::read(&path).unwrap();
+    let middle = bytes.len() / 2;
+    bytes[middle] ^= 1;
+    fs::write(&path, bytes).unwrap();
+    for (after, is_intact) in [(0, true), (65_000, true), (66_000, false), (135_000, true)] {
+        let page = trajectory::read_page(&path, after, 500);
+        assert_eq!(page.is_ok(), is_intact, "{after}");
+        if let Ok((page, _)) = page {
+            assert_eq!(page.step[0], after);
+        }
+    }
+    assert_eq!(trajectory::read(&path).map_err(named), Err(path.clone()));
+    assert_eq!(table::parquet::check(&path).map_err(named), Err(path));
+}
+
 /// Records states of four individuals.
 fn record(path: &Path) {
     let about = [("swarm", "school"), ("spec", "{\"n\":4}")];

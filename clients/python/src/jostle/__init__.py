@@ -103,6 +103,7 @@ from ._state import State
 from ._stream import Stream
 from ._swarm import Swarm
 from ._sweep import Sweep, sweep
+from ._tables import read_table
 from ._view import View
 
 __all__ = [
@@ -214,6 +215,7 @@ __all__ = [
     "local",
     "poses",
     "read_recording",
+    "read_table",
     "sweep",
     "within",
 ]

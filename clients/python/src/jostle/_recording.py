@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ._atomic_file import atomic_file
-from ._errors import Internal, InvalidArgument, invalid
+from ._checksums import CHECKSUMS, ParquetChecksums, check_mcap, damaged, reading
 from ._extras import import_extra
 from ._frame import KINDS, OF_EACH, OF_FRAME, OF_GROUP, Columns, columns_of, table_of
 from ._state import State, read_state
@@ -30,6 +30,9 @@ _LATER = ("swarm", "phase", "informed", "drift")
 
 # The first and last bytes of MCAP.
 _MCAP = b"\x89MCAP0\r\n"
+
+# What errors call a file.
+_WHAT = "recording"
 
 # The approximate number of rows of MCAP in one table.
 _TABLE_ROWS = 64 * 1024
@@ -214,11 +217,11 @@ def _parts(path: Path) -> list[Path]:
     if path.is_dir():
         parts = sorted(it for it in path.glob("part-*") if it.suffix in (".parquet", ".mcap"))
         if not parts:
-            raise _damaged(path, "the folder has no part of a recording that is complete")
+            raise damaged(path, _WHAT, "the folder has no part of a recording that is complete")
     for part in parts:
         check_finished(part)
         if part.suffix not in (".parquet", ".mcap"):
-            raise _damaged(part, "its name ends in neither .parquet nor .mcap")
+            raise damaged(part, _WHAT, "its name ends in neither .parquet nor .mcap")
     return parts
 
 
@@ -226,7 +229,10 @@ def _about(part: Path) -> dict[str, str]:
     """The metadata of a file."""
     if part.suffix == ".mcap":
         reader = import_extra("mcap.reader", "recording")
-        with part.open("rb") as file, _reading(part):
+        with part.open("rb") as file, reading(part, _WHAT):
+            # All bytes: only the checksum of the data is over the metadata.
+            check_mcap(file)
+            file.seek(0)
             records = [
                 it
                 for it in reader.make_reader(file, validate_crcs=True).iter_metadata()
@@ -236,23 +242,29 @@ def _about(part: Path) -> dict[str, str]:
                 raise ValueError("it has no swarm")
             return {key: value for record in records for key, value in record.metadata.items()}
     parquet = import_extra("pyarrow.parquet", "recording")
-    with part.open("rb") as file, _reading(part):
+    with part.open("rb") as file, reading(part, _WHAT):
+        ParquetChecksums(file, "recording")
         table = parquet.ParquetFile(file)
         known = (*table.schema_arrow.names, *_LATER)
         if missing := [name for name in KINDS if name not in known]:
             raise ValueError(f"it has no column {missing[0]!r}")
         pairs = table.metadata.metadata or {}
-        return {key.decode(): value.decode() for key, value in pairs.items()}
+        about = {key.decode(): value.decode() for key, value in pairs.items()}
+        about.pop(CHECKSUMS, None)
+        return about
 
 
 def _tables_of_parquet(part: Path, swarm: str) -> Iterator[Columns]:
     """The row groups of a file; each has complete frames."""
     parquet = import_extra("pyarrow.parquet", "recording")
     with part.open("rb") as file:
-        reader = parquet.ParquetFile(file)
+        with reading(part, _WHAT):
+            checksums = ParquetChecksums(file, "recording")
+            reader = parquet.ParquetFile(file)
         present = [name for name in KINDS if name in reader.schema_arrow.names]
         for index in range(reader.num_row_groups):
-            with _reading(part):
+            with reading(part, _WHAT):
+                checksums.check_group(index)
                 group = reader.read_row_group(index, columns=present)
                 columns = {
                     name: np.asarray(group.column(name).to_numpy(), KINDS[name]) for name in present
@@ -284,7 +296,7 @@ def _tables_of_mcap(part: Path) -> Iterator[Columns]:
             topics=["state"], log_time_order=False
         )
         while True:
-            with _reading(part):
+            with reading(part, _WHAT):
                 _, _, message = next(messages, (None, None, None))
                 if message is not None:
                     states.append(read_state(message.data))
@@ -319,20 +331,6 @@ def _text_file(path: str | os.PathLike[str]) -> Iterator[IO[str]]:
         text.detach()
 
 
-@contextlib.contextmanager
-def _reading(part: Path) -> Iterator[None]:
-    """Raises InvalidArgument with the file's name if a reader cannot read it."""
-    try:
-        yield
-    except (OSError, ImportError, InvalidArgument):
-        raise
-    except Exception as error:
-        # Each library has its own errors.
-        if isinstance(error, ValueError | Internal) or type(error).__module__.startswith("mcap"):
-            raise _damaged(part, str(error)) from error
-        raise
-
-
 def check_finished(path: Path) -> None:
     """Raises an error, with the remedy, if the recorder of a file was killed or is running.
 
@@ -346,8 +344,9 @@ def check_finished(path: Path) -> None:
             raise FileNotFoundError(errno.ENOENT, "there is no such recording", str(path))
         path = partial
     if path.suffix == ".partial" or (path.suffix != ".parquet" and _has_no_end(path)):
-        raise _damaged(
+        raise damaged(
             path,
+            _WHAT,
             "it is incomplete: its recorder was killed or is still running; if it was killed, "
             f"`jostle record --recover {path}` recovers it",
         )
@@ -360,7 +359,3 @@ def _has_no_end(path: Path) -> bool:
         length = file.seek(0, os.SEEK_END)
         file.seek(max(0, length - len(_MCAP)))
         return first == _MCAP != file.read()
-
-
-def _damaged(path: Path, problem: str) -> InvalidArgument:
-    return invalid("path", f"{path}: not a complete recording: {problem}")
