@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
 import os
 import random
 import re
 import signal
 import subprocess
 import sys
-import tarfile
 import textwrap
 import threading
-import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 from pathlib import Path
@@ -24,7 +20,9 @@ import distributed
 import pytest
 
 import jostle
+from cluster import Cluster, clusters, command_of
 from conftest import JOSTLED, MAX_WAIT_SECS, ROOT, eventually
+from jostle._delivery import Target
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("jostled_named")]
 
@@ -187,15 +185,11 @@ class WithoutRuns(ThreadPoolExecutor):
     def submit(self, work: Callable[..., Any], /, *arguments: Any, **options: Any) -> Future[Any]:
         """Submits `work`, and reduces its result."""
 
-        def run() -> bytes:
-            reduced = io.BytesIO()
-            with (
-                tarfile.open(fileobj=io.BytesIO(work(*arguments, **options))) as archive,
-                tarfile.open(fileobj=reduced, mode="w:gz") as tar,
-            ):
-                file = archive.getmember("experiment.toml")
-                tar.addfile(file, archive.extractfile(file))
-            return reduced.getvalue()
+        def run() -> object:
+            result = work(*arguments, **options)
+            (folder,) = (it.folder for it in arguments if isinstance(it, Target))
+            Path(folder, result.name, "runs.jsonl").unlink()
+            return result
 
         return super().submit(run)
 
@@ -256,14 +250,6 @@ for _ in jostle.sweep(open(sys.argv[1]).read(), folder=sys.argv[2], task_secs=1e
 """
 
 
-def command_of(process: int) -> bytes:
-    """The command line of a process; empty if it has ended."""
-    try:
-        return Path(f"/proc/{process}/cmdline").read_bytes()
-    except (FileNotFoundError, ProcessLookupError):
-        return b""
-
-
 def running(folder: Path) -> list[int]:
     """The processes whose command line names a folder."""
     processes = [int(it.name) for it in Path("/proc").iterdir() if it.name.isdigit()]
@@ -304,81 +290,10 @@ order_every = 100
 """
 
 
-class Cluster:
-    """A Dask scheduler and its workers, each in its own process."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        self.address = ""
-        self.scheduler = self._start(
-            "distributed.cli.dask_scheduler", "--port", "0", "--no-dashboard", "--host", "127.0.0.1"
-        )
-        log = folder / "scheduler.log"
-
-        def found() -> bool:
-            for line in log.read_text().splitlines():
-                if "Scheduler at:" in line:
-                    self.address = line.split()[-1]
-            return bool(self.address)
-
-        eventually("the scheduler", found)
-        self.workers = [
-            self._start(
-                *("distributed.cli.dask_worker", self.address, "--nthreads", "1", "--nanny"),
-                *("--no-dashboard", "--local-directory", str(folder)),
-            )
-            for _ in range(2)
-        ]
-
-    def _start(self, module: str, *arguments: str) -> subprocess.Popen[bytes]:
-        name = module.rpartition("_")[2]
-        environ = {
-            **os.environ,
-            # A killed worker is counted against its task.
-            "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "100",
-        }
-        with (self.folder / f"{name}.log").open("ab") as log:
-            return subprocess.Popen(
-                [sys.executable, "-m", module, *arguments], env=environ, stdout=log, stderr=log
-            )
-
-    def worker_processes(self) -> list[int]:
-        """The processes of workers, which their nannies started."""
-        found = []
-        for nanny in self.workers:
-            for children in Path(f"/proc/{nanny.pid}/task").glob("*/children"):
-                with contextlib.suppress(FileNotFoundError):
-                    found += [int(it) for it in children.read_text().split()]
-        return [it for it in found if b"spawn_main" in command_of(it)]
-
-    def stop(self) -> None:
-        """Ends all processes. A worker ends with its nanny."""
-        # The nannies first: one whose scheduler has ended may not end.
-        deadline = time.monotonic() + 5
-        for processes in (self.workers, [self.scheduler]):
-            for process in processes:
-                process.terminate()
-            for process in processes:
-                try:
-                    process.wait(max(0, deadline - time.monotonic()))
-                except subprocess.TimeoutExpired:
-                    process.kill()
-                    process.wait()
-
-
 @pytest.fixture
 def start_cluster(tmp_path: Path) -> Iterator[Callable[[str], Cluster]]:
-    clusters: list[Cluster] = []
-
-    def start(name: str) -> Cluster:
-        folder = tmp_path / name
-        folder.mkdir()
-        clusters.append(Cluster(folder))
-        return clusters[-1]
-
-    yield start
-    for cluster in clusters:
-        cluster.stop()
+    with clusters(tmp_path) as start:
+        yield start
 
 
 KILLS = 5

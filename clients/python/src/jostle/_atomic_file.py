@@ -37,12 +37,12 @@ def atomic_file(path: str | os.PathLike[str], *, force: bool = True) -> Iterator
         else:
             # Unlike a rename, it fails if the file exists.
             os.link(temporary, path)
-        _sync(path.parent)
+        sync_folder(path.parent)
     finally:
         temporary.unlink(missing_ok=True)
 
 
-def _sync(folder: Path) -> None:
+def sync_folder(folder: Path) -> None:
     """Syncs the entries of a folder, where the system can."""
     with contextlib.suppress(OSError):
         descriptor = os.open(folder, os.O_RDONLY)

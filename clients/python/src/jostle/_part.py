@@ -1,28 +1,24 @@
-"""A part of an experiment as a task of an executor, and the archive of its result."""
+"""A part of an experiment as a task of an executor."""
 
 from __future__ import annotations
 
+import contextlib
 import errno
-import io
 import os
 import signal
 import subprocess
-import tarfile
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import msgspec
 
 from . import _program
-from ._atomic_file import atomic_file
+from ._delivery import RUNS, Kept, Returned, Stored, Target, TooLarge, dask_worker, deliver
 from ._errors import Conflict, Faulted
-from ._experiment import EXPERIMENT, POINTS, SET_POINTS, START, Files
+from ._experiment import Files
 from ._watchdog import with_watchdog
 
-# The files that a task returns. Its tables are left out: merging writes them.
-FILES = (EXPERIMENT, "runs.jsonl")
-# Those that only some experiments have.
-OPTIONAL_FILES = (POINTS, SET_POINTS, START)
 _ERROR_LINES = 20
 
 
@@ -58,30 +54,40 @@ class Processes:
 
 
 def run_part(
-    files: Files, runs: str, jostled: str | None, processes: Processes | None = None
-) -> bytes:
+    files: Files,
+    runs: str,
+    jostled: str | None,
+    target: Target,
+    processes: Processes | None = None,
+) -> Returned | Stored | Kept:
     """Executes runs of an experiment on one core, in a temporary folder of this machine.
 
     Args:
         files: The experiment's files.
         runs: The numbers of the runs, such as `17,18,40-60`.
         jostled: Path of `jostled` on this machine; None searches as `jostle.local` does.
+        target: Where the caller stores the part.
         processes: Where to add the program while it runs.
 
     Returns:
-        The folder of the part, as a compressed tar archive.
+        The files of the part, or where they are.
 
     Raises:
-        Faulted: The program failed; the message contains the runs, the host and the last lines of
-            its stderr.
+        Faulted: The program failed, or the executor cannot deliver the files; the message contains
+            the runs, the host and the last lines of its stderr.
+        StorageFull: The disk of the caller is full.
         Unavailable: There is no program.
     """
+    worker = dask_worker() if target.reads_workers else None
     try:
-        return _run(files, runs, jostled, processes)
+        return _run(files, runs, jostled, target, worker, processes)
+    except TooLarge as error:
+        raise _failed(runs, str(error)) from None
     except OSError as error:
         remedy = ""
         if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES):
-            remedy = "; set TMPDIR on the worker to a folder with space"
+            setting = "set TMPDIR on" if worker is None else "set --local-directory of"
+            remedy = f"; {setting} the worker to a folder with space"
         raise _failed(runs, f"{error}{remedy}") from error
 
 
@@ -90,9 +96,23 @@ def _failed(runs: str, why: str) -> Faulted:
     return Faulted(f"runs {runs} on {host}: {why}", details={"runs": runs, "host": host})
 
 
-def _run(files: Files, runs: str, jostled: str | None, processes: Processes | None) -> bytes:
+def _run(
+    files: Files,
+    runs: str,
+    jostled: str | None,
+    target: Target,
+    worker: Any | None,
+    processes: Processes | None,
+) -> Returned | Stored | Kept:
     program = _program.find(jostled)
-    with tempfile.TemporaryDirectory(prefix="jostle-part-", ignore_cleanup_errors=True) as folder:
+    # Dask removes the folder of a worker that was killed.
+    temporary = tempfile.TemporaryDirectory(
+        prefix="jostle-part-",
+        dir=None if worker is None else worker.local_directory,
+        ignore_cleanup_errors=True,
+    )
+    with contextlib.ExitStack() as stack:
+        folder = stack.enter_context(temporary)
         file = files.store(Path(folder))
         part = Path(folder, "part")
         command = [program, "run", str(file), "--runs", runs, "--threads", "1", "--json"]
@@ -100,12 +120,10 @@ def _run(files: Files, runs: str, jostled: str | None, processes: Processes | No
         if code != 0:
             lines = errors.decode(errors="replace").strip().splitlines()[-_ERROR_LINES:]
             raise _failed(runs, f"`jostled run` {_ending(code)}: " + "\n".join(lines))
-        archive = io.BytesIO()
-        with tarfile.open(fileobj=archive, mode="w:gz", compresslevel=1) as tar:
-            for name in (*FILES, *OPTIONAL_FILES):
-                if name in FILES or (part / name).exists():
-                    tar.add(part / name, arcname=name)
-        return archive.getvalue()
+        result = deliver(part, target, worker, temporary)
+        if isinstance(result, Kept):
+            stack.pop_all()
+        return result
 
 
 def _ending(code: int) -> str:
@@ -149,32 +167,13 @@ def _call(command: list[str], folder: str, processes: Processes | None) -> tuple
         os.close(held)
 
 
-def unpack(archive: bytes, folder: Path, runs: str, model_version: int) -> None:
-    """Writes the files of an archive of `run_part`.
-
-    Args:
-        archive: The result of the task.
-        folder: An empty folder.
-        runs: The numbers of its runs.
-        model_version: The version of the model on this machine.
+def check_version(part: Path, model_version: int) -> None:
+    """Checks the version of the model with which a part was executed.
 
     Raises:
-        Conflict: The worker has another version of jostle or of the model.
+        Conflict: The worker has another one than `model_version`, that of this machine.
     """
-    with tarfile.open(fileobj=io.BytesIO(archive)) as tar:
-        names = tar.getnames()
-        for name in (*FILES, *OPTIONAL_FILES):
-            member = tar.extractfile(name) if name in names else None
-            if member is None and name in OPTIONAL_FILES:
-                continue
-            if member is None:
-                raise Conflict(
-                    f"the result of runs {runs} has no {name}: install the same version of "
-                    "jostle on all workers"
-                )
-            with atomic_file(folder / name) as file:
-                file.write(member.read())
-    with (folder / "runs.jsonl").open("rb") as lines:
+    with (part / RUNS).open("rb") as lines:
         header = msgspec.json.decode(lines.readline(), type=_Header)
     if header.model_version != model_version:
         raise Conflict(

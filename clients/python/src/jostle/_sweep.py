@@ -4,20 +4,24 @@ from __future__ import annotations
 
 import concurrent.futures
 import contextlib
-import errno
 import fcntl
 import hashlib
 import os
 import shutil
+import tomllib
+import uuid
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from concurrent.futures import Executor
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 import msgspec
 
-from . import _part
 from ._arguments import check_seconds
+from ._atomic_file import sync_folder
+from ._delivery import LOCK, RUNS, Lost, check, missing, raise_full, receive
 from ._errors import (
     Conflict,
     Faulted,
@@ -28,23 +32,24 @@ from ._errors import (
     invalid,
 )
 from ._experiment import EXPERIMENT, Source, read_files
-from ._extras import import_extra
+from ._part import check_version
 from ._plan import Programs, Task
 from ._progress import Bar
 from ._repr import HtmlList
 from ._results import ResultRow, of_rows
+from ._tasks import DASK, Tasks
 
 if TYPE_CHECKING:
     import pandas
-
-DASK = "dask:"
-"""Prefix of the address of a Dask scheduler."""
 
 UNNAMED = "the experiment"
 """What errors call an experiment that is not in a file of the caller."""
 
 # The limit of `jostle experiment plan --secs`.
 _MAX_TASK_SECS = 1e9
+# How often a task is executed whose files are lost with their worker. Cheap tasks are lost rarely;
+# one that is lost each time takes longer than its workers live.
+_MAX_ATTEMPTS = 5
 
 
 class _Line(msgspec.Struct, frozen=True):
@@ -75,15 +80,20 @@ def sweep(
             for row in sweep:
                 print(row.run, row.v)
 
-    A task is `jostled run` of one or more runs in a temporary folder of the worker; no disk is
-    shared. Its results are stored in `FOLDER.parts` and are merged into `folder` when all are
-    finished. If a sweep is interrupted, a call with the same folder executes only the missing runs.
+    A task is `jostled run` of one or more runs in a temporary folder of the worker. Its results are
+    stored in `FOLDER.parts` and are merged into `folder` when all are finished. If a sweep is
+    interrupted, a call with the same folder executes only the missing runs.
+
+    The results include the files of the runs, such as trajectories, of any size if the workers see
+    `FOLDER.parts` or are those of a Dask client. On other executors a task fails if its files have
+    more than 64 MiB.
 
     Args:
         source: The experiment: a file, the text of one, or a mapping of its fields.
-        executor: Any `concurrent.futures.Executor`; a Dask client; `"dask:tcp://HOST:PORT"`, the
-            address of a Dask scheduler, which needs `jostle[dask]`; None is every core of this
-            machine. Workers need this package with its programs, in the same version.
+        executor: Any `concurrent.futures.Executor`; a Dask client, not its executor;
+            `"dask:tcp://HOST:PORT"`, the address of a Dask scheduler, which needs `jostle[dask]`;
+            None is every core of this machine. Workers need this package with its programs, in the
+            same version.
         folder: The folder of the results, the same as `jostled run` writes.
         task_secs: Expected seconds of work of a task on one core.
         jostled: Path of `jostled`, the same on this machine and on every worker, with `jostle`
@@ -153,7 +163,8 @@ class Sweep:
         # Callbacks of `cancel`, called in reverse order.
         self._open = contextlib.ExitStack()
         try:
-            self._open.callback(_lock(self._parts))
+            unlock, self._token = _lock(self._parts)
+            self._open.callback(unlock)
             self._open.callback(self._remove_empty)
             self._begin(task_secs)
         except BaseException:
@@ -253,23 +264,32 @@ class Sweep:
                 self._read(self._folder)
                 self._end_merged()
                 return
-        done = self._done()
-        if done and not self._files.is_stored(self._parts):
+        if self._done() and not self._files.is_stored(self._parts):
             raise IncorrectState(
                 f"{self._parts} contains parts of another experiment: remove it, or choose another "
                 "folder",
                 details={"field": "folder"},
             )
         file = self._files.store(self._parts)
+        self._hide_incomplete()
         for draft in self._parts.glob(".*"):
-            # A part that was being written when an earlier sweep was killed.
+            # Or a part that was being written when an earlier sweep was killed.
             shutil.rmtree(draft, ignore_errors=True)
         try:
             self._planned = self._programs.plan(file, task_secs, self._parts)
         except InvalidArgument as error:
             raise self._renamed(error, file) from None
-        for part in done:
+        for part in self._done():
             self._read(part)
+
+    def _hide_incomplete(self) -> None:
+        """Hides received parts that lack files, such as those of an earlier version."""
+        parts = self._done()
+        measure = tomllib.loads(self._files.toml).get("measure", {}) if parts else {}
+        for part in parts:
+            with _damaged(part):
+                if missing(part, bool(measure.get("record_every"))):
+                    part.rename(part.with_name(f".{part.name}"))
 
     def _renamed(self, error: InvalidArgument, file: Path) -> InvalidArgument:
         """The error with the caller's name of the experiment in place of the copy's."""
@@ -299,82 +319,73 @@ class Sweep:
         shutil.rmtree(self._parts, ignore_errors=True)
         self._open.close()
 
-    def _submit(self) -> dict[Future[bytes], Task]:
-        """Submits a task for the missing runs. `cancel` cancels them."""
-        executor: Any = self._executor
-        if isinstance(executor, str):
-            distributed = import_extra("distributed", "dask")
-            address = executor.removeprefix(DASK)
-            try:
-                client = distributed.Client(address, set_as_default=False)
-            except (OSError, ValueError, TypeError) as error:
-                raise Unavailable(
-                    f"no Dask scheduler answers at {address}: {error}; check the address, and "
-                    "whether the scheduler runs",
-                    details={"field": "executor"},
-                ) from None
-            # The connection may be lost already.
-            self._open.callback(lambda: _ignore_errors(client.close))
-            executor = client
-        if hasattr(executor, "get_executor"):
-            # `pure=False`: otherwise Dask gives equal tasks of two sweeps the same key, and
-            # cancelling one sweep cancels both.
-            executor = executor.get_executor(pure=False)
-            self._open.callback(lambda: _ignore_errors(executor.shutdown, wait=False))
-        arguments: tuple[Any, ...] = (self._jostled,)
-        if executor is None:
-            processes = _part.Processes()
-            executor = ThreadPoolExecutor(len(os.sched_getaffinity(0)))
-            self._open.callback(executor.shutdown, wait=True, cancel_futures=True)
-            self._open.callback(processes.terminate)
-            arguments = (self._jostled, processes)
-        tasks: dict[Future[bytes], Task] = {}
-
-        def cancel() -> None:
-            for future in tasks:
-                future.cancel()
-
-        self._open.callback(_ignore_errors, cancel)
-        for task in self._planned:
-            tasks[executor.submit(_part.run_part, self._files, task.runs, *arguments)] = task
-        return tasks
-
     def _results(self) -> Iterator[list[ResultRow]]:
         """The rows of each task when it is finished. Then all are merged."""
         if self._is_merged:
             return
+        self._check_cancelled()
+        failed: list[str] = []
+        try:
+            if self._planned:
+                yield from self._execute(failed)
+            self._check_cancelled()
+            self._end(failed)
+        except BaseException:
+            self.cancel()
+            raise
+
+    def _check_cancelled(self) -> None:
         if self._is_cancelled:
             raise IncorrectState(
                 "the sweep was cancelled: call `sweep` again with the same folder to resume it",
                 details={"field": "folder"},
             )
-        failed: list[str] = []
-        try:
-            tasks = self._submit() if self._planned else {}
-            for future in concurrent.futures.as_completed(list(tasks)):
-                task = tasks[future]
-                try:
-                    archive = future.result()
-                except concurrent.futures.CancelledError:
-                    raise Unavailable(
-                        f"the tasks of runs {task.runs} and others were lost or cancelled: call "
-                        "`sweep` again with the same folder to resume it",
-                        details={"runs": task.runs},
-                    ) from None
-                except Faulted as error:
-                    failed.append(error.message)
-                    continue
-                except Exception as error:
-                    # An error of the executor, or of the worker before it calls `run_part`.
-                    failed.append(f"runs {task.runs}: {error!r}")
-                    continue
-                part = self._store(task, archive)
-                self._done_secs += task.expected_secs
-                yield self._read(part)
-            self._end(failed)
-        except BaseException:
-            self.cancel()
-            raise
+
+    def _execute(self, failed: list[str]) -> Iterator[list[ResultRow]]:
+        """Executes the tasks, and adds the reasons of those that fail to `failed`."""
+        folder = str(self._parts.absolute())
+        tasks = self._open.enter_context(
+            Tasks(self._executor, self._files, self._jostled, folder, self._token)
+        )
+        for task in self._planned:
+            tasks.submit(task)
+        attempts: Counter[str] = Counter()
+        for task, future in tasks.ended():
+            try:
+                result = future.result()
+            except concurrent.futures.CancelledError:
+                raise Unavailable(
+                    f"the tasks of runs {task.runs} and others were lost or cancelled: call "
+                    "`sweep` again with the same folder to resume it",
+                    details={"runs": task.runs},
+                ) from None
+            except StorageFull:
+                raise
+            except Faulted as error:
+                failed.append(error.message)
+                continue
+            except Exception as error:
+                # An error of the executor, or of the worker before it calls `run_part`.
+                failed.append(f"runs {task.runs}: {error!r}")
+                continue
+            try:
+                part = self._store(task, result, partial(tasks.read, future))
+            except Lost as error:
+                self._check_cancelled()
+                attempts[task.runs] += 1
+                if attempts[task.runs] < _MAX_ATTEMPTS:
+                    tasks.submit(task)
+                else:
+                    failed.append(f"runs {task.runs}: lost {_MAX_ATTEMPTS} times, last {error}")
+                continue
+            except Faulted as error:
+                failed.append(error.message)
+                continue
+            finally:
+                # Its memory is free while the caller uses the rows.
+                del result, future
+            self._done_secs += task.expected_secs
+            yield self._read(part)
 
     def _end(self, failed: list[str]) -> None:
         """Merges all parts, unless tasks failed."""
@@ -390,37 +401,32 @@ class Sweep:
         self._read(self._folder)
         self._end_merged()
 
-    def _store(self, task: Task, archive: bytes) -> Path:
+    def _store(self, task: Task, result: object, read: Callable[[str, str, int], bytes]) -> Path:
         """Writes a part atomically: to a temporary folder, which is then renamed."""
         name = hashlib.blake2b(task.runs.encode(), digest_size=8).hexdigest()
-        draft, part = (self._parts / f"{prefix}runs-{name}" for prefix in (".", ""))
+        draft = self._parts / f".runs-{uuid.uuid4().hex}"
+        part = self._parts / f"runs-{name}"
         try:
-            draft.mkdir()
-            _part.unpack(archive, draft, task.runs, task.model_version)
+            draft = receive(result, self._parts, draft, task.runs, read)
+            check_version(draft, task.model_version)
+            check(draft, task.runs)
             draft.rename(part)
+            sync_folder(self._parts)
         except BaseException as error:
             shutil.rmtree(draft, ignore_errors=True)
-            if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
-                raise StorageFull(
-                    f"failed to write a part to {self._parts}: {error}; free disk space, and call "
-                    "`sweep` again with the same folder"
-                ) from error
+            raise_full(self._parts, error)
             raise
         return part
 
     def _read(self, part: Path) -> list[ResultRow]:
         """Adds the rows and faults of a folder, and returns the rows."""
         rows = []
-        try:
+        with _damaged(part), (part / RUNS).open("rb") as lines:
             # The first line is the header.
-            lines = (part / "runs.jsonl").read_bytes().splitlines()[1:]
+            next(lines, None)
             runs = [msgspec.json.decode(line, type=_Line) for line in lines]
-        except (FileNotFoundError, msgspec.DecodeError) as error:
-            raise IncorrectState(
-                f"{part} is damaged: {error}; remove it to execute its runs again",
-                details={"field": "folder"},
-            ) from None
-        for run in runs:
+        # Of several lines of one run, which was executed again, the last is valid.
+        for run in {it.run: it for it in runs}.values():
             if run.fault is not None:
                 self._faults[run.run] = run.fault
             if run.row is not None:
@@ -433,16 +439,22 @@ class Sweep:
         return sorted(self._parts.glob("runs-*"))
 
 
-def _ignore_errors(work: Callable[..., Any], **arguments: Any) -> None:
-    """Calls `work`, and ignores its errors: a connection that is closed may be lost already."""
-    with contextlib.suppress(Exception):
-        work(**arguments)
+@contextlib.contextmanager
+def _damaged(part: Path) -> Iterator[None]:
+    """Reports the error of reading a part."""
+    try:
+        yield
+    except (FileNotFoundError, msgspec.DecodeError) as error:
+        raise IncorrectState(
+            f"{part} is damaged: {error}; remove it to execute its runs again",
+            details={"field": "folder"},
+        ) from None
 
 
-def _lock(folder: Path) -> Callable[[], None]:
-    """Creates a folder and locks it. Returns how to unlock it."""
+def _lock(folder: Path) -> tuple[Callable[[], None], str]:
+    """Creates a folder and locks it. Returns how to unlock it, and the content of its lock."""
     folder.mkdir(parents=True, exist_ok=True)
-    file = (folder / "sweep.lock").open("ab")
+    file = (folder / LOCK).open("a")
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -451,10 +463,15 @@ def _lock(folder: Path) -> Callable[[], None]:
             f"another process is using {folder}: wait until it ends, or choose another folder",
             details={"field": "folder"},
         ) from None
+    # A worker that reads it sees this folder, and not another one of the same name.
+    token = uuid.uuid4().hex
+    file.truncate(0)
+    file.write(token)
+    file.flush()
 
     def unlock() -> None:
         # Forked workers inherit the descriptor, so closing it here would not release the lock.
         fcntl.flock(file, fcntl.LOCK_UN)
         file.close()
 
-    return unlock
+    return unlock, token
