@@ -2,8 +2,8 @@
 
 use std::fs::{self, DirBuilder, File, OpenOptions};
 use std::io;
-use std::os::unix::fs::{DirBuilderExt as _, OpenOptionsExt as _};
-use std::path::{Path, PathBuf};
+use std::os::unix::fs::{DirBuilderExt as _, MetadataExt as _, OpenOptionsExt as _};
+use std::path::Path;
 use std::thread::sleep;
 use std::time::Duration;
 
@@ -17,7 +17,7 @@ const JSON_READS: u32 = 20;
 const JSON_INTERVAL: Duration = Duration::from_millis(5);
 
 /// More than the depth of the folders of experiments and recordings.
-const MAX_DEPTH: usize = 8;
+pub const MAX_DEPTH: usize = 8;
 
 /// The extensions of incomplete files, which are renamed when they are complete. The daemon
 /// rewrites those of a running recording or experiment.
@@ -42,33 +42,106 @@ pub fn sync_folder(path: &Path) -> Result<(), BackupError> {
     synced.map_err(io_error(path))
 }
 
-/// The files below `folder` that belong in a backup, as paths relative to it, in the order in which
-/// they must be copied.
+/// Which files of a folder are copied before which.
 ///
-/// A status file is copied before the files that it describes, so that their copies are at least as
-/// new: in each folder `.json` first, then `.jsonl`, then other files, then subfolders.
-/// Folders that are deleted meanwhile are omitted.
-pub fn list(folder: &Path) -> Result<Vec<PathBuf>, BackupError> {
-    let mut found = Vec::new();
-    list_below(folder, Path::new(""), MAX_DEPTH, &mut found)?;
-    Ok(found)
+/// A status file is copied before the list that it counts, and the list before the files that it names:
+/// what a copy names is then in the backup, and what was finished meanwhile is not named.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Rank {
+    Status,
+    List,
+    Named,
 }
 
-fn list_below(
+/// Calls `each` with every file in `folder`, and below it to a `depth`, that belongs in a backup, by
+/// its path relative to `folder`: in each folder `.json` first, then `.jsonl`, then other files, then
+/// subfolders.
+///
+/// The files of a rank, and of a subfolder, are listed after `each` has returned for those before them.
+/// What is deleted meanwhile is omitted.
+pub fn for_each(
+    folder: &Path,
+    depth: usize,
+    each: &mut impl FnMut(&Path) -> Result<(), BackupError>,
+) -> Result<(), BackupError> {
+    for_each_below(folder, Path::new(""), depth, each)
+}
+
+fn for_each_below(
     root: &Path,
     below: &Path,
     depth: usize,
-    found: &mut Vec<PathBuf>,
+    each: &mut impl FnMut(&Path) -> Result<(), BackupError>,
 ) -> Result<(), BackupError> {
     let folder = root.join(below);
-    let entries = match fs::read_dir(&folder) {
+    for rank in [Rank::Status, Rank::List, Rank::Named] {
+        for (_, name) in list(&folder)?.files.iter().filter(|it| it.0 == rank) {
+            each(&below.join(name))?;
+        }
+    }
+    for name in list(&folder)?.folders.iter().filter(|_| depth > 0) {
+        for_each_below(root, &below.join(name), depth - 1, each)?;
+    }
+    Ok(())
+}
+
+/// The names of the folders in `folder` that belong in a backup.
+pub fn folders(folder: &Path) -> Result<Vec<String>, BackupError> {
+    Ok(list(folder)?.folders)
+}
+
+/// What tells apart the folder of an experiment or a recording from a later one of the same name.
+pub struct Identity {
+    /// While a folder is open, no other folder gets its number.
+    folder: File,
+    /// The names of its status files.
+    status: Vec<String>,
+}
+
+impl Identity {
+    /// The identity of a folder; `None` if there is no such folder.
+    pub fn of(folder: &Path) -> Result<Option<Self>, BackupError> {
+        let opened = match File::open(folder) {
+            Ok(opened) => opened,
+            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
+            Err(error) => return Err(io_error(folder)(error)),
+        };
+        let files = list(folder)?.files.into_iter();
+        let status = files.filter(|it| it.0 == Rank::Status);
+        Ok(Some(Identity {
+            folder: opened,
+            status: status.map(|(_, name)| name).collect(),
+        }))
+    }
+
+    /// Whether `folder` is still the same, with the same status files.
+    pub fn is_of(&self, folder: &Path) -> Result<bool, BackupError> {
+        let Some(now) = Identity::of(folder)? else {
+            return Ok(false);
+        };
+        let number = |it: &Identity| it.folder.metadata().map(|it| (it.dev(), it.ino()));
+        let [before, after] = [number(self), number(&now)].map(|it| it.map_err(io_error(folder)));
+        Ok(before? == after? && self.status == now.status)
+    }
+}
+
+/// The files and folders in a folder that belong in a backup, by name.
+#[derive(Default)]
+struct Listed {
+    files: Vec<(Rank, String)>,
+    folders: Vec<String>,
+}
+
+/// Lists a folder; empty if there is none.
+fn list(folder: &Path) -> Result<Listed, BackupError> {
+    let mut listed = Listed::default();
+    let entries = match fs::read_dir(folder) {
         Ok(entries) => entries,
-        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
-        Err(error) => return Err(io_error(&folder)(error)),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(listed),
+        Err(error) => return Err(io_error(folder)(error)),
     };
-    let (mut files, mut folders) = (Vec::new(), Vec::new());
     for entry in entries {
-        let path = entry.map_err(io_error(&folder))?.path();
+        let path = entry.map_err(io_error(folder))?.path();
         let Some(name) = path.file_name().and_then(|name| name.to_str()) else {
             continue;
         };
@@ -76,27 +149,23 @@ fn list_below(
         let is_unfinished = name.starts_with(jostle_atomic_file::PREFIX)
             || extension.is_some_and(|it| UNFINISHED.contains(&it));
         let rank = match extension {
-            Some("json") => 0,
-            Some("jsonl") => 1,
-            _ => 2,
+            Some("json") => Rank::Status,
+            Some("jsonl") => Rank::List,
+            _ => Rank::Named,
         };
         match fs::metadata(&path) {
             Ok(it) if it.is_dir() && name.starts_with(DELETED) => {}
-            Ok(it) if it.is_dir() => folders.push(below.join(name)),
+            Ok(it) if it.is_dir() => listed.folders.push(name.to_owned()),
             Ok(it) if it.is_file() && name != LOCK && !is_unfinished => {
-                files.push((rank, below.join(name)));
+                listed.files.push((rank, name.to_owned()));
             }
             // Deleted meanwhile, or not a file of the daemon, such as a socket.
             _ => {}
         }
     }
-    files.sort();
-    folders.sort();
-    found.extend(files.into_iter().map(|(_, path)| path));
-    for folder in folders.into_iter().filter(|_| depth > 0) {
-        list_below(root, &folder, depth - 1, found)?;
-    }
-    Ok(())
+    listed.files.sort_by(|one, other| one.1.cmp(&other.1));
+    listed.folders.sort();
+    Ok(listed)
 }
 
 /// Copies a file to a new one and returns its length and hash; `None` if it does not exist.
@@ -197,8 +266,12 @@ mod tests {
             fs::create_dir_all(path.parent().unwrap()).unwrap();
             fs::write(path, "x").unwrap();
         }
-        let found = list(root.path()).unwrap();
-        let found: Vec<&str> = found.iter().map(|it| it.to_str().unwrap()).collect();
+        let mut found = Vec::new();
+        for_each(root.path(), MAX_DEPTH, &mut |path| {
+            found.push(path.to_str().unwrap().to_owned());
+            Ok(())
+        })
+        .unwrap();
         assert_eq!(
             found,
             [
@@ -212,10 +285,70 @@ mod tests {
                 "part.part/x",
             ]
         );
+        let nothing = root.path().join("nothing");
+        for_each(&nothing, MAX_DEPTH, &mut |path| {
+            panic!("{}", path.display())
+        })
+        .unwrap();
+    }
+
+    #[test]
+    fn what_is_finished_while_a_list_is_copied_is_listed_after_it() {
+        let root = tempfile::tempdir().unwrap();
+        let put = |name: &str| {
+            let path = root.path().join("e").join(name);
+            fs::create_dir_all(path.parent().unwrap()).unwrap();
+            fs::write(path, "x").unwrap();
+        };
+        put("standing.json");
+        let mut found = Vec::new();
+        for_each(root.path(), MAX_DEPTH, &mut |path| {
+            let path = path.to_str().unwrap().to_owned();
+            match path.as_str() {
+                "e/standing.json" => put("runs.jsonl"),
+                "e/runs.jsonl" => {
+                    put("part-0.mcap");
+                    put("trajectories/1.parquet");
+                }
+                "e/part-0.mcap" => put("trajectories/2.parquet"),
+                _ => {}
+            }
+            found.push(path);
+            Ok(())
+        })
+        .unwrap();
         assert_eq!(
-            list(&root.path().join("nothing")).unwrap(),
-            [""; 0].map(PathBuf::from)
+            found,
+            [
+                "e/standing.json",
+                "e/runs.jsonl",
+                "e/part-0.mcap",
+                "e/trajectories/1.parquet",
+                "e/trajectories/2.parquet",
+            ]
         );
+    }
+
+    #[test]
+    fn a_folder_that_replaces_another_or_gets_its_status_meanwhile_is_another() {
+        let root = tempfile::tempdir().unwrap();
+        let folder = root.path().join("film");
+        assert!(Identity::of(&folder).unwrap().is_none());
+        fs::create_dir(&folder).unwrap();
+        let empty = Identity::of(&folder).unwrap().unwrap();
+        fs::write(folder.join("part-0.mcap"), "x").unwrap();
+        assert!(empty.is_of(&folder).unwrap());
+        fs::write(folder.join("recording.json"), "{}").unwrap();
+        assert!(!empty.is_of(&folder).unwrap());
+        let first = Identity::of(&folder).unwrap().unwrap();
+        assert!(first.is_of(&folder).unwrap());
+        for _ in 0..20 {
+            fs::remove_dir_all(&folder).unwrap();
+            assert!(!first.is_of(&folder).unwrap());
+            fs::create_dir(&folder).unwrap();
+            fs::write(folder.join("recording.json"), "{}").unwrap();
+            assert!(!first.is_of(&folder).unwrap());
+        }
     }
 
     #[test]

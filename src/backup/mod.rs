@@ -104,8 +104,10 @@ fn check_room(data: &Path, target: &Path) -> Result<(), BackupError> {
     let mut needed = length(data.join(store::FILE)) + length(data.join(store::WAL));
     for name in FOLDERS {
         let folder = data.join(name);
-        let paths = files::list(&folder)?.into_iter();
-        needed += paths.map(|path| length(folder.join(path))).sum::<u64>();
+        files::for_each(&folder, files::MAX_DEPTH, &mut |path| {
+            needed += length(folder.join(path));
+            Ok(())
+        })?;
     }
     let fail = io_error(target);
     let disk = statvfs(target).map_err(|error| fail(error.into()))?;
@@ -129,27 +131,24 @@ fn check_room(data: &Path, target: &Path) -> Result<(), BackupError> {
 /// A swarm may be deleted or created between the two copies. In this order no recording or experiment is
 /// newer than the database.
 fn copy_data(data: &Path, target: &Path, manifest_file: File) -> Result<Manifest, BackupError> {
-    let (mut entries, mut folders) = (Vec::new(), BTreeSet::new());
+    let mut copies = Copies {
+        data,
+        target,
+        entries: Vec::new(),
+        folders: BTreeSet::new(),
+    };
     for name in FOLDERS {
-        let root = data.join(name);
-        for path in files::list(&root)? {
-            fail_point!("backup-file");
-            let to = target.join(name).join(&path);
-            if let Some(folder) = to.parent()
-                && folders.insert(folder.to_owned())
-            {
-                make_folder(folder)?;
-            }
-            if let Some((bytes, blake3)) = files::copy(&root.join(&path), &to)? {
-                let path = Path::new(name).join(path).to_string_lossy().into_owned();
-                entries.push(FileEntry {
-                    path,
-                    bytes,
-                    blake3,
-                });
-            }
+        let (root, path) = (data.join(name), Path::new(name));
+        files::for_each(&root, 0, &mut |file| copies.copy(&path.join(file)))?;
+        for folder in files::folders(&root)? {
+            copies.copy_folder(&path.join(folder))?;
         }
     }
+    let Copies {
+        mut entries,
+        mut folders,
+        ..
+    } = copies;
     omit_deleted(data, target, &mut entries);
     let taken = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH);
     let database = target.join(store::FILE);
@@ -170,6 +169,61 @@ fn copy_data(data: &Path, target: &Path, manifest_file: File) -> Result<Manifest
     let manifest = Manifest::new(store::SCHEMA, taken, swarms, entries);
     write_manifest(target, manifest_file, &manifest)?;
     Ok(manifest)
+}
+
+/// The files that have been copied from a data folder.
+struct Copies<'a> {
+    data: &'a Path,
+    target: &'a Path,
+    entries: Vec<FileEntry>,
+    /// The folders below the target.
+    folders: BTreeSet<PathBuf>,
+}
+
+impl Copies<'_> {
+    /// Copies the folder of one experiment or recording, by its path in the data folder. If it is deleted
+    /// meanwhile, it is omitted; if another one takes its place, that is copied instead.
+    fn copy_folder(&mut self, folder: &Path) -> Result<(), BackupError> {
+        let source = self.data.join(folder);
+        while let Some(before) = files::Identity::of(&source)? {
+            let copied = self.entries.len();
+            files::for_each(&source, files::MAX_DEPTH, &mut |path| {
+                self.copy(&folder.join(path))
+            })?;
+            if before.is_of(&source)? {
+                break;
+            }
+            self.entries.truncate(copied);
+            let copy = self.target.join(folder);
+            self.folders.retain(|it| !it.starts_with(&copy));
+            match fs::remove_dir_all(&copy) {
+                Err(error) if error.kind() != io::ErrorKind::NotFound => {
+                    return Err(io_error(&copy)(error));
+                }
+                _ => {}
+            }
+        }
+        Ok(())
+    }
+
+    /// Copies a file, by its path in the data folder, unless it is deleted meanwhile.
+    fn copy(&mut self, path: &Path) -> Result<(), BackupError> {
+        fail_point!("backup-file");
+        let to = self.target.join(path);
+        if let Some(folder) = to.parent()
+            && self.folders.insert(folder.to_owned())
+        {
+            make_folder(folder)?;
+        }
+        if let Some((bytes, blake3)) = files::copy(&self.data.join(path), &to)? {
+            self.entries.push(FileEntry {
+                path: path.to_string_lossy().into_owned(),
+                bytes,
+                blake3,
+            });
+        }
+        Ok(())
+    }
 }
 
 /// Omits the recordings and experiments that were deleted while they were copied.

@@ -1,5 +1,6 @@
 //! Backups of a running daemon, and their restoration.
 
+mod complete;
 mod fixture;
 
 use std::fs;
