@@ -16,11 +16,15 @@ use tracing_subscriber::EnvFilter;
 
 fn main() -> ExitCode {
     process::configure_process();
-    let matches = command_line().get_matches();
-    if let Err(error) = reject_unused(&matches) {
-        error.exit();
-    }
-    let arguments = Arguments::from_arg_matches(&matches).unwrap_or_else(|error| error.exit());
+    let matches = match command_line().try_get_matches() {
+        Ok(matches) => matches,
+        Err(error) => return cli::usage(&error),
+    };
+    let read = reject_unused(&matches).and_then(|()| Arguments::from_arg_matches(&matches));
+    let arguments = match read {
+        Ok(arguments) => arguments,
+        Err(error) => return cli::usage(&error),
+    };
     match arguments.command.unwrap_or(Command::Serve) {
         Command::Config {
             command: Show::Default,

@@ -1,5 +1,6 @@
 //! The start of the daemon: [`open`] lists the steps, each of which is a function below it.
 
+use std::io::Write as _;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
@@ -225,7 +226,8 @@ fn open_store(config: &Config) -> Result<Store, StoreError> {
     };
     let on_fatal = Box::new(|fault: &StoreFault| {
         error!(%fault, "the store failed: exiting; restart the daemon");
-        eprintln!("jostled: {fault}");
+        // `eprintln` panics if standard error is on a full disk, and the process would not exit.
+        let _ = writeln!(std::io::stderr(), "jostled: {fault}");
         signal_hook::low_level::exit(EXIT_STORE)
     });
     Store::open(&config.data_dir, settings, on_fatal)

@@ -1,10 +1,10 @@
 //! `jostled demo`: a swarm of fifty bodies, ten of which are informed of a direction at t = 50.
 //! Prints a line each second. It is a client of the daemon like any other.
 
-use std::io::Write as _;
 use std::time::Duration;
 
 use jostle_client::{Client, CommandOptions, ConnectOptions, Error as ClientError};
+use jostle_experiment::stdout::{self, StdoutError};
 use jostle_physics::simulation::steps_in;
 use jostle_proto::verbs::{CreateArgs, InformArgs, RunArgs, Select};
 use jostle_proto::{ErrorCode, Metrics, NodeReply, Phase, Reply, Spec, Status};
@@ -12,12 +12,11 @@ use thiserror::Error;
 
 use crate::config::Config;
 
-/// Prints and flushes a line. A closed standard output is no error.
+/// Prints a line.
 macro_rules! print_line {
-    ($($text:tt)*) => {{
-        let mut out = std::io::stdout().lock();
-        let _ = writeln!(out, $($text)*).and_then(|()| out.flush());
-    }};
+    ($($text:tt)*) => {
+        stdout::unless_closed(stdout::write(format!("{}\n", format_args!($($text)*)).as_bytes()))?
+    };
 }
 
 const NAME: &str = "demo";
@@ -40,6 +39,8 @@ pub enum DemoError {
     Client(ClientError),
     #[error("the swarm {NAME} was deleted")]
     Deleted,
+    #[error(transparent)]
+    Output(#[from] StdoutError),
 }
 
 impl From<ClientError> for DemoError {
@@ -55,7 +56,8 @@ impl From<ClientError> for DemoError {
 ///
 /// # Errors
 ///
-/// [`DemoError::Deleted`] if the swarm was deleted, [`DemoError::Client`] if a request failed.
+/// [`DemoError::Deleted`] if the swarm was deleted, [`DemoError::Client`] if a request failed,
+/// [`DemoError::Output`] if standard output cannot be written.
 pub async fn run(
     config: &Config,
     endpoint: &str,
@@ -138,8 +140,7 @@ async fn play(client: &Client, lasting: Option<Duration>) -> Result<(), DemoErro
         Ok(rest) => rest?,
         Err(_) => (before.clone(), client.status(NAME).await?),
     };
-    report(&before, &from, &reached);
-    Ok(())
+    Ok(report(&before, &from, &reached)?)
 }
 
 /// Runs to a time or without end; returns the step of that time, or the current step if a client has
@@ -191,31 +192,41 @@ async fn print_lines(client: &Client) -> Result<(), DemoError> {
             None => status.result.reason.unwrap_or_default(),
         };
         print_line!(
-            "{:9.1} {:7.3} {:+10.3} {factor:>18} {clients:9}",
+            "{:9.1} {:7.3} {:>10} {factor:>18} {clients:9}",
             status.time,
             status.result.order.order,
-            status.result.order.velocity[0]
+            signed(status.result.order.velocity[0])
         );
     }
 }
 
+/// A drift with its sign, to three decimals; never `-0.000`.
+fn signed(drift: f64) -> String {
+    format!("{:+.3}", (drift * 1000.0).round() / 1000.0 + 0.0)
+}
+
 /// Prints the mean drift before informing and over the last span, from means over all steps.
-fn report(before: &Reply<Status>, from: &Reply<Status>, reached: &Reply<Status>) {
+fn report(
+    before: &Reply<Status>,
+    from: &Reply<Status>,
+    reached: &Reply<Status>,
+) -> Result<(), StdoutError> {
     let mean = |status: &Reply<Status>| status.result.order.mean_velocity.unwrap_or_default()[0];
     let sum = |status: &Reply<Status>| mean(status) * status.step as f64;
     let (informed_at, end) = (before.time, reached.time);
-    let uninformed = mean(before);
+    let uninformed = signed(mean(before));
     let steps = reached.step.saturating_sub(from.step);
     if steps == 0 {
         print_line!(
-            "mean drift towards +x: {uninformed:+.3} before informing (t = 0 to {informed_at:.0})"
+            "mean drift towards +x: {uninformed} before informing (t = 0 to {informed_at:.0})"
         );
-        return;
+        return Ok(());
     }
-    let after = (sum(reached) - sum(from)) / steps as f64;
+    let after = signed((sum(reached) - sum(from)) / steps as f64);
     print_line!(
-        "mean drift towards +x: {uninformed:+.3} before informing (t = 0 to {informed_at:.0}), \
-         {after:+.3} with ten informed (t = {:.0} to {end:.0})",
+        "mean drift towards +x: {uninformed} before informing (t = 0 to {informed_at:.0}), \
+         {after} with ten informed (t = {:.0} to {end:.0})",
         from.time
     );
+    Ok(())
 }

@@ -5,7 +5,7 @@ use std::path::Path;
 use std::process::ExitCode;
 
 use crate::cli::arguments::command_line;
-use crate::cli::fail;
+use crate::cli::{fail, print};
 
 /// Prints the manual page, or writes a page for each command into `folder`.
 pub fn manual(folder: Option<&Path>) -> ExitCode {
@@ -14,10 +14,13 @@ pub fn manual(folder: Option<&Path>) -> ExitCode {
         Some(folder) => {
             fs::create_dir_all(folder).and_then(|()| clap_mangen::generate_to(command, folder))
         }
-        // A closed standard output is no error.
         None => {
-            let _ = clap_mangen::Man::new(command).render(&mut std::io::stdout());
-            Ok(())
+            let mut page = Vec::new();
+            let rendered = clap_mangen::Man::new(command).render(&mut page);
+            return match rendered {
+                Ok(()) => print(&String::from_utf8_lossy(&page)),
+                Err(error) => fail(1, &error),
+            };
         }
     };
     match written {

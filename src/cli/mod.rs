@@ -15,17 +15,40 @@ mod start_error;
 mod systemd;
 
 use std::fmt::Display;
-use std::io::Write as _;
+use std::io::{self, Write as _};
 use std::process::ExitCode;
 
-/// Prints text. A closed standard output is no error.
+use jostle_experiment::stdout::{self, StdoutError};
+
+/// Prints text; returns the exit code.
 pub fn print(text: &str) -> ExitCode {
-    let _ = std::io::stdout().write_all(text.as_bytes());
-    ExitCode::SUCCESS
+    printed(stdout::write(text.as_bytes()))
+}
+
+/// Prints the help, the version or an error of the command line; returns the exit code.
+pub fn usage(error: &clap::Error) -> ExitCode {
+    let written = error.print().and_then(|()| io::stdout().flush());
+    match error.use_stderr() {
+        true => ExitCode::from(u8::try_from(error.exit_code()).unwrap_or(2)),
+        false => printed(written.map_err(StdoutError::from)),
+    }
+}
+
+/// The exit code of a command whose last action is to print.
+fn printed(written: Result<(), StdoutError>) -> ExitCode {
+    match stdout::unless_closed(written) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => fail(1, &error),
+    }
 }
 
 /// Prints an error message; returns the exit code.
 pub fn fail(code: u8, error: &dyn Display) -> ExitCode {
-    eprintln!("jostled: {error}");
+    note(&format_args!("jostled: {error}"));
     ExitCode::from(code)
+}
+
+/// Prints a line on standard error. Its failure cannot be reported anywhere, and `eprintln` panics.
+pub fn note(line: &dyn Display) {
+    let _ = writeln!(io::stderr(), "{line}");
 }

@@ -1,7 +1,7 @@
 //! `jostled run`: executes an experiment without a daemon.
 
 use std::error::Error;
-use std::io::{IsTerminal as _, Write as _};
+use std::io::{BufWriter, IsTerminal as _, Write as _};
 use std::num::NonZero;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -15,8 +15,9 @@ use jostle_physics::plural::counted;
 use serde_json::json;
 use signal_hook::consts::{SIGINT, SIGTERM};
 
-use crate::cli::duration;
+use crate::cli::{duration, note};
 use jostle_experiment::shell::{operand, quoted};
+use jostle_experiment::stdout::{self, StdoutError};
 use jostle_experiment::{
     DryRun, Execution, ExecutionControl, Files, Folder, Outcome, Plan, Progress, Subset,
     SubsetError, execute, unfinished,
@@ -142,16 +143,15 @@ pub fn run(options: &Options) -> Result<u8, Box<dyn Error>> {
         .subset(&plan)
         .map_err(|error| format!("failed to select runs of {file}: {error}"))?;
     let Some(output) = &options.output else {
-        list(&plan, &subset, options.json);
+        stdout::unless_closed(list(&plan, &subset, options.json))?;
         let dry_run = DryRun::of(&plan, &subset)?;
-        // Standard output has the runs alone, for programs. A closed one is no error.
+        // Standard output has the runs alone, for programs.
         match options.json {
-            true => drop(writeln!(
-                std::io::stdout(),
-                "{}",
-                json!({"summary": dry_run})
-            )),
-            false => eprintln!("{dry_run}"),
+            true => {
+                let summary = format!("{}\n", json!({"summary": dry_run}));
+                stdout::unless_closed(stdout::write(summary.as_bytes()))?;
+            }
+            false => note(&dry_run),
         }
         return Ok(0);
     };
@@ -213,18 +213,25 @@ pub fn run(options: &Options) -> Result<u8, Box<dyn Error>> {
     if label.is_some() && !outcome.is_cancelled {
         folder.rename(output)?;
     }
-    print_outcome(options, folder.path(), &outcome, &control.progress());
+    let text = describe_outcome(options, folder.path(), &outcome, &control.progress());
+    let written = stdout::write(text.as_bytes());
+    if outcome.is_cancelled && !options.json {
+        let output = options.output.as_deref().unwrap_or(folder.path());
+        let command = command(options, output);
+        note(&format_args!("jostled: interrupted; `{command}` continues"));
+    }
+    stdout::unless_closed(written)?;
     Ok(if outcome.is_cancelled { INTERRUPTED } else { 0 })
 }
 
 /// Lists runs without executing them.
-fn list(plan: &Plan, subset: &Subset, is_json: bool) {
-    let mut out = std::io::stdout().lock();
+fn list(plan: &Plan, subset: &Subset, is_json: bool) -> Result<(), StdoutError> {
+    let mut out = BufWriter::new(std::io::stdout().lock());
     for &index in subset.indices() {
         let run = &plan.runs()[index];
         let point = plan.point(run);
         let number = index + 1;
-        let written = match is_json {
+        match is_json {
             true => writeln!(
                 out,
                 "{}",
@@ -233,12 +240,9 @@ fn list(plan: &Plan, subset: &Subset, is_json: bool) {
                     "expected_secs": point.expected_secs()})
             ),
             false => writeln!(out, "{number}\t{}\t{}", run.seed, run.name),
-        };
-        if written.is_err() {
-            // Standard output is closed.
-            return;
-        }
+        }?;
     }
+    Ok(out.flush()?)
 }
 
 /// The progress: a bar on a terminal, else a line at each interval.
@@ -276,7 +280,7 @@ impl Display {
                 bar.set_message(text);
             }
             None if !self.is_quiet && self.printed.elapsed() >= LINE_INTERVAL => {
-                eprintln!("jostled: {:3} %, {text}", position / 10);
+                note(&format_args!("jostled: {:3} %, {text}", position / 10));
                 self.printed = Instant::now();
             }
             None => {}
@@ -302,13 +306,19 @@ fn describe(progress: &Progress) -> String {
     text
 }
 
-fn print_outcome(options: &Options, output: &Path, outcome: &Outcome, progress: &Progress) {
+/// The outcome on standard output.
+fn describe_outcome(
+    options: &Options,
+    output: &Path,
+    outcome: &Outcome,
+    progress: &Progress,
+) -> String {
     let (runs, finished, faults) = (outcome.runs, outcome.finished, &outcome.faults);
     if let Some(error) = &outcome.checkpoint_error {
-        eprintln!("jostled: failed to write a checkpoint: {error}");
+        note(&format_args!(
+            "jostled: failed to write a checkpoint: {error}"
+        ));
     }
-    let mut out = std::io::stdout().lock();
-    // A closed standard output is no error.
     if options.json {
         let faults: Vec<_> = faults
             .iter()
@@ -317,14 +327,14 @@ fn print_outcome(options: &Options, output: &Path, outcome: &Outcome, progress: 
         let summary = json!({"runs": runs, "finished": finished, "faults": faults,
             "cancelled": outcome.is_cancelled, "elapsed_secs": progress.elapsed_secs,
             "folder": output});
-        let _ = writeln!(out, "{summary}");
-        return;
+        return format!("{summary}\n");
     }
     let counted = if finished == runs {
         runs.to_string()
     } else {
         format!("{finished} of {runs}")
     };
+    let mut text = String::new();
     for (name, value) in [
         ("runs finished", counted),
         ("ended early", faults.len().to_string()),
@@ -334,20 +344,16 @@ fn print_outcome(options: &Options, output: &Path, outcome: &Outcome, progress: 
             output.join("results.{parquet,csv}").display().to_string(),
         ),
     ] {
-        let _ = writeln!(out, " {name:13}  {value}");
+        text += &format!(" {name:13}  {value}\n");
     }
     for (run, reason) in faults.iter().take(MAX_LISTED) {
-        let _ = writeln!(out, "{run} ended early: {reason}");
+        text += &format!("{run} ended early: {reason}\n");
     }
     if faults.len() > MAX_LISTED {
         let more = faults.len() - MAX_LISTED;
-        let _ = writeln!(out, "and {more} more: see runs.jsonl");
+        text += &format!("and {more} more: see runs.jsonl\n");
     }
-    if outcome.is_cancelled {
-        let output = options.output.as_deref().unwrap_or(output);
-        let command = command(options, output);
-        eprintln!("jostled: interrupted; `{command}` continues");
-    }
+    text
 }
 
 /// The command that executes the same runs again.

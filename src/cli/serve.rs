@@ -1,15 +1,16 @@
 //! `jostled serve` and `jostled demo`.
 
-use std::io::{IsTerminal as _, Write as _};
+use std::io::IsTerminal as _;
 use std::process::ExitCode;
 use std::time::Duration;
 
+use jostle_experiment::stdout;
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tracing::warn;
 use tracing_subscriber::EnvFilter;
 
 use crate::app::{self, ServerError};
-use crate::cli::{demo, fail, process, start_error, systemd};
+use crate::cli::{demo, fail, note, process, start_error, systemd};
 use crate::config::{Config, Resolved};
 use crate::transport::http::{GatewayError, Token};
 use crate::transport::zenoh::session::SessionError;
@@ -34,7 +35,9 @@ pub fn run(
     let logs = tracing_subscriber::fmt()
         .with_env_filter(filter)
         .with_ansi(std::io::stderr().is_terminal())
-        .with_writer(std::io::stderr);
+        .with_writer(std::io::stderr)
+        // It would report them on standard error, too, and panic in the thread that logs.
+        .log_internal_errors(false);
     if config.logs_json {
         logs.json().init();
     } else {
@@ -55,7 +58,6 @@ pub fn run(
     };
     // Skips the exit handlers: zenoh's waited ten seconds for a frozen client. Does not wait for
     // threads in a long step.
-    let _ = std::io::stdout().flush();
     if let Some(temporary) = temporary {
         let _ = temporary.close();
     }
@@ -81,11 +83,10 @@ async fn serve(config: &Config, resolved: &Resolved, mode: Mode) -> i32 {
     // signals end the process, as a kill would.
     let mut stop = StopSignals::install();
     for endpoint in &server.endpoints {
-        // A closed standard output is no error.
-        let _ = writeln!(std::io::stdout(), "listening on {endpoint}");
+        announce(&format!("listening on {endpoint}"));
     }
     if let Some(url) = server.url() {
-        let _ = writeln!(std::io::stdout(), "http on {url}");
+        announce(&format!("http on {url}"));
     }
     if let Some(link) = server.page() {
         // Without a terminal the output may be a log, which must not contain the token.
@@ -97,7 +98,7 @@ async fn serve(config: &Config, resolved: &Resolved, mode: Mode) -> i32 {
                 format!("{url} with the token in {}", file.display())
             }
         };
-        let _ = writeln!(std::io::stdout(), "page on {page}");
+        announce(&format!("page on {page}"));
     }
     let notifier = systemd::notify_status(server.watch.clone(), server.registry.clone());
     let notifier = tokio::spawn(notifier);
@@ -110,7 +111,7 @@ async fn serve(config: &Config, resolved: &Resolved, mode: Mode) -> i32 {
             ended = demo::run(config, &server.endpoints[0], duration) => match ended {
                 Ok(()) => 0,
                 Err(demo::DemoError::Deleted) if duration.is_none() => {
-                    eprintln!("jostled: the demo's swarm was deleted; still serving, Ctrl-C stops");
+                    note(&"jostled: the demo's swarm was deleted; still serving, Ctrl-C stops");
                     stop.received().await;
                     0
                 }
@@ -127,6 +128,14 @@ async fn serve(config: &Config, resolved: &Resolved, mode: Mode) -> i32 {
     match server.stop().await {
         false if code == 0 => app::EXIT_STORE,
         _ => code,
+    }
+}
+
+/// Prints a line on standard output. The daemon serves without it: its log may be on a full disk.
+fn announce(line: &str) {
+    let written = stdout::write(format!("{line}\n").as_bytes());
+    if let Err(error) = stdout::unless_closed(written) {
+        warn!(%error, line, "a line is missing");
     }
 }
 

@@ -7,6 +7,7 @@ mod error;
 mod missing_files;
 mod results;
 mod scheduler;
+mod starts;
 mod status;
 
 use std::collections::BTreeMap;
@@ -57,6 +58,8 @@ struct Shared {
     results: ResultsCache,
     /// Held during a request that changes an experiment.
     serialize_changes: Mutex<()>,
+    /// Held while the status file of a submitted experiment is written; locked before `state`.
+    serialize_writes: Mutex<()>,
     /// Nothing between two changes can panic.
     state: Mutex<State>,
     changed: Condvar,
@@ -66,6 +69,8 @@ struct Shared {
 struct State {
     entries: BTreeMap<String, Entry>,
     is_stopping: bool,
+    /// Whether the orderly end of what was running is stored.
+    is_stop_stored: bool,
     /// Increases with every change of a phase.
     version: u64,
 }
@@ -78,7 +83,7 @@ impl ExperimentManager {
         for (name, status) in jobs.list()? {
             let path = jobs.folder(&name);
             if keys::is_name(&name) && path.join(PLAN).is_file() {
-                let entry = load(&name, &path, status.ok());
+                let entry = load(&name, &jobs, status.ok());
                 state.entries.insert(name, entry);
             }
         }
@@ -87,6 +92,7 @@ impl ExperimentManager {
             threads: threads.max(1),
             results: ResultsCache::default(),
             serialize_changes: Mutex::default(),
+            serialize_writes: Mutex::default(),
             state: Mutex::new(state),
             changed: Condvar::new(),
         }));
@@ -140,6 +146,7 @@ impl ExperimentManager {
             status,
             plan: Some(Arc::new(plan)),
             execution: None,
+            number_of_execution: 0,
         };
         let mut state = self.lock();
         state.entries.insert(name.clone(), entry);
@@ -152,7 +159,7 @@ impl ExperimentManager {
         let _serialized = self.begin_change()?;
         match self.phase(name)? {
             Phase::Paused => {}
-            Phase::Queued | Phase::Running => self.suspend(name, Phase::Paused)?,
+            Phase::Queued | Phase::Running => self.suspend(name, Phase::Paused, None)?,
             phase => return Err(wrong_phase(name, phase, "there is nothing to pause")),
         }
         self.report(name)
@@ -178,7 +185,7 @@ impl ExperimentManager {
         match self.phase(name)? {
             Phase::Cancelled => {}
             Phase::Queued | Phase::Running | Phase::Paused => {
-                self.suspend(name, Phase::Cancelled)?;
+                self.suspend(name, Phase::Cancelled, None)?;
                 self.wait_for_end(name);
             }
             phase => return Err(wrong_phase(name, phase, "there is nothing to cancel")),
@@ -322,20 +329,17 @@ impl ExperimentManager {
     /// Stops what is running, which resumes when the daemon restarts. Returns how many executions
     /// do not stop within `timeout`; their finished runs are durable.
     pub fn stop(&self, timeout: Duration) -> usize {
+        let running = self.begin_stop();
+        self.store_orderly_ends(running);
         let mut state = self.lock();
-        state.is_stopping = true;
-        let executions = state
-            .entries
-            .values()
-            .filter_map(|it| it.execution.as_ref());
-        executions.for_each(|execution| execution.cancel());
-        self.0.changed.notify_all();
         let count = |state: &State| {
             let entries = state.entries.values();
             entries.filter(|it| it.execution.is_some()).count()
         };
-        let changed = &self.0.changed;
-        changed.wait_while_for(&mut state, |state| count(state) > 0, timeout);
+        let is_ending = |state: &mut State| count(state) > 0 || !state.is_stop_stored;
+        self.0
+            .changed
+            .wait_while_for(&mut state, is_ending, timeout);
         count(&state)
     }
 
@@ -357,38 +361,52 @@ impl ExperimentManager {
             self.wait_for_end(name);
         }
         self.plan(name)?;
-        self.write_status(name, Phase::Queued)?;
+        let writing = self.0.serialize_writes.lock();
+        let status = self.entry(name, |entry| entry.status_in(Phase::Queued, None))?;
+        self.write_status(name, &status)?;
         let mut state = self.lock();
         if let Some(entry) = state.entries.get_mut(name) {
-            entry.status.phase = Phase::Queued;
-            entry.status.message = None;
+            entry.enter(&status);
         }
+        drop(writing);
         self.publish_change(state);
         Ok(())
     }
 
-    /// Pauses or cancels an experiment, as `phase` says, unless it has just ended.
-    fn suspend(&self, name: &str, phase: Phase) -> Result<(), ExperimentError> {
-        self.write_status(name, phase)?;
+    /// Pauses or cancels an experiment, as `phase` says, unless it has just ended. `message` states why,
+    /// if the daemon pauses it.
+    fn suspend(
+        &self,
+        name: &str,
+        phase: Phase,
+        message: Option<String>,
+    ) -> Result<(), ExperimentError> {
+        let writing = self.0.serialize_writes.lock();
+        let suspended = |entry: &Entry| {
+            let is_over = entry.status.phase.is_over();
+            (!is_over).then(|| entry.status_in(phase, message))
+        };
+        let Some(status) = self.entry(name, suspended)? else {
+            return Ok(());
+        };
+        self.write_status(name, &status)?;
         let mut state = self.lock();
-        if let Some(entry) = state.entries.get_mut(name)
-            && !entry.status.phase.is_over()
-        {
-            entry.status.phase = phase;
+        if let Some(entry) = state.entries.get_mut(name) {
+            entry.enter(&status);
             match &entry.execution {
                 Some(execution) if phase == Phase::Paused => execution.pause(),
                 Some(execution) => execution.cancel(),
                 None => {}
             }
         }
+        drop(writing);
         self.publish_change(state);
         Ok(())
     }
 
-    /// Writes the status of an experiment that is about to enter a phase.
-    fn write_status(&self, name: &str, phase: Phase) -> Result<(), ExperimentError> {
-        let status = self.entry(name, |entry| entry.status_in(phase))?;
-        let written = self.0.jobs.write_status(name, &status);
+    /// Writes the status that an experiment is about to have.
+    fn write_status(&self, name: &str, status: &Status) -> Result<(), ExperimentError> {
+        let written = self.0.jobs.write_status(name, status);
         written.map_err(ExperimentError::not_stored)
     }
 
@@ -424,7 +442,8 @@ impl ExperimentManager {
 }
 
 /// Loads an experiment from its folder. Without a status a crash interrupted `submit`.
-fn load(name: &str, folder: &Path, status: Option<Status>) -> Entry {
+fn load(name: &str, jobs: &JobDirectory<Status>, status: Option<Status>) -> Entry {
+    let folder = &jobs.folder(name);
     let mut status = status.unwrap_or_else(|| Status::queued(u64::MAX >> 1));
     let mut loaded = None;
     if !status.phase.is_over() {
@@ -436,6 +455,12 @@ fn load(name: &str, folder: &Path, status: Option<Status>) -> Entry {
         match read {
             Ok((plan, finished)) => {
                 status.count(plan.runs().len(), finished);
+                if status.pause_after_unclean_ends(name, finished)
+                    && let Err(error) = jobs.write_status(name, &status)
+                {
+                    // The next start comes to the same conclusion.
+                    warn!(experiment = name, %error, "failed to write the status file");
+                }
                 loaded = Some(Arc::new(plan));
             }
             Err(error) => {
@@ -449,6 +474,7 @@ fn load(name: &str, folder: &Path, status: Option<Status>) -> Entry {
         status,
         plan: loaded,
         execution: None,
+        number_of_execution: 0,
     }
 }
 

@@ -33,8 +33,9 @@ impl ExperimentManager {
             };
             state.version += 1;
             entry.status.phase = Phase::Running;
+            entry.number_of_execution = state.version;
             if let Some(paused) = &entry.execution {
-                return paused.resume();
+                return self.resume_counted(name, state.version, paused.clone());
             }
             if let Err(reason) = self.start(name, entry) {
                 warn!(experiment = name, reason, "failed to start");
@@ -48,7 +49,10 @@ impl ExperimentManager {
         let plan = entry.plan.clone().ok_or("its plan is unknown")?;
         let control = Arc::new(ExecutionControl::new());
         let (manager, name, controlled) = (self.clone(), name.to_owned(), control.clone());
+        let number = entry.number_of_execution;
         let run = move || {
+            manager.count_start(&name, number);
+            manager.settle(&name, number);
             let path = manager.0.jobs.folder(&name);
             let executed = catch_unwind(AssertUnwindSafe(|| {
                 let mut folder = Folder::open(&path, &plan).map_err(|it| it.to_string())?;
@@ -70,6 +74,7 @@ impl ExperimentManager {
     }
 
     fn ended(&self, name: &str, outcome: Result<Outcome, String>) {
+        let writing = self.0.serialize_writes.lock();
         let mut state = self.lock();
         let is_stopping = state.is_stopping;
         let Some(entry) = state.entries.get_mut(name) else {
@@ -94,6 +99,7 @@ impl ExperimentManager {
             // The next start finds all runs finished.
             warn!(experiment = name, %error, "failed to write the status file");
         }
+        drop(writing);
         self.publish_change(state);
     }
 }

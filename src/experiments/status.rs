@@ -6,6 +6,7 @@ use jostle_experiment::{ExecutionControl, Plan, Progress};
 use jostle_proto::ExperimentPhase as Phase;
 use serde::{Deserialize, Serialize};
 
+use super::starts::Starts;
 use crate::jobs::StatusFile;
 
 #[derive(Clone, Debug, PartialEq)]
@@ -13,7 +14,7 @@ pub struct Report {
     pub name: String,
     pub phase: Phase,
     pub progress: Progress,
-    /// Why it failed, or which runs ended early.
+    /// Why it failed or the daemon paused it, or which runs ended early.
     pub message: Option<String>,
 }
 
@@ -28,6 +29,8 @@ pub(super) struct Status {
     progress: Progress,
     #[serde(default)]
     pub(super) message: Option<String>,
+    #[serde(default)]
+    pub(super) starts: Starts,
 }
 
 impl StatusFile for Status {
@@ -41,6 +44,7 @@ impl Status {
             phase: Phase::Queued,
             progress: Progress::default(),
             message: None,
+            starts: Starts::default(),
         }
     }
 
@@ -65,6 +69,8 @@ pub(super) struct Entry {
     pub(super) plan: Option<Arc<Plan>>,
     /// Controls the execution, also while that is paused or about to end.
     pub(super) execution: Option<Arc<ExecutionControl>>,
+    /// Differs between executions, and between what precedes and follows a pause.
+    pub(super) number_of_execution: u64,
 }
 
 impl Entry {
@@ -93,17 +99,26 @@ impl Entry {
         }
     }
 
-    /// The present status, in another phase.
-    pub(super) fn status_in(&self, phase: Phase) -> Status {
+    /// The present status, in another phase, with no start counted.
+    pub(super) fn status_in(&self, phase: Phase, message: Option<String>) -> Status {
         Status {
+            number: self.status.number,
             phase,
+            message,
+            starts: Starts::default(),
             progress: Progress {
                 left_secs: None,
                 running: Vec::new(),
                 ..self.report("").progress
             },
-            ..self.status.clone()
         }
+    }
+
+    /// Enters the phase of a status that has been stored.
+    pub(super) fn enter(&mut self, stored: &Status) {
+        self.status.phase = stored.phase;
+        self.status.message.clone_from(&stored.message);
+        self.status.starts = stored.starts;
     }
 
     /// Whether no other experiment may be executed now.
@@ -118,7 +133,7 @@ impl Entry {
 
     /// Its execution has ended: at the end of all runs if `is_complete`.
     pub(super) fn end(&mut self, is_complete: bool) {
-        self.status = self.status_in(self.status.phase);
+        self.status = self.status_in(self.status.phase, self.status.message.clone());
         self.execution = None;
         if is_complete {
             self.status.phase = Phase::Finished;

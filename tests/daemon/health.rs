@@ -47,7 +47,7 @@ pub fn series(address: &str) -> BTreeMap<String, f64> {
         };
         assert!(is_right && plain.starts_with("jostle_"), "{line}");
         let value: f64 = value.parse().expect(line);
-        assert!(value.is_finite() && value >= 0.0, "{line}");
+        assert!(value.is_finite() && value.is_sign_positive(), "{line}");
         assert_eq!(series.insert(name.to_owned(), value), None, "{line}");
     }
     for (family, kind) in families {

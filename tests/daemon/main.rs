@@ -39,12 +39,14 @@ mod rights;
 mod schedule;
 mod settings;
 mod states;
+mod stdout;
 mod stored;
 mod streams;
 mod supervisor;
 #[path = "../support/mod.rs"]
 mod support;
 mod targets;
+mod unclean_ends;
 mod verify;
 mod wall_clock;
 mod when;

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import pickle
 import re
 import subprocess
@@ -11,6 +12,7 @@ import xml.etree.ElementTree as ET
 from collections.abc import Callable
 from typing import Any
 
+import msgspec
 import nbformat
 import numpy as np
 import pytest
@@ -61,6 +63,17 @@ def test_a_picture_is_to_scale(create: Create) -> None:
     assert first[1] - first[0] == pytest.approx([scale, 0.0], abs=0.2)
     # North is up.
     assert second[1] - second[0] == pytest.approx([0.0, -scale], abs=0.2)
+
+
+def test_a_zero_has_no_sign(create: Create) -> None:
+    swarm = create(n=3)
+    swarm.inform(jostle.count(1), 0.0)
+    state = swarm.state()
+    for zero in (-0.0, -1e-9):
+        order = msgspec.structs.replace(state.order, drift=zero)
+        assert "drift +0.00" in shown(dataclasses.replace(state, order=order))
+    table = shown(msgspec.structs.replace(state.order, drift=-0.0))
+    assert "<th>drift</th><td>0</td>" in re.sub(r"<(\w+) [^>]*>", r"<\1>", table)
 
 
 def test_every_individual_is_in_the_picture(create: Create) -> None:

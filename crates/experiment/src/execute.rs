@@ -90,7 +90,8 @@ pub fn execute(
         .indices()
         .iter()
         .partition(|&&index| folder.is_finished(index));
-    let sum = |indices: &[usize]| indices.iter().map(|&index| cost(index)).sum();
+    // An empty sum of floats is -0.
+    let sum = |indices: &[usize]| 0.0 + indices.iter().map(|&index| cost(index)).sum::<f64>();
     let costs = [sum(subset.indices()), sum(&done)];
     let faults = folder.faults(subset).len();
     control.begin(subset.indices().len(), done.len(), faults, costs);

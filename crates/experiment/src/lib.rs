@@ -26,6 +26,7 @@ mod run;
 mod set_points;
 pub mod shell;
 mod start;
+pub mod stdout;
 mod subset;
 mod trajectory;
 

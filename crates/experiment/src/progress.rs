@@ -170,7 +170,8 @@ impl ExecutionControl {
             })
             .collect();
         let current: f64 = running.iter().map(|(run, share)| run.cost * share).sum();
-        let done = state.cost_finished + current;
+        // An empty sum of floats is -0, and so is `-0 + -0`.
+        let done = 0.0 + state.cost_finished + current;
         let elapsed = state.clock.read();
         let gained = done - state.cost_before;
         let left_secs = (elapsed > MIN_ELAPSED && gained > 0.0)
@@ -364,6 +365,11 @@ mod tests {
         control.pause();
         control.resume();
         assert!(control.is_cancelled() && !control.is_paused());
+
+        // An empty sum of costs is -0, which is not a share.
+        let control = ExecutionControl::new();
+        control.begin(1, 0, 0, [1.0, [].iter().sum()]);
+        assert!(control.progress().share.is_sign_positive());
 
         // An execution that begins paused has no running clock.
         let control = ExecutionControl::new();

@@ -116,7 +116,8 @@ impl Subset {
     /// Returns the sum of the expected times of its runs, in seconds of one core.
     #[must_use]
     pub fn expected_secs(&self, plan: &Plan) -> f64 {
-        self.points(plan).map(Point::expected_secs).sum()
+        // An empty sum of floats is -0.
+        0.0 + self.points(plan).map(Point::expected_secs).sum::<f64>()
     }
 
     /// Returns the expected time of its longest run, in seconds of one core.

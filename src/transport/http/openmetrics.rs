@@ -74,7 +74,7 @@ const METRICS: &[(&str, &str, Value)] = &[
         ("running", swarms(it, Phase::is_moving)),
         ("faulted", swarms(it, |phase| matches!(phase, Phase::Faulted(_)))),
     ])),
-    ("individuals", "Individuals in all swarms", Gauge(|it| it.daemon.swarms.iter().map(|swarm| swarm.summary.n as f64).sum())),
+    ("individuals", "Individuals in all swarms", Gauge(|it| it.daemon.swarms.iter().map(|swarm| swarm.summary.n).sum::<usize>() as f64)),
     ("journal_commit_seconds", "Duration of a journal commit, including its sync", Histogram(|it| &it.daemon.store.commit_time)),
     ("journal_writes", "Committed writes", Counter(|it| it.daemon.store.writes as f64)),
     ("journal_waiting", "Queued writes", Gauge(|it| it.daemon.store.waiting as f64)),

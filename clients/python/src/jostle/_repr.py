@@ -88,7 +88,7 @@ def _cell(value: object) -> str:
     if value is None:
         return ""
     if isinstance(value, float):
-        return f"{value:.0f}" if 1e5 <= abs(value) < 1e15 else f"{value:.5g}"
+        return f"{value:.0f}" if 1e5 <= abs(value) < 1e15 else f"{value:z.5g}"
     if isinstance(value, bool | int | str):
         return _text(str(value))
     if isinstance(value, datetime):

@@ -45,7 +45,7 @@ class Progress(msgspec.Struct, frozen=True, kw_only=True):
         elapsed_secs: Seconds that it has run, without pauses.
         left_secs: Seconds that it will still take; None while there is no estimate.
         running: The runs that are being executed.
-        message: Why it failed, or a remark on its runs.
+        message: Why it failed or the daemon paused it, or a remark on its runs.
     """
 
     name: str
@@ -67,7 +67,7 @@ class Progress(msgspec.Struct, frozen=True, kw_only=True):
         return f"{self.phase}, {self.finished} of {self.runs} runs{faulted}{left}{why}"
 
     def _repr_html_(self) -> str:
-        return bar_html(self.share, f"{self.name} {100 * self.share:.0f} %, {self._summary()}")
+        return bar_html(self.share, f"{self.name} {100 * self.share:z.0f} %, {self._summary()}")
 
     @property
     def is_over(self) -> bool:

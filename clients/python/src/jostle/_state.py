@@ -117,7 +117,7 @@ def draw_state(state: State, camera: Camera | None = None) -> str:
         f"step {state.step}, t = {state.time:g}",
         f"{state.n} individual{'s' if state.n > 1 else ''}"
         + (f", {informed} informed" if informed else ""),
-        f"order {state.order.order:.2f}" + ("" if drift is None else f", drift {drift:+.2f}"),
+        f"order {state.order.order:.2f}" + ("" if drift is None else f", drift {drift:+z.2f}"),
     ]
     columns = (state.position, state.alpha, state.informed, state.direction)
     return draw(*columns, state.pi1, " · ".join(caption), camera)
