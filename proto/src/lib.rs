@@ -48,8 +48,8 @@ pub use queries::{
     Parameters, Puts, Schemas, Status, SwarmSummary, Swarms, Verified,
 };
 pub use recording::{
-    BeginRecordingArgs, DEFAULT_MAX_RECORDING_BYTES, RecordArgs, Recording, RecordingFormat,
-    RecordingName, RecordingPhase, RecordingPiece, Recordings,
+    BeginRecordingArgs, DEFAULT_MAX_RECORDING_BYTES, RecordArgs, RecordedAt, Recording,
+    RecordingFormat, RecordingGap, RecordingName, RecordingPhase, RecordingPiece, Recordings,
 };
 pub use replay::{OpenArgs, Replay, ReplayArgs, ReplayResult, SeekArgs, UploadArgs};
 pub use result_row::{COLUMNS, Column, ExtraValue, FAULT, Measure, ResultRow};

@@ -95,9 +95,15 @@ pub struct Recording {
     pub reason: Option<String>,
     /// How many states were recorded.
     pub frames: u64,
-    /// How many states it left out because the disk did not keep up. Without `drop_when_behind` the
-    /// swarm waits instead.
+    /// How many states are missing: those that it left out because the disk did not keep up (without
+    /// `drop_when_behind` the swarm waits instead), and those in `lost`.
     pub missed: u64,
+    /// How many of them it lost because the daemon ended before their file was whole.
+    #[serde(default)]
+    pub lost: u64,
+    /// Where the last of those were; `null`: none was lost.
+    #[serde(default)]
+    pub gap: Option<RecordingGap>,
     /// How many of its files are whole.
     pub parts: u64,
     /// Their bytes.
@@ -115,6 +121,26 @@ pub struct Recording {
     pub temporary: bool,
 }
 
+/// States that a recording lost when the daemon ended, all of them before the next state in it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct RecordingGap {
+    /// The state up to which none is missing; `null`: the recording begins with the gap.
+    pub after: Option<RecordedAt>,
+    /// The state from which on it continues.
+    pub until: RecordedAt,
+    /// How many states are missing.
+    pub missed: u64,
+}
+
+/// A state, as a recording counts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct RecordedAt {
+    /// Its epoch.
+    pub epoch: u64,
+    /// Its step.
+    pub step: u64,
+}
+
 /// What a recording is doing.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
@@ -122,10 +148,11 @@ pub enum RecordingPhase {
     /// It goes on, also when the daemon restarts.
     #[default]
     Recording,
-    /// It is over, as its reason says: stopped, complete, as large as it may be, or its swarm was
-    /// deleted.
+    /// It is over, as its reason says: stopped, complete, as large as its `max_bytes`, or its swarm
+    /// was deleted.
     Ended,
-    /// It cannot go on; what was recorded before is kept.
+    /// It cannot go on, for example on a full disk, or since all recordings together are as large as
+    /// they may be; what was recorded before is kept.
     Failed,
 }
 

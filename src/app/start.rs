@@ -31,9 +31,9 @@ use crate::convert::commands::check_name;
 use crate::experiments::ExperimentManager;
 use crate::health::{HealthMonitor, HealthSources};
 use crate::metrics::Activity;
-use crate::persistence::recovery;
+use crate::persistence::recovery::{self, OnRecovered};
 use crate::playback::Uploads;
-use crate::recording::Recordings;
+use crate::recording::{Position, Recordings};
 use crate::store::{self, Store, StoreError, StoreFault};
 use crate::swarm::registry::SwarmRegistry;
 use crate::transport::http::{self, Bus, Credentials, Gateway, GatewayError, Token};
@@ -107,8 +107,7 @@ async fn open(config: &Config) -> Result<Server, ServerError> {
         None => None,
     };
 
-    recover(&core).await?;
-    commands::resume(&files.recordings, &files.recording_files, &core.registry);
+    recover(&core, &files.recordings).await?;
     context.is_recovering.store(false, Ordering::Release);
     let set_point_subscribers = set_points::listen(
         &core.session,
@@ -456,12 +455,23 @@ fn credentials(config: &Config, core: &Core) -> Result<Credentials, ServerError>
     })
 }
 
-async fn recover(core: &Core) -> Result<(), ServerError> {
+/// Recovers the swarms, each of which resumes its recordings before it continues.
+async fn recover(core: &Core, recordings: &Recordings) -> Result<(), ServerError> {
     let (registry, store) = (core.registry.clone(), core.store.clone());
-    let idempotency = core.idempotency.clone();
-    let recovered = spawn_blocking(move || recovery::recover(&registry, &store, &idempotency));
+    let (idempotency, recordings) = (core.idempotency.clone(), recordings.clone());
+    let recovered = spawn_blocking(move || -> Result<(), StoreError> {
+        let resume = recordings.clone();
+        let on_recovered: OnRecovered = Arc::new(move |handle, now, resets| {
+            let resets: Vec<_> = resets.iter().map(|it| Position::from(*it)).collect();
+            resume.resume(handle, now, &resets);
+        });
+        recovery::recover(&registry, &store, &idempotency, &on_recovered)?;
+        let stored = store.swarms()?;
+        recordings.end_interrupted(|swarm| stored.iter().any(|(name, _)| name == swarm));
+        Ok(())
+    });
     let recovered = recovered.await.expect("recovery does not panic");
-    recovered.map(drop).map_err(ServerError::Recovery)
+    recovered.map_err(ServerError::Recovery)
 }
 
 /// Has the dispatcher declare the daemon's own keys. Returns once they are declared, or once it is

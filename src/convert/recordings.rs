@@ -4,7 +4,7 @@ use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use jostle_proto as proto;
 
-use crate::recording::{Format, Piece, Status};
+use crate::recording::{Format, Gap, Piece, Position, Status};
 
 pub fn recording(name: String, status: Status) -> proto::Recording {
     proto::Recording {
@@ -19,12 +19,23 @@ pub fn recording(name: String, status: Status) -> proto::Recording {
         reason: status.reason,
         frames: status.frames,
         missed: status.missed,
+        lost: status.lost,
+        gap: status.gaps.last().map(gap),
         parts: status.parts,
         bytes: status.bytes,
         began_unix_secs: status.began_unix_secs,
         drop_when_behind: status.drop_when_behind,
         max_bytes: status.max_bytes,
         temporary: status.temporary,
+    }
+}
+
+fn gap(gap: &Gap) -> proto::RecordingGap {
+    let at = |Position { epoch, step }| proto::RecordedAt { epoch, step };
+    proto::RecordingGap {
+        after: gap.after.map(at),
+        until: at(gap.until),
+        missed: gap.missed,
     }
 }
 

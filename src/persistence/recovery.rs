@@ -1,5 +1,6 @@
 //! Recovers all stored swarms when the daemon starts.
 
+use std::collections::BTreeMap;
 use std::error::Error;
 use std::sync::Arc;
 use std::sync::mpsc::channel;
@@ -18,12 +19,12 @@ use crate::persistence::writer::{SwarmMetadata, writes};
 use crate::store::{Store, StoreError, Write};
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::error::SwarmError;
-use crate::swarm::frame::Stamp;
-use crate::swarm::handle::{Rejection, ReplyTo};
+use crate::swarm::frame::{Frame, Stamp};
+use crate::swarm::handle::{Handle, Rejection, ReplyTo};
 use crate::swarm::history;
 use crate::swarm::journal::{Entry, Line, Record};
 use crate::swarm::phase::{PauseReason, Phase};
-use crate::swarm::registry::SwarmRegistry;
+use crate::swarm::registry::{self, SwarmRegistry};
 use crate::swarm::sender::Sender;
 use crate::swarm::worker::replay::{ReplayEntry, ReplaySource, ReplayTarget};
 
@@ -36,6 +37,10 @@ const MAX_REPLY_LINES: u64 = 1000;
 /// The number of checkpoints after which the reply to a command is certainly stored.
 const SETTLED_CHECKPOINTS: usize = 8;
 
+/// Called on the thread of each recovered swarm before it continues: with its handle, its state, and the
+/// epochs and steps at which it was reset, oldest first, as far as [`MAX_HISTORY_LINES`] tell.
+pub type OnRecovered = Arc<dyn Fn(&Handle, &Arc<Frame>, &[(u64, u64)]) + Send + Sync>;
+
 /// Recovers every swarm, and waits until all are replayed. Returns their number.
 ///
 /// A swarm that cannot be recovered is logged and stays in the store. Returns an error only if the
@@ -44,19 +49,23 @@ pub fn recover(
     registry: &Arc<SwarmRegistry>,
     store: &Store,
     replies: &impl ReplyCache,
+    on_recovered: &OnRecovered,
 ) -> Result<usize, StoreError> {
     replies.fill(store.replies()?);
     let (replayed, all_replayed) = channel();
     let mut count = 0;
     for (swarm, metadata) in store.swarms()? {
-        let started = load(store, replies, &swarm, &metadata).and_then(|(spec, source)| {
-            let replayed = replayed.clone();
+        let started = load(store, replies, &swarm, &metadata).and_then(|loaded| {
+            let (spec, source, resets) = loaded;
+            let (replayed, on_recovered) = (replayed.clone(), on_recovered.clone());
             let answer = move || {
                 ReplyTo::new(move |_| {
                     let _ = replayed.send(());
                 })
             };
-            Ok(registry.recover(&swarm, spec, source, answer)?)
+            let on_recovered: registry::OnRecovered =
+                Box::new(move |handle, now| on_recovered(handle, now, &resets));
+            Ok(registry.recover(&swarm, spec, source, on_recovered, answer)?)
         });
         match started {
             Ok(()) => count += 1,
@@ -71,12 +80,15 @@ pub fn recover(
     Ok(recovered)
 }
 
+/// The spec of a swarm, what is to be replayed, and where the swarm was reset.
+type Loaded = (Spec, ReplaySource, Vec<(u64, u64)>);
+
 fn load(
     store: &Store,
     replies: &impl ReplyCache,
     swarm: &str,
     metadata: &[u8],
-) -> Result<(Spec, ReplaySource), Box<dyn Error>> {
+) -> Result<Loaded, Box<dyn Error>> {
     let SwarmMetadata { spec } = ciborium::from_reader(metadata)?;
     let spec = jostle_convert::spec::from_proto(&spec, jostle_convert::value::count(spec.n))?;
     let mut chosen = None;
@@ -111,7 +123,11 @@ fn load(
     }
     let (checkpoint, mut tail) = chosen.ok_or(problem)?;
     truncate(store, swarm, &checkpoint, &mut tail);
-    let entries = history_before(store, swarm, &checkpoint)?;
+    let until = checkpoint.lines;
+    let before = read_lines(store, swarm, until.saturating_sub(MAX_HISTORY_LINES), until)?;
+    let replayed = tail.iter().flatten().map(|(line, _)| line);
+    let resets = resets(before.iter().chain(replayed));
+    let entries = history_before(store, swarm, &checkpoint, before)?;
     let (replies, swarm) = (replies.clone(), swarm.to_owned());
     let source = ReplaySource {
         checkpoint,
@@ -121,7 +137,36 @@ fn load(
         to: ReplayTarget::LastInput,
         on_progress: None,
     };
-    Ok((spec, source))
+    Ok((spec, source, resets))
+}
+
+/// The epochs and steps at which the swarm was reset, according to these lines.
+fn resets<'a>(lines: impl Iterator<Item = &'a Line>) -> Vec<(u64, u64)> {
+    let (mut resets, mut scheduled) = (BTreeMap::new(), BTreeMap::new());
+    for line in lines {
+        match &line.record {
+            Record::Input {
+                sender, at_step, ..
+            } if sender.verb == "reset" => {
+                if let Some(step) = at_step {
+                    scheduled.insert(line.number, *step);
+                } else {
+                    resets.insert(line.number, (line.epoch, line.step));
+                }
+            }
+            Record::Outcome { input, seq, .. } => match seq {
+                None => _ = resets.remove(input),
+                Some(_) => {
+                    // The outcome is at the start of the next epoch.
+                    let at = scheduled.remove(input);
+                    let at = at.map(|step| (line.epoch.saturating_sub(1), step));
+                    resets.extend(at.map(|at| (line.number, at)));
+                }
+            },
+            _ => {}
+        }
+    }
+    resets.into_values().collect()
 }
 
 /// The lines after a checkpoint. If a line is damaged, an error takes its place and ends them.
@@ -214,16 +259,15 @@ fn has_replies(
     Ok(missing.is_empty())
 }
 
-/// The commands that were applied before a checkpoint, for `get/journal`.
+/// The commands that were applied according to the lines before a checkpoint, for `get/journal`.
 fn history_before(
     store: &Store,
     swarm: &str,
     checkpoint: &Checkpoint,
+    lines: Vec<Line>,
 ) -> Result<Vec<history::Entry>, StoreError> {
-    let until = checkpoint.lines;
     let dt = checkpoint.simulation.state.parameters.dt;
     let mut applied = AppliedInputs::default();
-    let lines = read_lines(store, swarm, until.saturating_sub(MAX_HISTORY_LINES), until)?;
     // A copy executes commands that were scheduled in the journal of the original.
     let is_of_original =
         |line: &Line| matches!(line.record, Record::Outcome { input, .. } if input > line.number);

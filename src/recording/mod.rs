@@ -5,10 +5,13 @@
 //! running recording resumes with its next part when the daemon restarts.
 
 mod error;
+mod gaps;
+mod resume;
 mod source;
 mod status;
 mod writer;
 
+use std::cell::Cell;
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{self, Read as _, Seek as _, SeekFrom};
@@ -22,11 +25,12 @@ use fail::fail_point;
 pub use jostle_proto::RecordingPhase as Phase;
 use jostle_proto::keys;
 pub use jostle_results::recording::Format;
-use jostle_results::recording::{Recorder, RecordingError, parts, sweep};
+use jostle_results::recording::{Recorder, RecordingError, parts};
 use parking_lot::{Condvar, Mutex, MutexGuard};
 use tracing::{info, warn};
 
 pub use self::error::RecordError;
+pub use self::gaps::{Gap, Position};
 pub use self::source::Source;
 use self::status::Entry;
 pub use self::status::Status;
@@ -57,6 +61,9 @@ const STOP_TIMEOUT: Duration = Duration::from_secs(3);
 /// The reason of a recording that a client has stopped.
 const STOPPED: &str = "stopped";
 
+/// The reason of a recording whose thread has panicked.
+const DEFECT: &str = "a defect of the daemon";
+
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Piece {
     /// The number of finished parts.
@@ -79,6 +86,17 @@ struct Shared {
     /// Nothing between two changes can panic.
     state: Mutex<State>,
     changed: Condvar,
+}
+
+/// What the thread of a recording starts with.
+enum Origin {
+    /// The files of a new one.
+    New(Box<Recorder>),
+    /// The folder of one that the end of the daemon interrupted.
+    Interrupted {
+        /// Where its swarm was reset.
+        resets: Vec<Position>,
+    },
 }
 
 #[derive(Default)]
@@ -131,6 +149,7 @@ impl Recordings {
     ) -> Result<(String, Status), RecordError> {
         let name = self.admit(name, &status.swarm)?;
         status.every = Some(source.every);
+        status.began_at = Some(source.began_at());
         let folder = self.0.jobs.folder(&name);
         let recorder = Recorder::to_folder(&folder, status.format, source.about(&status));
         let recorder = recorder.map_err(|error| match error {
@@ -139,7 +158,8 @@ impl Recordings {
         })?;
         let written = self.0.jobs.write_status(&name, &status);
         let written = written.map_err(RecordError::from);
-        if let Err(error) = written.and_then(|()| self.start(&name, status, source, recorder)) {
+        let origin = Origin::New(Box::new(recorder));
+        if let Err(error) = written.and_then(|()| self.start(&name, status, source, origin)) {
             let _ = self.0.jobs.remove(&name);
             return Err(error);
         }
@@ -168,51 +188,6 @@ impl Recordings {
         self.lock().entries.remove(name);
         info!(recording = name, "deleted");
         Ok(status)
-    }
-
-    /// The recordings that were running when the daemon ended, and are to be resumed.
-    pub fn interrupted(&self) -> Vec<(String, Status)> {
-        let state = self.lock();
-        let entries = state.entries.iter();
-        let interrupted = entries.filter(|(_, it)| it.is_interrupted());
-        interrupted
-            .map(|(name, it)| (name.clone(), it.status.clone()))
-            .collect()
-    }
-
-    /// Resumes an interrupted recording; without a source it is over.
-    pub fn resume(&self, name: &str, source: Option<Source>) {
-        let mut status = match self.lock() {
-            state if state.is_stopping => return,
-            state => match state.entries.get(name) {
-                // It may have been stopped or deleted meanwhile.
-                Some(entry) if entry.is_interrupted() => entry.status.clone(),
-                _ => return,
-            },
-        };
-        let folder = self.0.jobs.folder(name);
-        let opened = sweep(&folder).and_then(|removed| {
-            let about = source.as_ref().map(|source| source.about(&status));
-            let recorder = Recorder::resume(&folder, status.format, about.unwrap_or_default())?;
-            status.count(recorder.written());
-            Ok((removed.len(), recorder))
-        });
-        let (phase, reason) = match (opened, source) {
-            (Ok((removed, recorder)), Some(source)) => {
-                let part = status.parts;
-                info!(recording = name, part, removed, "resumed with a new part");
-                match self.start(name, status.clone(), source, recorder) {
-                    Ok(()) => return,
-                    Err(error) => (Phase::Failed, error.to_string()),
-                }
-            }
-            (Ok(_), None) => {
-                let reason = "its swarm did not exist when the daemon restarted";
-                (Phase::Ended, reason.to_owned())
-            }
-            (Err(error), _) => (Phase::Failed, error.to_string()),
-        };
-        self.finish(name, status, phase, Some(reason));
     }
 
     /// The finished parts of a recording, in order; none if it does not exist.
@@ -302,26 +277,26 @@ impl Recordings {
         }
     }
 
+    /// Starts the thread of a recording, which replaces the entry when it ends.
     fn start(
         &self,
         name: &str,
         status: Status,
         source: Source,
-        recorder: Recorder,
+        origin: Origin,
     ) -> Result<(), RecordError> {
+        fail_point!("recording-thread", |_| Err(RecordError::NoThread(
+            "a failpoint".to_owned()
+        )));
         let is_background = status.drop_when_behind;
-        let writer = RecordingWriter {
-            swarm: status.swarm.clone(),
-            subscription: source.subscription.clone(),
-            missed: status.missed,
-            recorder,
-        };
         let entry = Entry {
-            status,
-            size: writer.recorder.size(),
-            subscription: Some(source.subscription),
+            size: match &origin {
+                Origin::New(recorder) => recorder.size(),
+                Origin::Interrupted { .. } => status.bytes,
+            },
+            status: status.clone(),
+            subscription: Some(source.subscription.clone()),
         };
-        // The thread replaces the entry when it ends.
         self.lock().entries.insert(name.to_owned(), entry);
         let (recordings, of) = (self.clone(), name.to_owned());
         let run = move || {
@@ -329,7 +304,7 @@ impl Recordings {
                 // `None` is the calling thread. Without the right to it, it keeps its priority.
                 let _ = rustix::process::setpriority_process(None, NICENESS);
             }
-            recordings.write(&of, writer);
+            recordings.write(&of, &source, status, origin);
         };
         let thread = thread::Builder::new().name(format!("record-{name}"));
         thread.spawn(run).map(drop).map_err(|error| {
@@ -339,8 +314,8 @@ impl Recordings {
     }
 
     /// Writes a recording to its end, on its own thread.
-    fn write(&self, name: &str, writer: RecordingWriter) {
-        let subscription = writer.subscription.clone();
+    fn write(&self, name: &str, source: &Source, status: Status, origin: Origin) {
+        let is_over_quota = Cell::new(false);
         let mut checked = 0;
         let progress = |recorder: &Recorder, has_ended: bool| {
             let mut state = self.lock();
@@ -357,6 +332,7 @@ impl Recordings {
             if size >= checked + QUOTA_CHECK_BYTES {
                 checked = size;
                 if state.bytes() >= self.0.quota_bytes {
+                    is_over_quota.set(true);
                     return Some(format!(
                         "the daemon's recordings have reached their {} MiB (recordings_quota_mb)",
                         self.0.quota_bytes >> 20
@@ -367,22 +343,37 @@ impl Recordings {
             self.write_status(name, &status?);
             None
         };
-        let written = catch_unwind(AssertUnwindSafe(|| writer.write(progress)));
-        // After a panic the swarm still waits for the queue.
-        subscription.end(None);
+        let written = catch_unwind(AssertUnwindSafe(|| {
+            let opened = match origin {
+                Origin::New(recorder) => Ok(Ok((*recorder, status))),
+                Origin::Interrupted { resets } => self.reopen(name, source, &resets),
+            };
+            match opened {
+                Ok(Ok((recorder, status))) => {
+                    let writer = RecordingWriter::new(recorder, source, &status);
+                    let (end, written) = writer.write(progress);
+                    (end, Some(written))
+                }
+                Ok(Err(reason)) => (Ok(Some(reason)), None),
+                Err(error) => (Err(error), None),
+            }
+        }));
+        // After an error or a panic the swarm still waits for the queue.
+        source.subscription.end(None);
         let Ok(mut status) = self.find(name) else {
             return;
         };
         let (phase, reason) = match written {
             Ok((end, written)) => {
-                status.count(written);
+                written.into_iter().for_each(|it| status.count(it));
                 match end {
                     Ok(None) => (Phase::Recording, None),
+                    Ok(reason) if is_over_quota.get() => (Phase::Failed, reason),
                     Ok(reason) => (Phase::Ended, reason),
                     Err(error) => (Phase::Failed, Some(error.to_string())),
                 }
             }
-            Err(_) => (Phase::Failed, Some("a defect of the daemon".to_owned())),
+            Err(_) => (Phase::Failed, Some(DEFECT.to_owned())),
         };
         self.finish(name, status, phase, reason);
     }

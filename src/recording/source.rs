@@ -5,6 +5,7 @@ use std::sync::Arc;
 use jostle_physics::simulation::Spec;
 use jostle_results::recording::{About, FROM_STEPS, SOURCE};
 
+use super::gaps::{self, Position};
 use super::status::Status;
 use crate::convert::{self, Payload};
 use crate::swarm::frame::Frame;
@@ -31,6 +32,16 @@ impl Source {
     /// Starts to receive the states that a recording of this status contains, beginning with the
     /// current one. Call it between two steps.
     pub fn subscribe(handle: &Handle, now: &Arc<Frame>, status: &Status) -> Self {
+        Source::limited(handle, now, status, status.steps_left)
+    }
+
+    /// As [`Self::subscribe`], for a recording that was interrupted: the number of its remaining steps is
+    /// known only once its files are open.
+    pub(super) fn resume(handle: &Handle, now: &Arc<Frame>, status: &Status) -> Self {
+        Source::limited(handle, now, status, None)
+    }
+
+    fn limited(handle: &Handle, now: &Arc<Frame>, status: &Status, steps: Option<u64>) -> Self {
         let default = match now.replay {
             None => now.publish_every,
             Some(_) => 1,
@@ -38,7 +49,7 @@ impl Source {
         let every = status.every.unwrap_or(default).max(1);
         let limits = Limits {
             every,
-            steps: status.steps_left,
+            steps,
             frames: MAX_FRAMES,
             individuals: MAX_INDIVIDUALS,
             overflow: match status.drop_when_behind {
@@ -56,6 +67,11 @@ impl Source {
         }
     }
 
+    /// The first state that it receives, if that is a multiple of `every`.
+    pub(super) fn began_at(&self) -> Position {
+        (self.now.stamp.epoch, self.now.stamp.step).into()
+    }
+
     pub fn about(&self, status: &Status) -> About {
         let json = |Payload { bytes, .. }| String::from_utf8_lossy(&bytes).into_owned();
         let spec = Payload::json(&jostle_convert::spec::to_proto(&self.spec, self.now.seed));
@@ -70,6 +86,8 @@ impl Source {
             (SOURCE, FROM_STEPS.to_owned()),
             ("every", self.every.to_string()),
         ];
-        About::from(about.map(|(key, value)| (key.to_owned(), value)))
+        let mut about = About::from(about.map(|(key, value)| (key.to_owned(), value)));
+        gaps::describe(&status.gaps, &mut about);
+        about
     }
 }

@@ -7,6 +7,7 @@ use jostle_proto::RecordingPhase as Phase;
 use jostle_results::recording::{Format, Written};
 use serde::{Deserialize, Serialize};
 
+use super::gaps::{Gap, Position};
 use crate::jobs::StatusFile;
 use crate::swarm::output::Subscription;
 
@@ -35,8 +36,18 @@ pub struct Status {
     pub phase: Phase,
     pub reason: Option<String>,
     pub frames: u64,
-    /// The number of dropped states.
+    /// The number of dropped states, and of those in gaps.
     pub missed: u64,
+    /// The number of states in gaps.
+    #[serde(default)]
+    pub lost: u64,
+    /// The newest gaps, in order.
+    #[serde(default)]
+    pub gaps: Vec<Gap>,
+    /// The first state that it contains if it is a multiple of `every`; `None` in recordings that an
+    /// earlier version began.
+    #[serde(default)]
+    pub began_at: Option<Position>,
     /// The number of finished parts.
     pub parts: u64,
     /// The bytes of these parts.
@@ -96,7 +107,8 @@ impl Entry {
         let mut status = self.status.clone();
         if let Some(subscription) = &self.subscription {
             status.missed += subscription.frames().1;
-            status.steps_left = subscription.steps_left();
+            // `None` until an interrupted recording has opened its files.
+            status.steps_left = subscription.steps_left().or(status.steps_left);
         }
         status
     }

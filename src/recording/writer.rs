@@ -6,22 +6,49 @@ use std::time::{Duration, Instant, SystemTime};
 use fail::fail_point;
 use jostle_results::recording::{About, Frame, Moment, Recorder, RecordingError, Written};
 
+use super::gaps::CountedTo;
+use super::source::Source;
+use super::status::Status;
 use crate::convert::{self, Payload};
 use crate::swarm::frame::{self, Event};
-use crate::swarm::output::{End, Item, Subscription};
+use crate::swarm::output::{End, Item, Passed, Subscription};
 
 /// The maximum duration of a part: at most as much is lost by a crash.
 const PART_DURATION: Duration = Duration::from_secs(60);
 
 pub struct RecordingWriter {
-    pub swarm: String,
-    pub subscription: Arc<Subscription>,
-    pub recorder: Recorder,
-    /// The states that were dropped before it resumed.
-    pub missed: u64,
+    swarm: String,
+    subscription: Arc<Subscription>,
+    recorder: Recorder,
+    /// What was counted before the first state of the subscription.
+    counted: CountedTo,
+    /// The states that were missed before it.
+    missed: u64,
+    /// What the subscription had passed when it enqueued the last written state.
+    passed: Passed,
 }
 
 impl RecordingWriter {
+    /// A writer of the states that a source has received since the recording had this status.
+    pub fn new(recorder: Recorder, source: &Source, status: &Status) -> Self {
+        let at = source.began_at();
+        RecordingWriter {
+            swarm: status.swarm.clone(),
+            subscription: source.subscription.clone(),
+            recorder,
+            counted: CountedTo {
+                at,
+                steps_left: status.steps_left,
+                lost: status.lost,
+            },
+            missed: status.missed,
+            passed: Passed {
+                at: (at.epoch, at.step),
+                ..Passed::default()
+            },
+        }
+    }
+
     /// Writes until the subscription has ended and its queue is empty, or a limit is reached. After
     /// each item it calls `progress` with whether a part has ended; a reason that `progress` returns ends
     /// the recording. The last part is finished after an error as well. Returns the reason, or `None`
@@ -33,6 +60,7 @@ impl RecordingWriter {
         let end = self.write_parts(progress);
         // The swarm does not wait for the end of the last part.
         self.subscription.end(None);
+        self.passed = self.subscription.passed();
         let (before, closing) = (self.recorder.written(), self.closing());
         match self.recorder.finish(&closing) {
             Ok(written) => (end, written),
@@ -49,7 +77,12 @@ impl RecordingWriter {
         loop {
             let parts = self.recorder.written().parts;
             match self.subscription.next(due) {
-                Ok(Some(Item::Frame(frame, taken))) => self.frame(&frame, taken)?,
+                // The swarm took more steps than it should record, before it was known how many.
+                Ok(Some(Item::Frame(_, _, passed))) if self.is_beyond(passed) => {}
+                Ok(Some(Item::Frame(frame, taken, passed))) => {
+                    self.frame(&frame, taken)?;
+                    self.passed = passed;
+                }
                 Ok(Some(Item::Event(event, taken))) => self.event(*event, taken)?,
                 Ok(None) => {}
                 Err(End::Closed(reason)) => return Ok(reason),
@@ -58,11 +91,11 @@ impl RecordingWriter {
             }
             let now = Instant::now();
             let is_due = now >= *due.get_or_insert_with(|| now + part_duration());
-            if is_due {
+            if is_due || self.recorder.is_part_full() {
                 self.recorder.end_part(&self.closing())?;
             }
             let has_ended = self.recorder.written().parts > parts;
-            if is_due || has_ended {
+            if has_ended || is_due {
                 due = None;
             }
             if let Some(reason) = progress(&self.recorder, has_ended) {
@@ -71,9 +104,22 @@ impl RecordingWriter {
         }
     }
 
+    fn is_beyond(&self, passed: Passed) -> bool {
+        let left = self.counted.steps_left;
+        left.is_some_and(|left| passed.steps > left)
+    }
+
+    /// The metadata that only the end of a part knows: what follows its last state is not counted, since
+    /// it is lost if the daemon crashes.
     fn closing(&self) -> About {
-        let (_, dropped) = self.subscription.frames();
-        About::from([("missed".to_owned(), (self.missed + dropped).to_string())])
+        let Passed { at, dropped, steps } = self.passed;
+        let left = self.counted.steps_left;
+        let counted = CountedTo {
+            at: at.into(),
+            steps_left: left.map(|left| left.saturating_sub(steps)),
+            ..self.counted
+        };
+        counted.describe(self.missed + dropped)
     }
 
     fn frame(&mut self, frame: &frame::Frame, taken: SystemTime) -> Result<(), RecordingError> {

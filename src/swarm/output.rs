@@ -56,10 +56,21 @@ pub enum Overflow {
 }
 
 pub enum Item {
-    /// A state and when it was enqueued.
-    Frame(Arc<Frame>, SystemTime),
+    /// A state, when it was enqueued, and what the subscription had passed by then.
+    Frame(Arc<Frame>, SystemTime, Passed),
     /// An event and when it was enqueued.
     Event(Box<Event>, SystemTime),
+}
+
+/// What a subscription has passed, up to a state.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Passed {
+    /// Epoch and step of the state, enqueued or not.
+    pub at: (u64, u64),
+    /// The number of dropped states.
+    pub dropped: u64,
+    /// The steps that the swarm has taken since the first state.
+    pub steps: u64,
 }
 
 #[derive(Clone)]
@@ -210,12 +221,13 @@ struct Contents {
     /// The frames among them, and their individuals.
     frames: usize,
     individuals: usize,
-    /// States that were enqueued or dropped, and those that were dropped.
+    /// States that were enqueued or dropped.
     states: u64,
-    dropped: u64,
-    /// Epoch and step of the last state, enqueued or not, and the steps that the swarm has taken.
-    last: Option<(u64, u64)>,
-    steps: u64,
+    /// Whether there was a state, and what was passed up to the last one.
+    has_begun: bool,
+    passed: Passed,
+    /// The steps after which the subscription ends.
+    max_steps: Option<u64>,
     is_reader_waiting: bool,
     is_swarm_waiting: bool,
     end: Option<End>,
@@ -229,7 +241,7 @@ impl Contents {
 
     fn remove(&mut self, index: usize) -> Option<Item> {
         let item = self.waiting.remove(index)?;
-        if let Item::Frame(frame, _) = &item {
+        if let Item::Frame(frame, ..) = &item {
             self.frames -= 1;
             self.individuals -= frame.configuration.n();
         }
@@ -244,9 +256,13 @@ impl Contents {
 
 impl Subscription {
     fn new(limits: Limits) -> Self {
+        let contents = Contents {
+            max_steps: limits.steps,
+            ..Contents::default()
+        };
         Subscription {
             limits,
-            contents: Mutex::default(),
+            contents: Mutex::new(contents),
             changed: Condvar::new(),
         }
     }
@@ -288,7 +304,7 @@ impl Subscription {
         let (mut frames, mut events) = (VecDeque::new(), Vec::new());
         for item in waiting {
             match item {
-                Item::Frame(frame, _) => frames.push_back(frame),
+                Item::Frame(frame, ..) => frames.push_back(frame),
                 Item::Event(event, _) => events.push(*event),
             }
         }
@@ -307,36 +323,57 @@ impl Subscription {
     /// The number of states that were enqueued or dropped, and of those that were dropped.
     pub fn frames(&self) -> (u64, u64) {
         let contents = self.contents.lock();
-        (contents.states, contents.dropped)
+        (contents.states, contents.passed.dropped)
+    }
+
+    /// What it has passed, up to the last state; nothing before the first.
+    pub fn passed(&self) -> Passed {
+        self.contents.lock().passed
     }
 
     pub fn count_dropped(&self, count: u64) {
-        self.contents.lock().dropped += count;
+        self.contents.lock().passed.dropped += count;
     }
 
     /// The remaining steps, if their number is limited.
     pub fn steps_left(&self) -> Option<u64> {
-        let steps = self.contents.lock().steps;
-        self.limits.steps.map(|all| all.saturating_sub(steps))
+        let contents = self.contents.lock();
+        let steps = contents.passed.steps;
+        contents.max_steps.map(|all| all.saturating_sub(steps))
+    }
+
+    /// Ends the subscription after this number of steps since its first state. The queue may contain
+    /// later states, if the swarm has taken more.
+    pub fn limit_steps(&self, steps: u64) {
+        let mut contents = self.contents.lock();
+        contents.max_steps = Some(steps);
+        self.end_if_complete(&mut contents);
+        self.unblock(contents);
     }
 
     /// The swarm has reached this epoch and step. Only for the thread of the swarm.
     pub fn push_state(&self, at: (u64, u64), frame: impl FnOnce() -> Arc<Frame>) {
         let mut contents = self.contents.lock();
-        if contents.end.is_some() || contents.last == Some(at) {
+        let has_begun = std::mem::replace(&mut contents.has_begun, true);
+        let (epoch, step) = contents.passed.at;
+        if contents.end.is_some() || (has_begun && contents.passed.at == at) {
             return;
         }
-        if let Some((epoch, step)) = contents.last.replace(at)
-            && epoch == at.0
-        {
-            contents.steps += at.1.saturating_sub(step);
+        if has_begun && epoch == at.0 {
+            contents.passed.steps += at.1.saturating_sub(step);
         }
+        contents.passed.at = at;
         if at.1.is_multiple_of(self.limits.every) {
             self.put_frame(&mut contents, frame);
         }
-        if self.limits.steps.is_some_and(|all| contents.steps >= all) {
-            contents.end = Some(End::Complete);
-            self.notify_reader(&mut contents);
+        self.end_if_complete(&mut contents);
+    }
+
+    fn end_if_complete(&self, contents: &mut Contents) {
+        let steps = contents.passed.steps;
+        if contents.max_steps.is_some_and(|all| steps >= all) {
+            contents.end.get_or_insert(End::Complete);
+            self.notify_reader(contents);
         }
     }
 
@@ -373,20 +410,20 @@ impl Subscription {
             Overflow::Block(_) => contents.is_full(limits, MAX_OVERFULL),
         };
         if is_dropped {
-            contents.dropped += 1;
+            contents.passed.dropped += 1;
             return was_empty;
         }
         let frame = frame();
         contents.frames += 1;
         contents.individuals += frame.configuration.n();
-        let item = Item::Frame(frame, SystemTime::now());
+        let item = Item::Frame(frame, SystemTime::now(), contents.passed);
         contents.waiting.push_back(item);
         while matches!(limits.overflow, Overflow::DropOldest)
             && contents.individuals > limits.individuals
             && contents.frames > 1
         {
             contents.remove_oldest(|it| matches!(it, Item::Frame(..)));
-            contents.dropped += 1;
+            contents.passed.dropped += 1;
         }
         self.notify_reader(contents);
         was_empty
@@ -414,6 +451,17 @@ impl Subscription {
         drop(contents);
         if let Overflow::Block(wake) = &self.limits.overflow
             && is_waiting
+        {
+            wake();
+        }
+    }
+}
+
+impl Drop for Subscription {
+    /// Wakes a swarm that waits for a queue which no longer has a reader.
+    fn drop(&mut self) {
+        if let Overflow::Block(wake) = &self.limits.overflow
+            && self.contents.get_mut().is_swarm_waiting
         {
             wake();
         }

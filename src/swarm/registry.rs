@@ -15,7 +15,7 @@ use tracing::warn;
 
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::error::SwarmError;
-use crate::swarm::frame::Summary;
+use crate::swarm::frame::{Frame, Summary};
 use crate::swarm::handle::{DeferredReply, Handle, Message, Outcome, Rejection, ReplyTo};
 use crate::swarm::metrics::Totals;
 use crate::swarm::output::Output;
@@ -78,12 +78,15 @@ pub enum RegistryError {
     Stopping,
 }
 
+/// Called on the thread of a recovered swarm, with its state, before it continues.
+pub type OnRecovered = Box<dyn FnOnce(&Handle, &Arc<Frame>) + Send>;
+
 enum StartFrom {
     Spec(Box<dyn PersistNew>),
     /// The checkpoint of another swarm, or a snapshot.
     Checkpoint(Box<Checkpoint>, Box<dyn PersistNew>),
     /// Its own stored checkpoint and journal.
-    Journal(Box<ReplaySource>),
+    Journal(Box<ReplaySource>, OnRecovered),
     Recording(Box<dyn Playback>),
 }
 
@@ -189,10 +192,11 @@ impl SwarmRegistry {
         name: &str,
         spec: Spec,
         past: ReplaySource,
+        on_recovered: OnRecovered,
         reply_to: impl FnOnce() -> ReplyTo,
     ) -> Result<(), RegistryError> {
         let memory_bytes = memory_of(past.checkpoint.simulation.state.configuration.n());
-        let from = StartFrom::Journal(Box::new(past));
+        let from = StartFrom::Journal(Box::new(past), on_recovered);
         self.start(
             &mut self.state.lock(),
             name,
@@ -402,7 +406,7 @@ impl SwarmRegistry {
                 (Checkpoint::start(simulation.checkpoint()), persist)
             }
             StartFrom::Checkpoint(checkpoint, persist) => (*checkpoint, persist),
-            StartFrom::Journal(past) => {
+            StartFrom::Journal(past, on_recovered) => {
                 let (mut worker, _, end) = past.fold(handle, min_interval, writer);
                 if let Some(end) = end {
                     return Ok(Err(end));
@@ -411,7 +415,9 @@ impl SwarmRegistry {
                 if let Err(fault) = worker.resume(reserve) {
                     warn!(swarm = name, %fault, "failed to journal the restart");
                 }
-                return Ok(Ok((worker.stamp_and_frame(), Box::new(worker))));
+                let (stamp, frame) = worker.stamp_and_frame();
+                on_recovered(handle, &frame);
+                return Ok(Ok(((stamp, frame), Box::new(worker))));
             }
             StartFrom::Recording(playback) => {
                 return playback.start(handle, min_interval).map(Ok);

@@ -1,6 +1,8 @@
 //! Recordings by the daemon: complete files after resets, kills and disk failures.
 
+mod failures;
 mod fetched;
+mod restarts;
 mod steps;
 
 use std::fs;

@@ -15,7 +15,7 @@ use std::time::Duration;
 use jostle_physics::simulation::Spec;
 use jostle_proto::{Arguments, keys};
 
-pub use record::{count, resume};
+pub use record::count;
 
 use crate::api::context::{Context, Parsed};
 use crate::api::incoming::Incoming;

@@ -1,20 +1,15 @@
 //! `record`: the recordings that the daemon writes.
 
-use std::sync::Arc;
-
 use jostle_convert::WireError;
 use jostle_proto::{DEFAULT_MAX_RECORDING_BYTES, NodeReply, RecordArgs, RecordingFormat};
-use tracing::warn;
 
-use crate::api::context::{Context, Executor, Parsed};
+use crate::api::context::{Context, Parsed};
 use crate::api::responder::Responder;
 use crate::convert::commands::{CommandError, check_name};
 use crate::convert::{self, Payload};
 use crate::health::RecordingCounts;
 use crate::recording::{Phase, RecordError, Recordings, Source, Status};
-use crate::swarm::error::SwarmError;
 use crate::swarm::handle::{Message, Outcome, Rejection, ReplyTo};
-use crate::swarm::registry::SwarmRegistry;
 
 impl Context {
     pub(super) fn record(
@@ -132,39 +127,4 @@ pub fn count(recordings: &Recordings) -> RecordingCounts {
         }
     }
     counts
-}
-
-/// Resumes the recordings that were being written when the daemon ended.
-pub fn resume(
-    recordings: &Recordings,
-    files: &Executor<Recordings>,
-    registry: &Arc<SwarmRegistry>,
-) {
-    for (name, standing) in recordings.interrupted() {
-        let resume = {
-            let (files, name) = (files.clone(), name.clone());
-            move |source| files.submit(move |recordings| recordings.resume(&name, source))
-        };
-        let Some(handle) = registry.find(&standing.swarm) else {
-            resume(None);
-            continue;
-        };
-        let tapped = handle.clone();
-        handle.send(Message::Query(ReplyTo::new(
-            move |answered| match answered {
-                Ok((_, Outcome::State(now))) => {
-                    resume(Some(Source::subscribe(&tapped, &now, &standing)));
-                }
-                Err(Rejection {
-                    error: SwarmError::Gone,
-                    ..
-                }) => resume(None),
-                // It is resumed when the daemon restarts.
-                _ => warn!(
-                    recording = name,
-                    "the swarm of the recording does not reply"
-                ),
-            },
-        )));
-    }
 }

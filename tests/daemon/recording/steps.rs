@@ -348,7 +348,7 @@ async fn a_recording_ends_at_its_size_and_all_of_them_at_the_quota() {
     let begun = begin(&client, args).await;
     assert_eq!(begun["max_bytes"], 1_u64 << 30);
     let large = wait_until_ended(&client, "large").await;
-    assert_eq!(large["phase"], "ended", "{large}");
+    assert_eq!(large["phase"], "failed", "{large}");
     assert!(
         large["reason"]
             .as_str()
@@ -392,10 +392,7 @@ async fn after_a_kill_the_steps_are_evenly_spaced_in_each_epoch() {
         .unwrap();
     has(&client, "take", "parts", before + 2).await;
     let stopped = stop(&client, "take").await;
-    assert_eq!(
-        (&stopped["every"], &stopped["missed"]),
-        (&json!(3), &json!(0))
-    );
+    assert_eq!(stopped["every"], 3);
     let (states, _) = states(data.path(), "take");
     for pair in states.windows(2) {
         let [a, b] = pair else { unreachable!() };

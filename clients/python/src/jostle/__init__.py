@@ -94,7 +94,13 @@ from ._metrics import Metrics, RecordingMetrics, StoreMetrics, SwarmMetrics
 from ._node import Hello, Limits, NodeStatus, Schemas, SwarmSummary
 from ._objective import Objective
 from ._recording import RecordedFrame, Recording, read_recording
-from ._recordings import RecordingFormat, RecordingPhase, RecordingStatus
+from ._recordings import (
+    RecordedAt,
+    RecordingFormat,
+    RecordingGap,
+    RecordingPhase,
+    RecordingStatus,
+)
 from ._repr import HtmlList
 from ._results import ExperimentPhase, ExtraValue, OrderSeries, Progress, ResultRow, RunUnderWay
 from ._snapshot import Snapshot
@@ -164,9 +170,11 @@ __all__ = [
     "Pose",
     "Progress",
     "Puts",
+    "RecordedAt",
     "RecordedFrame",
     "Recording",
     "RecordingFormat",
+    "RecordingGap",
     "RecordingMetrics",
     "RecordingPhase",
     "RecordingStatus",

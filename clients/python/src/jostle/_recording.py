@@ -107,9 +107,10 @@ class Recording:
     Attributes:
         path: The file, or the folder of parts.
         about: Its metadata: `swarm`, `spec` and `parameters` as JSON, `version`, `frames`, and
-            `missed`, the number of dropped states. If `source` is `steps`, it has every state whose
-            step is a multiple of `every`; if it is `published`, the published states that were
-            received.
+            `missed`, the number of missing states. If the daemon lost some of them when it ended,
+            `gaps` lists as JSON between which states they were. If `source` is `steps`, it has
+            every other state whose step is a multiple of `every`; if it is `published`, the
+            published states that were received.
     """
 
     path: Path

@@ -23,6 +23,27 @@ RecordingPhase = Literal["recording", "ended", "failed"]
 for `reason`; or it has failed."""
 
 
+class RecordedAt(HtmlStruct, frozen=True, kw_only=True):
+    """The epoch and step of a state in a recording."""
+
+    epoch: int
+    step: int
+
+
+class RecordingGap(HtmlStruct, frozen=True, kw_only=True):
+    """States that a recording lost because the daemon ended before their file was complete.
+
+    Attributes:
+        after: The state up to which none is missing; None if the recording begins with the gap.
+        until: The state at which the recording continues.
+        missed: Number of missing states.
+    """
+
+    after: RecordedAt | None
+    until: RecordedAt
+    missed: int
+
+
 class RecordingStatus(HtmlStruct, frozen=True, kw_only=True):
     """The status of a recording of a daemon; of a deleted one, its last status.
 
@@ -35,7 +56,10 @@ class RecordingStatus(HtmlStruct, frozen=True, kw_only=True):
         phase: Its phase.
         reason: Why it ended or failed.
         frames: Number of recorded states.
-        missed: Number of states that were dropped because the disk was too slow.
+        missed: Number of missing states: those that were dropped because the disk was too slow,
+            and those in `lost`.
+        lost: Number of them that were lost because the daemon ended before their file was complete.
+        gap: Where the last of these were; None if none was lost.
         parts: Number of complete files.
         bytes: Bytes of these files.
         began_unix_secs: Its beginning, seconds since 1970.
@@ -54,6 +78,8 @@ class RecordingStatus(HtmlStruct, frozen=True, kw_only=True):
     reason: str | None = None
     frames: int
     missed: int
+    lost: int = 0
+    gap: RecordingGap | None = None
     parts: int
     bytes: int
     began_unix_secs: int

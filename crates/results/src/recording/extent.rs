@@ -9,7 +9,8 @@ use ::parquet::file::reader::FileReader as _;
 use mcap::sans_io::summary_reader::{SummaryReadEvent, SummaryReader};
 
 use super::error::{self, io_error};
-use super::{Format, RecordingError, bytes_at, mcap as written};
+use super::reading::read;
+use super::{About, Format, RecordingError, bytes_at, mcap as written};
 use crate::table::parquet;
 
 /// The metadata key for the number of frames of a part.
@@ -49,14 +50,29 @@ impl Extent {
 }
 
 fn frames_of_parquet(part: &Path) -> Result<u64, RecordingError> {
-    let reader = parquet::open(part).map_err(error::unreadable)?;
-    let metadata = reader.metadata().file_metadata().key_value_metadata();
-    let frames = metadata
-        .into_iter()
-        .flatten()
-        .find(|pair| pair.key == FRAMES)
-        .and_then(|pair| pair.value.as_ref()?.parse().ok());
+    let about = of_parquet(part)?;
+    let frames = about.get(FRAMES).and_then(|it| it.parse().ok());
     frames.ok_or_else(|| unreadable(part, "its metadata have no number of frames"))
+}
+
+/// Reads the metadata of a whole file. In MCAP this reads and checks all of it.
+///
+/// # Errors
+///
+/// [`RecordingError::Unreadable`], [`RecordingError::Io`], [`RecordingError::UnknownKind`].
+pub fn metadata(path: &Path) -> Result<About, RecordingError> {
+    match Format::of(path)? {
+        Format::Mcap => read(path, |_| Ok(())),
+        Format::Parquet => of_parquet(path),
+    }
+}
+
+fn of_parquet(part: &Path) -> Result<About, RecordingError> {
+    let reader = parquet::open(part).map_err(error::unreadable)?;
+    let pairs = reader.metadata().file_metadata().key_value_metadata();
+    let pairs = pairs.into_iter().flatten();
+    let about = pairs.filter_map(|pair| Some((pair.key.clone(), pair.value.clone()?)));
+    Ok(about.collect())
 }
 
 fn of_mcap(part: &Path, mut file: File, length: u64) -> Result<(u64, u64), RecordingError> {

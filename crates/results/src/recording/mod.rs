@@ -29,6 +29,7 @@ use std::time::SystemTime;
 use serde::{Deserialize, Serialize};
 
 pub use self::error::RecordingError;
+pub use self::extent::metadata;
 pub use self::folder::{parts, sweep};
 pub use self::reading::{Message, bytes_at, read};
 pub use self::recorder::Recorder;

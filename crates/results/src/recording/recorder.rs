@@ -13,7 +13,7 @@ use super::temp_file::TempFile;
 use super::timeline::Timeline;
 use super::{About, Decode, Format, Frame, Moment, RecordingError, Written, recovery};
 
-/// A part of a folder is ended once it has this length.
+/// A part of a folder is full once it has this length.
 const PART_BYTES: u64 = 64 * 1024 * 1024;
 
 /// Writes a recording: one file, or the parts of a folder.
@@ -152,11 +152,13 @@ impl Recorder {
             }
         }
         self.written.frames += 1;
-        if matches!(self.destination, Destination::Folder(_)) && self.bytes_of_part() >= PART_BYTES
-        {
-            self.end_part(&About::new())?;
-        }
         Ok(())
+    }
+
+    /// Whether the current part is so long that the caller should end it, if it is one of a folder.
+    #[must_use]
+    pub fn is_part_full(&self) -> bool {
+        self.bytes_of_part() >= PART_BYTES
     }
 
     /// Flushes all recorded frames to the operating system, with the metadata `so_far`, so that

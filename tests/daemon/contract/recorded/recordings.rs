@@ -21,9 +21,18 @@ pub async fn record_fixtures(recorded: &Recorded) {
     first.end();
     // A recording in Parquet by version 1a581a9.
     let stored = Path::new(ROOT).join("tests/stored/1a581a9/data/recordings/table/recording.json");
-    let folder = data.path().join("recordings/table");
-    fs::create_dir_all(&folder).unwrap();
-    fs::copy(stored, folder.join("recording.json")).unwrap();
+    let stored: Value = serde_json::from_slice(&fs::read(stored).unwrap()).unwrap();
+    // One that has lost states when the daemon was killed.
+    let mut cut = stored.clone();
+    cut["format"] = json!("mcap");
+    (cut["missed"], cut["lost"]) = (json!(8), json!(5));
+    let [after, until] = [(2, 100), (3, 220)].map(|it| json!({"epoch": it.0, "step": it.1}));
+    cut["gaps"] = json!([{"after": after, "until": until, "missed": 5}]);
+    for (name, status) in [("table", stored), ("cut", cut)] {
+        let folder = data.path().join("recordings").join(name);
+        fs::create_dir_all(&folder).unwrap();
+        fs::write(folder.join("recording.json"), status.to_string()).unwrap();
+    }
     let process = RecordingClient::start_process(&data, "", &[]);
     let client = Client::open(&process.endpoint).await;
     let recorder = RecordingClient::with_daemon(recorded, process, client, data);

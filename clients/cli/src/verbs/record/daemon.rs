@@ -1,8 +1,8 @@
 //! Recordings on the daemon: start, list, stop, delete.
 
 use jostle_proto::{
-    BeginRecordingArgs, NodeReply, RecordArgs, Recording, RecordingFormat, RecordingName,
-    RecordingPhase, Recordings,
+    BeginRecordingArgs, NodeReply, RecordArgs, Recording, RecordingFormat, RecordingGap,
+    RecordingName, RecordingPhase, Recordings,
 };
 
 use crate::arguments::RecordArguments;
@@ -71,7 +71,7 @@ async fn list(context: &Context) -> Result<(), Failure> {
         "no recordings on {}: `jostle record SWARM --at-daemon` starts one",
         reply.node
     );
-    let columns: [Column<Recording>; 10] = [
+    let columns: [Column<Recording>; 11] = [
         ("recording", |it| it.recording.clone()),
         ("swarm", |it| it.swarm.clone()),
         ("phase", |it| phase(it.phase).into()),
@@ -82,6 +82,7 @@ async fn list(context: &Context) -> Result<(), Failure> {
         ("every", |it| format::or_none(it.every)),
         ("frames", |it| it.frames.to_string()),
         ("missed", |it| it.missed.to_string()),
+        ("gap", |it| format::or_none(it.gap.map(gap))),
         ("parts", |it| it.parts.to_string()),
         ("size", |it| format::bytes(it.bytes)),
         ("reason", |it| format::or_none(it.reason.as_ref())),
@@ -111,10 +112,14 @@ fn describe(it: &Recording) -> String {
         format::count(it.parts, "part"),
         format::bytes(it.bytes)
     );
-    if it.missed > 0 {
-        text.push_str(&super::fetch::dropped_note(it.missed));
-    }
+    text.push_str(&super::fetch::missing_note(it));
     text
+}
+
+/// The steps between which the last lost states were.
+fn gap(RecordingGap { after, until, .. }: RecordingGap) -> String {
+    let after = after.map(|at| at.step.to_string()).unwrap_or_default();
+    format!("{after}..{}", until.step)
 }
 
 fn phase(phase: RecordingPhase) -> &'static str {
@@ -122,5 +127,56 @@ fn phase(phase: RecordingPhase) -> &'static str {
         RecordingPhase::Recording => "recording",
         RecordingPhase::Ended => "ended",
         RecordingPhase::Failed => "failed",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use jostle_proto::RecordedAt;
+
+    use super::*;
+
+    #[test]
+    fn a_gap_is_named_apart_from_states_that_were_left_out() {
+        let at = |epoch, step| RecordedAt { epoch, step };
+        let mut recording = Recording {
+            recording: "take".to_owned(),
+            swarm: "school".to_owned(),
+            format: RecordingFormat::Mcap,
+            every: Some(1),
+            phase: RecordingPhase::Ended,
+            reason: Some("stopped".to_owned()),
+            frames: 40,
+            missed: 0,
+            lost: 0,
+            gap: None,
+            parts: 2,
+            bytes: 2048,
+            began_unix_secs: 0,
+            drop_when_behind: true,
+            max_bytes: None,
+            temporary: false,
+        };
+        let whole = "take is ended (stopped): 40 frames of school in 2 parts, 2.0 KiB";
+        assert_eq!(describe(&recording), whole);
+        (recording.missed, recording.lost) = (12, 9);
+        recording.gap = Some(RecordingGap {
+            after: Some(at(1, 30)),
+            until: at(2, 40),
+            missed: 9,
+        });
+        let missing = "; 3 were left out because the disk was behind; 9 were lost when the daemon \
+                       ended, the last between step 30 of epoch 1 and step 40 of epoch 2";
+        assert_eq!(describe(&recording), format!("{whole}{missing}"));
+        assert_eq!(recording.gap.map(gap).as_deref(), Some("30..40"));
+        recording.missed = 9;
+        recording.gap = Some(RecordingGap {
+            after: None,
+            until: at(2, 40),
+            missed: 9,
+        });
+        let missing = "; 9 were lost when the daemon ended, the last before step 40 of epoch 2";
+        assert_eq!(describe(&recording), format!("{whole}{missing}"));
+        assert_eq!(recording.gap.map(gap).as_deref(), Some("..40"));
     }
 }

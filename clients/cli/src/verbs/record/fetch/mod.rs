@@ -16,8 +16,8 @@ use base64::engine::general_purpose::STANDARD;
 use indicatif::ProgressBar;
 use jostle_client::{CommandOptions, Error};
 use jostle_proto::{
-    BeginRecordingArgs, ErrorCode, NodeReply, RecordArgs, Recording, RecordingFormat,
-    RecordingName, RecordingPhase, RecordingPiece, Recordings,
+    BeginRecordingArgs, ErrorCode, NodeReply, RecordArgs, RecordedAt, Recording, RecordingFormat,
+    RecordingGap, RecordingName, RecordingPhase, RecordingPiece, Recordings,
 };
 use jostle_results::recording::{
     self, About, FROM_STEPS, Recorder, RecordingError, Written, parts,
@@ -240,8 +240,8 @@ impl Fetching<'_> {
             self.bar.set_position(steps);
         }
         let frames = format::count(frames, "frame");
-        let dropped = dropped_note(recording.missed);
-        self.bar.set_message(format!("{frames}{dropped}"));
+        let missing = missing_note(&recording);
+        self.bar.set_message(format!("{frames}{missing}"));
         Ok(recording)
     }
 
@@ -292,7 +292,9 @@ impl Fetching<'_> {
             Some(part) => recording::read(part, |_| Ok(()))?,
             None => About::new(),
         };
-        about.retain(|key, _| !["frames", "missed"].contains(&key.as_str()));
+        // Of a part, not of the whole recording.
+        let of_part = |key: &str| ["frames", "missed", "counted_to"].contains(&key);
+        about.retain(|key, _| !of_part(key));
         about.insert("swarm".to_owned(), self.recording.swarm.clone());
         let mut recorder = Recorder::to_file(self.out, self.force, about, decode)?;
         let mut closing = About::new();
@@ -312,6 +314,7 @@ impl Fetching<'_> {
             }
         }
         let Recording { missed, .. } = self.recording;
+        closing.retain(|key, _| !of_part(key));
         let frames = recorder.written().frames.to_string();
         closing.extend([
             ("frames".to_owned(), frames),
@@ -349,6 +352,8 @@ impl Fetching<'_> {
             swarm,
             every,
             missed,
+            lost,
+            gap,
             reason,
             ..
         } = &self.recording;
@@ -359,7 +364,7 @@ impl Fetching<'_> {
             return output.document(&json!({
                 "swarm": swarm, "file": file, "frames": frames, "missed": missed, "bytes": bytes,
                 "source": FROM_STEPS, "every": every, "recording": recording, "reason": reason,
-                "kept": is_kept,
+                "kept": is_kept, "lost": lost, "gap": gap,
             }));
         }
         if let Some(reason) = reason.as_ref().filter(|it| *it != "stopped") {
@@ -379,7 +384,7 @@ impl Fetching<'_> {
             "recorded {} of {swarm} to {file}, {}{which}{}",
             format::count(frames, "frame"),
             format::bytes(bytes),
-            dropped_note(*missed)
+            missing_note(&self.recording)
         ))
     }
 
@@ -440,10 +445,24 @@ fn may_pass(failure: &Failure) -> bool {
     })
 }
 
-/// A note about states that the daemon dropped.
-pub fn dropped_note(missed: u64) -> String {
-    match missed {
+/// A note about the states that are missing, and where the last of those were that the daemon lost.
+pub fn missing_note(recording: &Recording) -> String {
+    let Recording {
+        missed, lost, gap, ..
+    } = recording;
+    let mut note = match missed.saturating_sub(*lost) {
         0 => String::new(),
-        _ => format!("; {missed} were left out because the disk was behind"),
+        dropped => format!("; {dropped} were left out because the disk was behind"),
+    };
+    if *lost > 0 {
+        note.push_str(&format!("; {lost} were lost when the daemon ended"));
     }
+    if let Some(RecordingGap { after, until, .. }) = gap {
+        let at = |at: &RecordedAt| format!("step {} of epoch {}", at.step, at.epoch);
+        note.push_str(&match after {
+            Some(after) => format!(", the last between {} and {}", at(after), at(until)),
+            None => format!(", the last before {}", at(until)),
+        });
+    }
+    note
 }
