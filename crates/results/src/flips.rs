@@ -199,6 +199,21 @@ fn a_page_is_read_without_the_other_row_groups() {
     assert_eq!(table::parquet::check(&path).map_err(named), Err(path));
 }
 
+#[test]
+fn a_file_that_another_program_wrote_with_the_same_metadata_is_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join(table::PARQUET_NAME);
+    table::write_parquet(&path, &samples()).unwrap();
+    let mut bytes = fs::read(&path).unwrap();
+    // Of the same length, so that the footer still parses; the hash of the footer is not its own then.
+    let writer = b"parquet-rs version";
+    let mut windows = bytes.windows(writer.len());
+    let at = windows.rposition(|it| it == writer).unwrap();
+    bytes[at..at + writer.len()].copy_from_slice(b"parquet-cpp-arrow ");
+    fs::write(&path, bytes).unwrap();
+    assert_eq!(table::read(&path).map_err(named), Ok(samples()));
+}
+
 /// Records states of four individuals.
 fn record(path: &Path) {
     let about = [("swarm", "school"), ("spec", "{\"n\":4}")];
