@@ -43,6 +43,7 @@ struct ByteRange {
     file: usize,
     offset: u64,
     bytes: usize,
+    checksum: u32,
 }
 
 impl McapSource {
@@ -142,6 +143,7 @@ impl McapSource {
             file: self.files.len() - 1,
             offset: message.offset,
             bytes: message.bytes.len(),
+            checksum: recording::checksum(message.bytes),
         });
         Ok(())
     }
@@ -199,6 +201,12 @@ impl McapSource {
         let range = &self.ranges[frame];
         let bytes = recording::bytes_at(&mut self.files[range.file], range.offset, range.bytes)
             .map_err(|error| format!("frame {} cannot be read: {error}", frame + 1))?;
+        if recording::checksum(&bytes) != range.checksum {
+            let frame = frame + 1;
+            return Err(format!(
+                "frame {frame} is damaged: the file has changed since it was opened"
+            ));
+        }
         let since = self.parameters.partition_point(|(from, _)| *from <= frame);
         let parameters = self.parameters[since - 1].1;
         convert::decode_state(&bytes, parameters).map(|(_, frame)| frame)

@@ -4,7 +4,7 @@ use std::fs;
 use std::time::Duration;
 
 use jostle_proto::{Error, ErrorCode, State, keys};
-use jostle_results::recording::{About, Recorder};
+use jostle_results::recording::{self, About, Recorder};
 use serde_json::{Value, json};
 
 use crate::support::playback::{record, replay, state, upload_and_open, upload_piece};
@@ -369,5 +369,39 @@ async fn pieces_that_do_not_fit_and_files_that_are_no_recordings_are_rejected() 
     let left = fs::read_dir(daemon.data_dir().join("replays")).unwrap();
     assert_eq!(left.count(), 0);
     upload_and_open(client, "t", &file).await.unwrap();
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_frame_that_changes_after_it_was_opened_is_not_shown() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("take.mcap");
+    record(client, &path).await;
+    let file = fs::read(&path).unwrap();
+    upload_and_open(client, "tape", &file).await.unwrap();
+    let mut last = (0, 0);
+    let read = recording::read(&path, |message| {
+        if message.topic == "state" {
+            last = (message.offset, message.bytes.len());
+        }
+        Ok(())
+    });
+    read.unwrap();
+    let mut uploads = fs::read_dir(daemon.data_dir().join("replays")).unwrap();
+    let upload = uploads.next().unwrap().unwrap().path();
+    let mut changed = fs::read(&upload).unwrap();
+    // A digit of a number in the middle of the last state.
+    changed[last.0 as usize + last.1 / 2] ^= 1;
+    fs::write(&upload, changed).unwrap();
+
+    let key = keys::cmd(PREFIX, "tape", "seek");
+    let payload = json!({ "args": {"fraction": 1.0} }).to_string();
+    let _ = client.query(&key, Some(payload.as_bytes())).await;
+    let status = client.get("tape", "status").await;
+    assert_eq!(status["result"]["phase"], "faulted", "{status}");
+    let reason = status["result"]["reason"].as_str().unwrap();
+    assert!(reason.contains("frame 52 is damaged"), "{reason}");
     daemon.stop().await;
 }

@@ -31,7 +31,7 @@ use serde::{Deserialize, Serialize};
 pub use self::error::RecordingError;
 pub use self::extent::metadata;
 pub use self::folder::{parts, sweep};
-pub use self::reading::{Message, bytes_at, read};
+pub use self::reading::{Message, bytes_at, checksum, read};
 pub use self::recorder::Recorder;
 pub use self::recovery::{Recovered, Recovery, is_unfinished, recover};
 pub use self::temp_file::{PARTIAL, is_being_written, partial};

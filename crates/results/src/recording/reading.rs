@@ -127,6 +127,12 @@ pub fn bytes_at(file: &mut File, offset: u64, length: usize) -> io::Result<Vec<u
     Ok(bytes)
 }
 
+/// Returns a checksum of the bytes of a message, to compare with what [`bytes_at`] returns later.
+#[must_use]
+pub fn checksum(bytes: &[u8]) -> u32 {
+    crc32fast::hash(bytes)
+}
+
 struct Reading<F> {
     each: F,
     about: About,
