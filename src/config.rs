@@ -97,6 +97,8 @@ pub struct Config {
     pub quota_bytes: u64,
     /// Maximum size of all recordings, in bytes.
     pub recordings_quota_bytes: u64,
+    /// Maximum size of all experiments, in bytes; `None` for the whole disk.
+    pub experiments_quota_bytes: Option<u64>,
     /// Maximum number of experiment runs in parallel; `None` for the number of cores.
     pub experiment_threads: Option<NonZero<usize>>,
 }
@@ -153,6 +155,10 @@ impl Config {
             None => None,
             Some(_) => NonZero::new(number("experiment_threads", 1024)? as usize),
         };
+        let experiments_quota_bytes = match some_text("experiments_quota_mb") {
+            None => None,
+            Some(_) => Some(mebibytes("experiments_quota_mb", 1 << 30)?),
+        };
         Ok(Config {
             listen,
             http: text("http"),
@@ -171,6 +177,7 @@ impl Config {
             auth_dir: some_text("auth_dir").map(PathBuf::from),
             quota_bytes: mebibytes("quota_mb", 1 << 20)?,
             recordings_quota_bytes: mebibytes("recordings_quota_mb", 1 << 30)?,
+            experiments_quota_bytes,
             experiment_threads,
         })
     }

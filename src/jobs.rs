@@ -73,6 +73,11 @@ impl<T: StatusFile> JobDirectory<T> {
         fs::symlink_metadata(self.folder(name)).is_ok()
     }
 
+    /// The folder of all jobs.
+    pub fn root(&self) -> &Path {
+        &self.root
+    }
+
     /// The folder of a job.
     pub fn folder(&self, name: &str) -> PathBuf {
         self.root.join(name)

@@ -53,6 +53,13 @@ pub struct Metrics {
     /// What they may take, in bytes: those that go on end there, and none begins.
     #[serde(default)]
     pub recordings_quota_bytes: u64,
+    /// What all experiments take on disk, in bytes; earlier daemons do not count it.
+    #[serde(default)]
+    pub experiments_bytes: Option<u64>,
+    /// What they may take, in bytes: the one that goes on is paused there, and none begins; `null` if
+    /// they may take the whole disk.
+    #[serde(default)]
+    pub experiments_quota_bytes: Option<u64>,
     /// Every swarm, ordered by name.
     pub swarms: Vec<SwarmMetrics>,
 }

@@ -312,9 +312,10 @@ impl Files {
         let [experiments, recordings, replays] =
             ["experiments", "recordings", "replays"].map(|name| config.data_dir.join(name));
         let threads = config.experiment_threads();
+        let quota_bytes = config.experiments_quota_bytes;
         let opened = spawn_blocking({
             let folder = experiments.clone();
-            move || ExperimentManager::open(&folder, threads)
+            move || ExperimentManager::open(&folder, threads, quota_bytes)
         });
         let opened = opened.await.expect("opening does not panic");
         let experiments = opened.map_err(folder_error(&experiments))?;
@@ -428,6 +429,7 @@ fn start_watch(
         store: core.store.clone(),
         rights: core.rights.clone(),
         recordings: files.recordings.clone(),
+        experiments: files.experiments.clone(),
         threads: vec![
             ("dispatch", dispatch),
             ("publish", core.publisher.activity.clone()),

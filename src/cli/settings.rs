@@ -72,6 +72,10 @@ struct Settings {
     /// Maximum size of all recordings, in MiB; a recording that reaches it ends, its swarm continues
     #[arg(long, value_name = "MIB", default_value = "10240")]
     recordings_quota_mb: String,
+    /// Maximum size of all experiments, in MiB; an experiment that reaches it is paused; empty for the
+    /// whole disk but 64 MiB
+    #[arg(long, value_name = "MIB", default_value = "")]
+    experiments_quota_mb: String,
     /// Maximum number of experiment runs in parallel; empty for the number of cores
     #[arg(long, value_name = "N", default_value = "")]
     experiment_threads: String,

@@ -40,6 +40,8 @@ pub fn metrics(current: &DaemonMetrics) -> proto::Metrics {
         },
         recordings_bytes: current.recordings_bytes.0,
         recordings_quota_bytes: current.recordings_bytes.1,
+        experiments_bytes: Some(current.experiments.used),
+        experiments_quota_bytes: current.experiments.quota,
         swarms: current.swarms.iter().map(swarm).collect(),
     }
 }

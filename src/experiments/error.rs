@@ -65,6 +65,30 @@ pub enum ExperimentError {
     TooMany(usize),
     #[error("{0}")]
     TooLong(String),
+    #[error(
+        "the experiment needs up to {} on disk, {} are free{}: free disk space, raise record_every or \
+         series_every, or split the experiment", size(*needed), size(*free), kept(*reserved)
+    )]
+    NoRoom {
+        needed: u64,
+        /// What is free for it, in bytes.
+        free: u64,
+        /// What unfinished experiments may still write, in bytes.
+        reserved: u64,
+    },
+    #[error(
+        "the experiment needs up to {} on disk, {} of {} are left (experiments_quota_mb){}: delete one \
+         that is over, or raise the setting", size(*needed), size(*left), size(*quota), kept(*reserved)
+    )]
+    OverQuota {
+        needed: u64,
+        /// What is left for it, in bytes.
+        left: u64,
+        /// What unfinished experiments may still write, in bytes.
+        reserved: u64,
+        /// `experiments_quota_mb` in bytes.
+        quota: u64,
+    },
     #[error("cannot write the experiment: {0}")]
     NotStored(String),
     #[error("cannot read the experiment: {0}")]
@@ -93,12 +117,29 @@ impl ExperimentError {
         }
     }
 
+    /// The message of an experiment that may need less.
+    pub(super) fn as_warning(&self) -> String {
+        format!("{self}; it may need less, and is paused if it does not")
+    }
+
     pub(super) fn not_stored(error: impl Display) -> Self {
         ExperimentError::NotStored(error.to_string())
     }
 
     pub(super) fn unreadable(error: impl Display) -> Self {
         ExperimentError::Unreadable(error.to_string())
+    }
+}
+
+/// A number of bytes, rounded up to MiB.
+fn size(bytes: u64) -> String {
+    format!("{} MiB", bytes.div_ceil(1 << 20))
+}
+
+fn kept(reserved: u64) -> String {
+    match reserved {
+        0 => String::new(),
+        reserved => format!(" beside the {} that unfinished ones need", size(reserved)),
     }
 }
 

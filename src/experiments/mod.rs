@@ -3,6 +3,7 @@
 //! An unfinished experiment resumes with its first unfinished run when the daemon restarts. While
 //! one is paused, its runs are suspended and the next experiment is executed.
 
+mod disk;
 mod error;
 mod missing_files;
 mod results;
@@ -24,6 +25,7 @@ use jostle_results::table::{OrderSeries, Series, Trajectory};
 use parking_lot::{Condvar, Mutex, MutexGuard};
 use tracing::{info, warn};
 
+pub use self::disk::DiskUsage;
 pub use self::error::ExperimentError;
 use self::results::{Results, ResultsCache, Rows};
 pub use self::status::Report;
@@ -55,6 +57,8 @@ pub struct TrajectoryRows {
 struct Shared {
     jobs: JobDirectory<Status>,
     threads: usize,
+    /// The maximum of the bytes of all experiments.
+    quota_bytes: Option<u64>,
     results: ResultsCache,
     /// Held during a request that changes an experiment.
     serialize_changes: Mutex<()>,
@@ -71,13 +75,16 @@ struct State {
     is_stopping: bool,
     /// Whether the orderly end of what was running is stored.
     is_stop_stored: bool,
+    /// Whether the sizes of those that existed at the start are known.
+    is_measured: bool,
     /// Increases with every change of a phase.
     version: u64,
 }
 
 impl ExperimentManager {
-    /// Opens the experiments in a folder, and resumes the unfinished ones on so many threads.
-    pub fn open(folder: &Path, threads: usize) -> io::Result<Self> {
+    /// Opens the experiments in a folder, and resumes the unfinished ones on so many threads. Their
+    /// files take at most `quota_bytes`.
+    pub fn open(folder: &Path, threads: usize, quota_bytes: Option<u64>) -> io::Result<Self> {
         let jobs = JobDirectory::open(folder)?;
         let mut state = State::default();
         for (name, status) in jobs.list()? {
@@ -90,13 +97,17 @@ impl ExperimentManager {
         let manager = ExperimentManager(Arc::new(Shared {
             jobs,
             threads: threads.max(1),
+            quota_bytes,
             results: ResultsCache::default(),
             serialize_changes: Mutex::default(),
             serialize_writes: Mutex::default(),
             state: Mutex::new(state),
             changed: Condvar::new(),
         }));
-        manager.schedule_next(&mut manager.lock());
+        for entry in manager.lock().entries.values_mut() {
+            entry.need = entry.plan.as_ref().map(|plan| manager.need(plan));
+        }
+        manager.measure_all();
         manager.find_missing_files()?;
         Ok(manager)
     }
@@ -136,6 +147,8 @@ impl ExperimentManager {
         if count >= MAX_EXPERIMENTS {
             return Err(ExperimentError::TooMany(count));
         }
+        let need = self.need(&plan);
+        let warning = self.check_need(need)?;
         Folder::open(&folder, &plan).map_err(ExperimentError::not_stored)?;
         let mut status = Status::queued(number);
         status.count(plan.runs().len(), 0);
@@ -145,6 +158,8 @@ impl ExperimentManager {
         let entry = Entry {
             status,
             plan: Some(Arc::new(plan)),
+            bytes: self.measure(&name),
+            need: Some(need),
             execution: None,
             number_of_execution: 0,
         };
@@ -152,7 +167,9 @@ impl ExperimentManager {
         state.entries.insert(name.clone(), entry);
         self.schedule_next(&mut state);
         drop(state);
-        Ok((true, self.report(&name)?))
+        let report = self.report(&name)?;
+        let message = report.message.or(warning);
+        Ok((true, Report { message, ..report }))
     }
 
     pub fn pause(&self, name: &str) -> Result<Report, ExperimentError> {
@@ -360,13 +377,15 @@ impl ExperimentManager {
         if self.phase(name)?.is_over() {
             self.wait_for_end(name);
         }
-        self.plan(name)?;
+        let plan = self.plan(name)?;
+        let need = self.need(&plan);
         let writing = self.0.serialize_writes.lock();
         let status = self.entry(name, |entry| entry.status_in(Phase::Queued, None))?;
         self.write_status(name, &status)?;
         let mut state = self.lock();
         if let Some(entry) = state.entries.get_mut(name) {
             entry.enter(&status);
+            entry.need = Some(need);
         }
         drop(writing);
         self.publish_change(state);
@@ -446,6 +465,10 @@ fn load(name: &str, jobs: &JobDirectory<Status>, status: Option<Status>) -> Entr
     let folder = &jobs.folder(name);
     let mut status = status.unwrap_or_else(|| Status::queued(u64::MAX >> 1));
     let mut loaded = None;
+    if status.phase != Phase::Finished && status.phase != Phase::Queued {
+        // A process that was killed left frames of runs that start again.
+        let _ = Folder::sweep(folder);
+    }
     if !status.phase.is_over() {
         let read = read_plan(name, folder).and_then(|plan| {
             let missing = Folder::missing_files(folder, &plan);
@@ -473,6 +496,8 @@ fn load(name: &str, jobs: &JobDirectory<Status>, status: Option<Status>) -> Entr
     Entry {
         status,
         plan: loaded,
+        bytes: 0,
+        need: None,
         execution: None,
         number_of_execution: 0,
     }

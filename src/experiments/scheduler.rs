@@ -5,7 +5,9 @@ use std::sync::Arc;
 use std::thread;
 use std::time::Duration;
 
-use jostle_experiment::{Execution, ExecutionControl, Folder, Outcome, Subset, execute};
+use jostle_experiment::{
+    ExecuteError, Execution, ExecutionControl, Folder, FolderError, Outcome, Subset, execute,
+};
 use jostle_proto::ExperimentPhase as Phase;
 use parking_lot::MutexGuard;
 use tracing::{info, warn};
@@ -25,7 +27,8 @@ impl ExperimentManager {
     }
 
     pub(super) fn schedule_next(&self, state: &mut State) {
-        while !state.is_stopping && !state.entries.values().any(Entry::is_busy) {
+        while state.is_measured && !state.is_stopping && !state.entries.values().any(Entry::is_busy)
+        {
             let queued = state.entries.iter_mut();
             let queued = queued.filter(|(_, entry)| entry.status.phase == Phase::Queued);
             let Some((name, entry)) = queued.min_by_key(|(_, entry)| entry.status.number) else {
@@ -47,7 +50,7 @@ impl ExperimentManager {
 
     fn start(&self, name: &str, entry: &mut Entry) -> Result<(), String> {
         let plan = entry.plan.clone().ok_or("its plan is unknown")?;
-        let control = Arc::new(ExecutionControl::new());
+        let control = Arc::new(ExecutionControl::with_disk(self.watch_disk()));
         let (manager, name, controlled) = (self.clone(), name.to_owned(), control.clone());
         let number = entry.number_of_execution;
         let run = move || {
@@ -55,16 +58,16 @@ impl ExperimentManager {
             manager.settle(&name, number);
             let path = manager.0.jobs.folder(&name);
             let executed = catch_unwind(AssertUnwindSafe(|| {
-                let mut folder = Folder::open(&path, &plan).map_err(|it| it.to_string())?;
+                let mut folder = Folder::open(&path, &plan).map_err(End::of_folder)?;
                 let execution = Execution {
                     plan: &plan,
                     subset: &Subset::all(&plan),
                     threads: manager.0.threads,
                     checkpoint_every: Some(CHECKPOINT_INTERVAL),
                 };
-                execute(execution, &mut folder, &controlled).map_err(|it| it.to_string())
+                execute(execution, &mut folder, &controlled).map_err(End::of_execution)
             }));
-            let outcome = executed.unwrap_or_else(|_| Err("a defect of the daemon".to_owned()));
+            let outcome = executed.unwrap_or_else(|_| Err(End::failed("a defect of the daemon")));
             manager.ended(&name, outcome);
         };
         let thread = thread::Builder::new().name("experiment".into());
@@ -73,27 +76,32 @@ impl ExperimentManager {
         Ok(())
     }
 
-    fn ended(&self, name: &str, outcome: Result<Outcome, String>) {
+    fn ended(&self, name: &str, outcome: Result<Outcome, End>) {
+        // A stop does not wait for it.
+        let bytes = (!self.lock().is_stopping).then(|| self.measure(name));
         let writing = self.0.serialize_writes.lock();
         let mut state = self.lock();
         let is_stopping = state.is_stopping;
         let Some(entry) = state.entries.get_mut(name) else {
             return;
         };
+        entry.bytes = bytes.unwrap_or_else(|| entry.bytes());
         entry.end(outcome.as_ref().is_ok_and(|it| !it.is_cancelled));
         match outcome {
             Ok(outcome) if !outcome.is_cancelled => entry.status.message = faults(&outcome),
             // `cancel` has stored the phase; after `stop` the experiment resumes.
             Ok(_) if is_stopping || entry.status.phase == Phase::Cancelled => {}
             Ok(_) => entry.status.phase = Phase::Cancelled,
-            Err(reason) => {
-                entry.status.phase = Phase::Failed;
+            Err(End { phase, .. }) if phase == Phase::Paused && entry.status.phase.is_over() => {}
+            Err(End { phase, reason }) => {
+                warn!(experiment = name, reason, "stopped");
+                entry.status.phase = phase;
                 entry.status.message = Some(reason);
             }
         }
         let phase = entry.status.phase;
         info!(experiment = name, phase = phase.to_string(), "ended");
-        if phase.is_over()
+        if (phase.is_over() || phase == Phase::Paused)
             && let Err(error) = self.0.jobs.write_status(name, &entry.status)
         {
             // The next start finds all runs finished.
@@ -101,6 +109,36 @@ impl ExperimentManager {
         }
         drop(writing);
         self.publish_change(state);
+    }
+}
+
+/// Why an execution ended before its end, and the phase after it.
+struct End {
+    phase: Phase,
+    reason: String,
+}
+
+impl End {
+    fn failed(reason: &str) -> Self {
+        let (phase, reason) = (Phase::Failed, reason.to_owned());
+        Self { phase, reason }
+    }
+
+    /// A full disk pauses an experiment, anything else is a failure.
+    fn of(is_disk_full: bool, reason: String) -> Self {
+        let phase = match is_disk_full {
+            true => Phase::Paused,
+            false => Phase::Failed,
+        };
+        Self { phase, reason }
+    }
+
+    fn of_folder(error: FolderError) -> Self {
+        Self::of(error.is_disk_full(), error.to_string())
+    }
+
+    fn of_execution(error: ExecuteError) -> Self {
+        Self::of(error.is_disk_full(), error.to_string())
     }
 }
 

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use jostle_experiment::{ExecutionControl, Plan, Progress};
+use jostle_experiment::{DiskNeed, DiskWatch, ExecutionControl, Plan, Progress};
 use jostle_proto::ExperimentPhase as Phase;
 use serde::{Deserialize, Serialize};
 
@@ -67,6 +67,10 @@ pub(super) struct Entry {
     pub(super) status: Status,
     /// `None` until it is needed, if the experiment was over when the daemon started.
     pub(super) plan: Option<Arc<Plan>>,
+    /// What its files took when they were last measured, in bytes.
+    pub(super) bytes: u64,
+    /// What all its runs need on disk, if it is not over.
+    pub(super) need: Option<DiskNeed>,
     /// Controls the execution, also while that is paused or about to end.
     pub(super) execution: Option<Arc<ExecutionControl>>,
     /// Differs between executions, and between what precedes and follows a pause.
@@ -119,6 +123,22 @@ impl Entry {
         self.status.phase = stored.phase;
         self.status.message.clone_from(&stored.message);
         self.status.starts = stored.starts;
+    }
+
+    /// What its files take, in bytes.
+    pub(super) fn bytes(&self) -> u64 {
+        let disk = self.execution.as_ref().and_then(|it| it.disk());
+        let grown = disk.map_or(0, DiskWatch::grown);
+        self.bytes.saturating_add_signed(grown)
+    }
+
+    /// What it may still write, if it is not over.
+    pub(super) fn left(&self) -> Option<DiskNeed> {
+        let need = self.need.filter(|_| !self.status.phase.is_over())?;
+        Some(DiskNeed {
+            bytes: (need.bytes - self.bytes() as f64).max(0.0),
+            ..need
+        })
     }
 
     /// Whether no other experiment may be executed now.

@@ -6,6 +6,7 @@ use std::thread;
 
 use rustix::time::{ClockId, clock_gettime};
 
+use crate::experiments::DiskUsage;
 use crate::health::{Bus, HealthMonitor, Reason, RecordingCounts};
 use crate::store;
 use crate::swarm::frame::{Frame, Summary};
@@ -46,6 +47,8 @@ pub struct DaemonMetrics {
     pub recordings: RecordingCounts,
     /// The size of all recordings and its limit, in bytes.
     pub recordings_bytes: (u64, u64),
+    /// The size of all experiments and its limit.
+    pub experiments: DiskUsage,
     /// Requests that a defect dropped without a reply.
     pub dropped_requests: u64,
     /// Each swarm that is built, ordered by name.
@@ -111,6 +114,7 @@ impl HealthMonitor {
             store: self.watched.store.health(),
             recordings: (self.watched.count)(recordings),
             recordings_bytes: recordings.usage(),
+            experiments: self.watched.experiments.disk_usage(),
             dropped_requests: (self.watched.dropped_requests)(),
             swarms,
         }

@@ -20,6 +20,7 @@ use parking_lot::Mutex;
 use tracing::{info, warn};
 
 use crate::auth::live::LiveRights;
+use crate::experiments::ExperimentManager;
 use crate::health::probe::{Probe, ProbeStatus};
 use crate::health::watchdog::{Watchdog, Worker};
 use crate::metrics::Activity;
@@ -52,6 +53,8 @@ pub struct HealthSources {
     pub rights: Arc<LiveRights>,
     /// The recordings.
     pub recordings: Recordings,
+    /// The experiments.
+    pub experiments: ExperimentManager,
     /// The other threads of the daemon.
     pub threads: Vec<(&'static str, Arc<Activity>)>,
     /// The endpoints to probe.
@@ -157,6 +160,10 @@ impl HealthMonitor {
         let failed = (self.watched.count)(&self.watched.recordings).failed;
         if !failed.is_empty() {
             warnings.push(("recording_failed", reason::recordings_failed(&failed)));
+        }
+        let paused = self.watched.experiments.paused_by_daemon();
+        if !paused.is_empty() {
+            warnings.push(("experiment_paused", reason::experiments_paused(&paused)));
         }
         let damaged = self.watched.store.health().damaged;
         if damaged > 0 {

@@ -133,24 +133,37 @@ fn contested(it: &Contested) -> String {
     format!("contested: {what}; {outcome}, {end}")
 }
 
-/// How many failed recordings a warning names.
+/// How many recordings or experiments a warning names.
 const MAX_NAMED: usize = 5;
 
 /// The warning about failed recordings, by their names and reasons.
 pub(super) fn recordings_failed(failed: &[(String, String)]) -> String {
-    let named = failed.iter().take(MAX_NAMED);
-    let named: Vec<String> = named
+    format!(
+        "recordings failed: {}; `jostle record --list` lists them, \
+         `jostle record --delete NAME` removes one with its files",
+        named(failed)
+    )
+}
+
+/// The warning about experiments that the daemon has paused, by their names and reasons.
+pub(super) fn experiments_paused(paused: &[(String, String)]) -> String {
+    format!(
+        "experiments are paused: {}; `jostle experiment resume NAME` continues one",
+        named(paused)
+    )
+}
+
+/// The first names, each with its reason, and the number of the others.
+fn named(all: &[(String, String)]) -> String {
+    let first = all.iter().take(MAX_NAMED);
+    let first: Vec<String> = first
         .map(|(name, reason)| format!("{name} ({reason})"))
         .collect();
-    let others = match failed.len().saturating_sub(MAX_NAMED) {
+    let others = match all.len().saturating_sub(MAX_NAMED) {
         0 => String::new(),
         others => format!(" and {others} more"),
     };
-    format!(
-        "recordings failed: {}{others}; `jostle record --list` lists them, \
-         `jostle record --delete NAME` removes one with its files",
-        named.join(", ")
-    )
+    format!("{}{others}", first.join(", "))
 }
 
 /// The warning about damaged records of the journal.

@@ -40,7 +40,7 @@ pub async fn submit(client: &Client, toml: &str) -> Value {
     ok(client, json!({"submit": {"toml": toml}})).await
 }
 
-async fn error_of(client: &Client, args: Value) -> (ErrorCode, String) {
+pub async fn error_of(client: &Client, args: Value) -> (ErrorCode, String) {
     let error = send(client, &args).await.unwrap_err();
     (error.code, error.message)
 }

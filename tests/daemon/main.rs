@@ -16,6 +16,7 @@ mod copies;
 mod corpora;
 mod crash;
 mod experiment;
+mod experiment_space;
 mod experiments;
 mod harness;
 mod health;

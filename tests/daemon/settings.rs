@@ -32,7 +32,7 @@ struct Row {
     bad: Option<&'static str>,
 }
 
-const ROWS: [Row; 16] = [
+const ROWS: [Row; 17] = [
     Row {
         name: "listen",
         value: "unixsock-stream/{folder}/bus",
@@ -150,6 +150,14 @@ const ROWS: [Row; 16] = [
         value: "1",
         effect: "ended within 1 MiB",
         other: "10240",
+        other_effect: "goes on beyond 1 MiB",
+        bad: Some("0"),
+    },
+    Row {
+        name: "experiments_quota_mb",
+        value: "1",
+        effect: "paused within 1 MiB",
+        other: "1024",
         other_effect: "goes on beyond 1 MiB",
         bad: Some("0"),
     },

@@ -35,6 +35,14 @@ impl SmallDisk {
         &self.0
     }
 
+    /// Changes its size.
+    pub fn resize(&self, megabytes: u64) {
+        let size = format!("remount,size={megabytes}m");
+        let mut remount = Command::new("mount");
+        let status = remount.args(["-o", &size]).arg(&self.0).status();
+        assert!(status.unwrap().success());
+    }
+
     pub fn fill(&self) {
         File::create(self.0.join("ballast")).unwrap();
         self.fill_more();

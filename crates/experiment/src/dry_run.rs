@@ -11,8 +11,10 @@ use crate::protocol::{Block, Trigger};
 use crate::subset::Subset;
 
 pub use self::estimate::{Estimate, Measured};
+pub use self::need::DiskNeed;
 
 mod estimate;
+mod need;
 
 /// How many conditions and blocks are listed.
 const MAX_LISTED: usize = 20;

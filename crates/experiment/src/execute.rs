@@ -27,12 +27,28 @@ pub enum ExecuteError {
     /// A thread could not be started.
     #[error("no thread can be started: {0}")]
     NoThread(std::io::Error),
+    /// The disk space that the execution may use has ended. Runs have checkpoints, if the execution
+    /// writes them.
+    #[error("{0}")]
+    NoRoom(String),
     /// Runs panicked: a bug in the program.
     #[error("run {runs:?} panicked: please report it with the experiment's file")]
     Panicked {
         /// The runs that panicked.
         runs: Vec<String>,
     },
+}
+
+impl ExecuteError {
+    /// Returns whether the execution can continue once there is more disk space.
+    #[must_use]
+    pub fn is_disk_full(&self) -> bool {
+        match self {
+            Self::Folder(error) => error.is_disk_full(),
+            Self::NoRoom(_) => true,
+            Self::NoThread(_) | Self::Panicked { .. } => false,
+        }
+    }
 }
 
 /// The outcome of one execution of an experiment.
@@ -84,6 +100,12 @@ pub fn execute(
         threads,
         ..
     } = execution;
+    // A process that was killed left them.
+    folder.remove_unused();
+    let has_room = |bytes| control.disk().is_none_or(|disk| disk.has_room(bytes));
+    if !has_room(0) {
+        return Err(no_room(control));
+    }
     let runs = plan.runs();
     let cost = |index: usize| plan.point(&runs[index]).expected_secs();
     let (done, mut left): (Vec<usize>, Vec<usize>) = subset
@@ -140,7 +162,7 @@ pub fn execute(
             .collect();
         drop(finished);
         let written = match &workers {
-            Ok(_) => write_finished(plan, folder, &received),
+            Ok(_) => write_finished(plan, folder, control, &received),
             Err(_) => Ok(()),
         };
         if written.is_err() || workers.is_err() {
@@ -154,7 +176,14 @@ pub fn execute(
         written.map_err(ExecuteError::from)
     });
     let panicked = control.end();
+    if folder.finished() < runs.len() {
+        folder.remove_unused();
+    }
     written?;
+    // The tables have the values of the list of runs.
+    if !has_room(folder.length()) {
+        return Err(no_room(control));
+    }
     folder.write_tables(plan)?;
     if !panicked.is_empty() {
         return Err(ExecuteError::Panicked { runs: panicked });
@@ -198,9 +227,23 @@ fn execute_with_checkpoints(
     let mut checkpoint = checkpoints.read(index)?;
     let recording = trajectories.record(plan, index, &mut checkpoint)?;
     let has_failed = || recording.as_ref().is_some_and(Recording::has_failed);
-    let mut last = Instant::now();
+    let (mut last, mut length) = (
+        Instant::now(),
+        recording.as_ref().map_or(0, Recording::length),
+    );
+    let steps = plan.point(run).steps;
+    let mut has_room = |current: u64| {
+        let Some(disk) = handle.disk() else {
+            return true;
+        };
+        let before = length;
+        length = recording.as_ref().map_or(0, Recording::length);
+        // At the end of the run its frames are copied: without the space for that it ends here.
+        let is_last = current == steps && length > 0;
+        disk.add(length.saturating_sub(before)) && (!is_last || disk.has_room(length))
+    };
     let mut finished = execute_run_from(plan, run, checkpoint, recording.as_ref(), |current| {
-        let continues = handle.report_steps(current.steps());
+        let continues = handle.report_steps(current.steps()) && has_room(current.steps());
         if checkpoint_every.is_some_and(|every| !continues || last.elapsed() >= every) {
             let mut checkpoint = current.checkpoint();
             // Without its frames a checkpoint is of no use.
@@ -217,7 +260,10 @@ fn execute_with_checkpoints(
     if let Some(recording) = recording {
         match &mut finished {
             Some(finished) => {
-                let length = recording.finish(plan, run, finished.row.is_some())?;
+                let (has_row, disk) = (finished.row.is_some(), handle.disk());
+                let Some(length) = recording.finish(plan, run, has_row, disk)? else {
+                    return Ok(None);
+                };
                 let files = length.map(|length| (trajectory_file(index), length));
                 finished.files.extend(files);
             }
@@ -232,6 +278,7 @@ fn execute_with_checkpoints(
 fn write_finished(
     plan: &Plan,
     folder: &mut Folder,
+    control: &ExecutionControl,
     received: &Receiver<Executed>,
 ) -> Result<(), FolderError> {
     while let Ok(first) = received.recv() {
@@ -243,10 +290,19 @@ fn write_finished(
                 Err(error) => failed = Err(error),
             }
         }
+        let length = folder.length();
         folder.append(plan, batch)?;
+        if let Some(disk) = control.disk() {
+            disk.add(folder.length() - length);
+        }
         failed?;
     }
     Ok(())
+}
+
+fn no_room(control: &ExecutionControl) -> ExecuteError {
+    let reason = control.disk().and_then(|disk| disk.reason());
+    ExecuteError::NoRoom(reason.unwrap_or_default().to_owned())
 }
 
 #[cfg(test)]

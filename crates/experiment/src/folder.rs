@@ -26,6 +26,7 @@ use jostle_results::ResultRow;
 use jostle_results::contact_statistics::{self, CONTACT_STATISTICS_NAME};
 use jostle_results::table::order::ORDER_NAME;
 use jostle_results::table::series::SERIES_NAME;
+use jostle_results::table::trajectory::TRAJECTORIES;
 use jostle_results::table::{
     self, CSV_NAME, OrderSeries, OrderWriter, PARQUET_NAME, Series, SeriesWriter,
 };
@@ -248,6 +249,31 @@ impl Folder {
         Trajectories::of(&self.path)
     }
 
+    /// Returns the length of the list of runs, in bytes.
+    #[must_use]
+    pub(crate) fn length(&self) -> u64 {
+        self.length
+    }
+
+    /// Removes the frames of unfinished runs without a checkpoint, which start again.
+    pub(crate) fn remove_unused(&self) {
+        remove_unused(&self.path);
+    }
+
+    /// As [`Self::remove_unused`], of a folder that no process writes to.
+    ///
+    /// # Errors
+    ///
+    /// [`FolderError::InUse`] and [`FolderError::Io`]: the folder is unchanged.
+    pub fn sweep(path: &Path) -> Result<(), FolderError> {
+        if !path.join(TRAJECTORIES).exists() {
+            return Ok(());
+        }
+        let _lock = lock(path)?;
+        remove_unused(path);
+        Ok(())
+    }
+
     /// Returns the names of the runs of a subset that ended early, each with its reason.
     #[must_use]
     pub fn faults(&self, subset: &Subset) -> Vec<(String, String)> {
@@ -427,6 +453,11 @@ impl FinishedRuns {
         let line = self.lines.get(&index);
         line.map_or_else(|| Ok(Vec::new()), |line| read_line(folder, line))
     }
+}
+
+fn remove_unused(folder: &Path) {
+    let checkpoints = Checkpoints::of(folder);
+    Trajectories::of(folder).remove_unused(|index| checkpoints.has(index));
 }
 
 /// Locks a folder until the returned file is closed.

@@ -6,6 +6,7 @@
 
 mod cells;
 mod contact_events;
+mod disk;
 mod dry_run;
 mod error;
 mod execute;
@@ -30,7 +31,8 @@ pub mod stdout;
 mod subset;
 mod trajectory;
 
-pub use dry_run::{DryRun, Estimate, Measured};
+pub use disk::DiskWatch;
+pub use dry_run::{DiskNeed, DryRun, Estimate, Measured};
 pub use error::PlanError;
 pub use execute::{ExecuteError, Execution, Outcome, execute};
 pub use export::{

@@ -10,6 +10,8 @@ use std::time::{Duration, Instant};
 
 use serde::{Deserialize, Serialize};
 
+use crate::disk::DiskWatch;
+
 /// Values of the signal.
 const GOING: u8 = 0;
 const PAUSED: u8 = 1;
@@ -49,6 +51,8 @@ pub struct ExecutionControl {
     state: Mutex<ProgressState>,
     /// Notified when the signal leaves [`PAUSED`].
     changed: Condvar,
+    /// The disk space that it may use; none if it may use all.
+    disk: Option<DiskWatch>,
 }
 
 /// Steps of a current run. Aligned so that no two threads write to the same cache line.
@@ -113,6 +117,24 @@ impl ExecutionControl {
     #[must_use]
     pub fn new() -> Self {
         Self::default()
+    }
+
+    /// As [`Self::new`], of an execution that ends with [`ExecuteError::NoRoom`] once its disk space
+    /// ends.
+    ///
+    /// [`ExecuteError::NoRoom`]: crate::ExecuteError::NoRoom
+    #[must_use]
+    pub fn with_disk(disk: DiskWatch) -> Self {
+        Self {
+            disk: Some(disk),
+            ..Self::default()
+        }
+    }
+
+    /// Returns the disk space that the execution may use; none if it may use all.
+    #[must_use]
+    pub fn disk(&self) -> Option<&DiskWatch> {
+        self.disk.as_ref()
     }
 
     /// Pauses every run before its next step. No effect after a cancellation.
@@ -275,6 +297,11 @@ impl ExecutionControl {
 }
 
 impl RunHandle<'_> {
+    /// Returns the disk space that the execution may use; none if it may use all.
+    pub fn disk(&self) -> Option<&DiskWatch> {
+        self.control.disk()
+    }
+
     /// Stores the number of steps taken. Blocks while the experiment is paused. Returns false if it
     /// was cancelled.
     #[inline]

@@ -15,6 +15,7 @@ use jostle_results::table::trajectory::{TRAJECTORIES, file_name};
 
 use self::about::about;
 use self::spool::Spool;
+use crate::disk::DiskWatch;
 use crate::folder::FolderError;
 use crate::folder::error::io_error;
 use crate::plan::{Plan, PlannedRun};
@@ -54,14 +55,30 @@ impl Trajectories {
         let _ = fs::remove_file(self.spool(index));
     }
 
+    /// Removes the spools from which no run continues, since it has no checkpoint, and files that were
+    /// being written when a process was killed.
+    pub fn remove_unused(&self, has_checkpoint: impl Fn(usize) -> bool) {
+        self.remove_spools(|name| {
+            let number = name.strip_suffix(".partial").and_then(number_of);
+            let index = number.and_then(|number: usize| number.checked_sub(1));
+            index.is_none_or(|index| !has_checkpoint(index))
+        });
+    }
+
     /// Removes all spools, and files that were being written when a process was killed.
     pub fn clear(&self) {
+        self.remove_spools(|_| true);
+    }
+
+    /// Removes spools that `is_unused` by their name, and unfinished files.
+    fn remove_spools(&self, is_unused: impl Fn(&str) -> bool) {
         let Ok(entries) = fs::read_dir(&self.0) else {
             return;
         };
         for path in entries.flatten().map(|entry| entry.path()) {
             let name = path.file_name().unwrap_or_default().to_string_lossy();
-            if name.starts_with(jostle_atomic_file::PREFIX) || name.ends_with(".partial") {
+            let is_spool = name.ends_with(".partial");
+            if name.starts_with(jostle_atomic_file::PREFIX) || is_spool && is_unused(&name) {
                 let _ = fs::remove_file(path);
             }
         }
@@ -114,6 +131,11 @@ impl Trajectories {
     }
 }
 
+/// Returns the number of a run in the plan, from 1, by the name of its file without the extension.
+fn number_of(stem: &str) -> Option<usize> {
+    stem.strip_prefix("run-")?.parse().ok()
+}
+
 /// The recording of a run that is executed.
 pub struct Recording {
     /// The spool, and the first error of writing it.
@@ -149,8 +171,14 @@ impl Recording {
         }
     }
 
+    /// Returns the length of the spool.
+    pub fn length(&self) -> u64 {
+        self.spool.borrow().0.length()
+    }
+
     /// Ends the recording of a run that is finished: writes its file and returns its length in bytes,
-    /// or none for a run that has no row.
+    /// or none for a run that has no row. Returns none in place of both if the disk space ended before:
+    /// there is no file then.
     ///
     /// # Errors
     ///
@@ -160,10 +188,11 @@ impl Recording {
         plan: &Plan,
         run: &PlannedRun,
         has_row: bool,
-    ) -> Result<Option<u64>, FolderError> {
+        disk: Option<&DiskWatch>,
+    ) -> Result<Option<Option<u64>>, FolderError> {
         self.check()?;
         if !has_row {
-            return Ok(None);
+            return Ok(Some(None));
         }
         let (mut spool, _) = self.spool.into_inner();
         spool
@@ -171,10 +200,29 @@ impl Recording {
             .map_err(|source| io_error(&self.path, source))?;
         let removed = jostle_atomic_file::remove_unfinished(&self.target);
         removed.map_err(|source| io_error(&self.target, source))?;
-        spool::convert(&self.path, &self.target, &about(plan, run))?;
-        let written = fs::metadata(&self.target);
-        let written = written.map_err(|source| io_error(&self.target, source))?;
-        Ok(Some(written.len()))
+        let mut copied = 0;
+        let has_room = |bytes| {
+            copied += bytes;
+            disk.is_none_or(|disk| disk.add(bytes))
+        };
+        let is_written = spool::convert(&self.path, &self.target, &about(plan, run), has_room)?;
+        let written = match is_written {
+            true => {
+                let written = fs::metadata(&self.target);
+                let written = written.map_err(|source| io_error(&self.target, source))?;
+                Some(written.len())
+            }
+            false => None,
+        };
+        if let Some(disk) = disk {
+            disk.remove(copied);
+            if let Some(written) = written {
+                // The spool is removed once the run counts as finished.
+                disk.remove(spool.length());
+                disk.add(written);
+            }
+        }
+        Ok(written.map(Some))
     }
 
     /// Returns the error of a frame that could not be written.

@@ -22,10 +22,12 @@ impl WireCode for ExperimentError {
             ExperimentError::Phase { .. }
             | ExperimentError::Unfinished { .. }
             | ExperimentError::MissingFile { .. } => ErrorCode::IncorrectState,
-            ExperimentError::TooMany(_) | ExperimentError::TooLong(_) => {
-                ErrorCode::ResourceExhausted
+            ExperimentError::TooMany(_)
+            | ExperimentError::TooLong(_)
+            | ExperimentError::OverQuota { .. } => ErrorCode::ResourceExhausted,
+            ExperimentError::NoRoom { .. } | ExperimentError::NotStored(_) => {
+                ErrorCode::StorageFull
             }
-            ExperimentError::NotStored(_) => ErrorCode::StorageFull,
             ExperimentError::Unreadable(_) => ErrorCode::Internal,
             ExperimentError::Stopping => ErrorCode::Busy,
         }
@@ -40,6 +42,10 @@ impl WireCode for ExperimentError {
             | ExperimentError::MissingFile { run, .. } => json!({"field": "run", "value": run}),
             ExperimentError::TooMany(limit) => json!({"limit": limit}),
             ExperimentError::TooLong(_) => json!({"field": "expand.toml"}),
+            ExperimentError::NoRoom { needed, free, .. } => json!({"bytes": needed, "free": free}),
+            ExperimentError::OverQuota { needed, quota, .. } => {
+                json!({"bytes": needed, "limit": quota})
+            }
             _ => Value::Null,
         })
     }

@@ -82,6 +82,8 @@ const METRICS: &[(&str, &str, Value)] = &[
     ("store_bytes", "Size of the store on disk", Gauge(|it| it.daemon.store.bytes_on_disk as f64)),
     ("recordings_bytes", "Size of all recordings on disk", Gauge(|it| it.daemon.recordings_bytes.0 as f64)),
     ("recordings_quota_bytes", "Maximum size of all recordings", Gauge(|it| it.daemon.recordings_bytes.1 as f64)),
+    ("experiments_bytes", "Size of all experiments on disk", Gauge(|it| it.daemon.experiments.used as f64)),
+    ("experiments_quota_bytes", "Maximum size of all experiments, if there is one", OptionalGauge(|it| it.daemon.experiments.quota.map(|it| it as f64))),
     ("store_full", "1 if the disk is full", Gauge(|it| number(it.daemon.store.is_full))),
     ("store_failing", "1 if writing fails for another reason", Gauge(|it| number(it.daemon.store.is_failing))),
     ("store_overrun", "1 if the queue of writes exceeds its limit", Gauge(|it| number(it.daemon.store.is_overrun))),

@@ -42,6 +42,7 @@ pub async fn observe(name: &str, daemon: &Running, expected: &str) -> String {
         "auth_dir" => auth_dir(daemon).await,
         "quota_mb" => quota_mb(&daemon.open().await, expected).await,
         "recordings_quota_mb" => recordings_quota_mb(&daemon.open().await).await,
+        "experiments_quota_mb" => experiments_quota_mb(&daemon.open().await).await,
         "experiment_threads" => experiment_threads(&daemon.open().await, expected).await,
         _ => format!("no way to observe {name}"),
     }
@@ -295,6 +296,31 @@ async fn recordings_quota_mb(client: &Client) -> String {
         tokio::time::sleep(Duration::from_millis(20)).await;
     }
     "neither ends nor goes on".to_owned()
+}
+
+/// An experiment that records more than a MiB, unless it stops before.
+async fn experiments_quota_mb(client: &Client) -> String {
+    let toml = "name = 'films'\nduration = 200\n[measure]\nrecord_every = 1\n[spec]\nn = 100\n[stop]\nwhen \
+                = 'order > 2'\n";
+    node_cmd(client, "experiment", json!({"submit": {"toml": toml}})).await;
+    let key = keys::experiment(PREFIX, NODE, "films", "progress");
+    let began = Instant::now();
+    while began.elapsed() < TIMEOUT {
+        let bytes = client.node("metrics").await["experiments_bytes"].as_u64();
+        let bytes = bytes.unwrap();
+        let progress = client.query(&key, None).await.unwrap();
+        if progress["phase"] == "paused" && bytes > 1 << 19 && bytes <= 1 << 20 {
+            return "paused within 1 MiB".to_owned();
+        }
+        if bytes > 1 << 20 {
+            return "goes on beyond 1 MiB".to_owned();
+        }
+        if !["queued", "running"].contains(&progress["phase"].as_str().unwrap()) {
+            return progress.to_string();
+        }
+        tokio::time::sleep(Duration::from_millis(10)).await;
+    }
+    "neither stops nor goes on".to_owned()
 }
 
 /// The maximum number of concurrent runs, of an experiment with eight runs that do not end.

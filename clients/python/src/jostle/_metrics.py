@@ -106,6 +106,9 @@ class Metrics(HtmlStruct, frozen=True, kw_only=True):
         recordings_bytes: Bytes of all recordings on disk.
         recordings_quota_bytes: The limit of these bytes: running recordings end at it, and none
             begins.
+        experiments_bytes: Bytes of all experiments on disk; None from an earlier daemon.
+        experiments_quota_bytes: The limit of these bytes, at which the running experiment is paused;
+            None if there is none.
         swarms: Every swarm, ordered by name.
     """
 
@@ -129,4 +132,6 @@ class Metrics(HtmlStruct, frozen=True, kw_only=True):
     recordings: RecordingMetrics
     recordings_bytes: int
     recordings_quota_bytes: int
+    experiments_bytes: int | None = None
+    experiments_quota_bytes: int | None = None
     swarms: list[SwarmMetrics]

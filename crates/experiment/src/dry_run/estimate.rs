@@ -122,16 +122,10 @@ impl Estimate {
             let cost = cost(run);
             plan.point(run).steps as f64 * cost * factor(&factors, cost)
         };
-        // The individuals of an injection are counted from the start.
-        let is_recorded = plan.record_every.is_some();
-        let may_be_less = |point: &Point| {
-            let protocol = point.protocol.as_ref();
-            protocol.is_some_and(|it| it.stop.is_some() || is_recorded && it.injected() > 0)
-        };
         Self {
             cpu_secs: runs.iter().map(of_run).sum::<f64>() + start * runs.len() as f64,
             disk_bytes: disk_bytes(plan, &runs),
-            is_at_most: runs.iter().any(|run| may_be_less(plan.point(run))),
+            is_at_most: runs.iter().any(|run| may_take_less(plan, plan.point(run))),
             measured,
         }
     }
@@ -155,7 +149,16 @@ fn factor(measured: &[(f64, f64)], cost: f64) -> f64 {
     }
 }
 
-fn disk_bytes(plan: &Plan, runs: &[&PlannedRun]) -> f64 {
+/// Returns whether a run may take less than estimated: its individuals that are injected are counted
+/// from its start.
+pub fn may_take_less(plan: &Plan, point: &Point) -> bool {
+    let is_recorded = plan.record_every.is_some();
+    let protocol = point.protocol.as_ref();
+    protocol.is_some_and(|it| it.stop.is_some() || is_recorded && it.injected() > 0)
+}
+
+/// Returns the bytes of the folder of results of these runs.
+pub fn disk_bytes(plan: &Plan, runs: &[&PlannedRun]) -> f64 {
     let of_run = |run: &&PlannedRun| {
         let point = plan.point(run);
         let stop = point.protocol.as_ref().is_some_and(|it| it.stop.is_some());

@@ -33,6 +33,11 @@ impl Checkpoints {
         }
     }
 
+    /// Returns whether a run has a checkpoint.
+    pub(crate) fn has(&self, index: usize) -> bool {
+        self.path(index).exists()
+    }
+
     /// Replaces the checkpoint of a run. It is durable on return.
     ///
     /// # Errors

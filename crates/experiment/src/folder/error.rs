@@ -97,6 +97,17 @@ pub enum FolderError {
     },
 }
 
+impl FolderError {
+    /// Returns whether a file could not be written since the disk is full.
+    #[must_use]
+    pub fn is_disk_full(&self) -> bool {
+        match self {
+            Self::Io { source, .. } | Self::Table(TableError::Io { source, .. }) => is_full(source),
+            _ => false,
+        }
+    }
+}
+
 impl From<FilesError> for FolderError {
     fn from(FilesError { path, source }: FilesError) -> Self {
         Self::Io { path, source }
@@ -105,12 +116,17 @@ impl From<FilesError> for FolderError {
 
 /// Returns what to do after an error of the system; empty if the error says it.
 fn remedy(error: &io::Error) -> &'static str {
-    match error.kind() {
-        io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {
-            "; finished runs are kept: free disk space, then continue the experiment"
-        }
-        _ => "",
+    match is_full(error) {
+        true => "; finished runs are kept: free disk space, then continue the experiment",
+        false => "",
     }
+}
+
+fn is_full(error: &io::Error) -> bool {
+    matches!(
+        error.kind(),
+        io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded
+    )
 }
 
 fn remedy_of_table(error: &TableError) -> &'static str {

@@ -55,6 +55,11 @@ impl Spool {
         self.file.write_all(&bytes)
     }
 
+    /// Returns the bytes of its frames.
+    pub fn length(&self) -> u64 {
+        self.length
+    }
+
     /// Passes the buffered frames to the system.
     pub fn flush(&mut self) -> io::Result<()> {
         self.file.flush()
@@ -68,11 +73,17 @@ impl Spool {
     }
 }
 
+/// Returns the bytes of a frame of `n` individuals.
+fn frame_bytes(n: usize) -> u64 {
+    24 + 29 * n as u64
+}
+
 /// Encodes a frame, with absolute positions.
 fn encode(state: &State) -> Vec<u8> {
     let configuration = &state.configuration;
     let n = configuration.n();
-    let mut bytes = Vec::with_capacity(24 + 29 * n);
+    let capacity = usize::try_from(frame_bytes(n)).unwrap_or(0);
+    let mut bytes = Vec::with_capacity(capacity);
     bytes.extend(state.step.to_le_bytes());
     bytes.extend(state.time().to_le_bytes());
     bytes.extend((n as u64).to_le_bytes());
@@ -93,20 +104,30 @@ fn encode(state: &State) -> Vec<u8> {
     bytes
 }
 
-/// Writes the frames of a spool as a trajectory.
+/// Writes the frames of a spool as a trajectory. Calls `has_room` with the bytes of each frame; if it
+/// returns false, there is no trajectory and the result is false.
 ///
 /// # Errors
 ///
 /// [`FolderError`].
-pub fn convert(spool: &Path, target: &Path, about: &About) -> Result<(), FolderError> {
+pub fn convert(
+    spool: &Path,
+    target: &Path,
+    about: &About,
+    mut has_room: impl FnMut(u64) -> bool,
+) -> Result<bool, FolderError> {
     let fail = |source| io_error(spool, source);
     let file = File::open(spool).map_err(fail)?;
     let mut reader = BufReader::with_capacity(BUFFER, file);
     let mut writer = TrajectoryWriter::begin(target, about)?;
     while let Some(frame) = decode(&mut reader).map_err(fail)? {
+        if !has_room(frame_bytes(frame.len())) {
+            return Ok(false);
+        }
         writer.append(&frame)?;
     }
-    Ok(writer.finish()?)
+    writer.finish()?;
+    Ok(true)
 }
 
 /// Reads a frame; none at the end.

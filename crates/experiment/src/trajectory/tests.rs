@@ -157,7 +157,7 @@ fn killed(
         }
         Some(ended) => {
             recording
-                .finish(plan, &plan.runs()[0], ended.row.is_some())
+                .finish(plan, &plan.runs()[0], ended.row.is_some(), None)
                 .unwrap();
             None
         }

@@ -111,6 +111,16 @@ const FIXED: &[(&str, &str, &str)] = &[
     ("node.metrics.reply", "/result/store/waiting", "7"),
     ("node.metrics.reply", "/result/store/disk_bytes", "1048576"),
     ("node.metrics.reply", "/result/recordings_bytes", "22151168"),
+    (
+        "node.metrics.reply",
+        "/result/experiments_bytes",
+        "734003200",
+    ),
+    (
+        "node.metrics.reply",
+        "/result/experiments_quota_bytes",
+        "107374182400",
+    ),
     ("node.metrics.reply", "/result/swarms/*/step_secs", "3.25"),
     ("node.metrics.reply", "/result/swarms/*/late_secs", "20.5"),
     ("node.recording.reply", "/result/offset", "524288"),

@@ -179,12 +179,13 @@ pub async fn metrics(client: &Client, node: &str) -> Result<Metrics, Failure> {
 type MetricsCheck = (&'static str, fn(&Metrics) -> Check);
 
 /// The checks of the metrics.
-pub const OF_METRICS: [MetricsCheck; 3] = [
+pub const OF_METRICS: [MetricsCheck; 4] = [
     ("health", health),
     ("recordings", recordings),
     ("recording space", |it| {
         space(it.recordings_bytes, it.recordings_quota_bytes)
     }),
+    ("experiment space", experiment_space),
 ];
 
 /// Checks the health of the daemon.
@@ -240,6 +241,26 @@ fn space(bytes: u64, quota: u64) -> Check {
     let check = match bytes.saturating_mul(10) < quota.saturating_mul(9) {
         true => Check::passed(text),
         false => Check::failed("resource_exhausted", text, REMEDY),
+    };
+    check.with(json!({"bytes": bytes, "quota_bytes": quota}))
+}
+
+/// Checks the quota of experiments, if there is one.
+fn experiment_space(metrics: &Metrics) -> Check {
+    const REMEDY: &str = "delete what is fetched with `jostle experiment delete NAME`, or raise \
+                          experiments_quota_mb: the experiment that reaches it is paused";
+    let quota = metrics.experiments_quota_bytes;
+    let Some(bytes) = metrics.experiments_bytes else {
+        return Check::skipped("the daemon is an earlier one, which does not count them");
+    };
+    let text = format!("experiments take {}", format::bytes(bytes));
+    let of_quota = |quota| format!("{text} of {}", format::bytes(quota));
+    let check = match quota {
+        None => Check::passed(format!("{text}, without a quota")),
+        Some(quota) if bytes.saturating_mul(10) < quota.saturating_mul(8) => {
+            Check::passed(of_quota(quota))
+        }
+        Some(quota) => Check::failed("resource_exhausted", of_quota(quota), REMEDY),
     };
     check.with(json!({"bytes": bytes, "quota_bytes": quota}))
 }
@@ -438,6 +459,23 @@ mod tests {
             assert_eq!(is_passed(&space(bytes, quota)), well, "{bytes} of {quota}");
         }
         assert!(!is_passed(&space(u64::MAX, u64::MAX)));
+    }
+
+    #[test]
+    fn experiments_near_their_quota_are_wrong() {
+        let reply = include_str!("../../../../../proto/fixtures/node.metrics.reply.json");
+        let reply: NodeReply<Metrics> = serde_json::from_str(reply).unwrap();
+        for (bytes, quota, well) in [
+            (Some(79), Some(100), json!(true)),
+            (Some(80), Some(100), json!(false)),
+            (Some(u64::MAX), None, json!(true)),
+            (None, None, json!(null)),
+        ] {
+            let mut metrics = reply.result.clone();
+            (metrics.experiments_bytes, metrics.experiments_quota_bytes) = (bytes, quota);
+            let check = experiment_space(&metrics).to_json("");
+            assert_eq!(check["ok"], well, "{bytes:?} of {quota:?}");
+        }
     }
 
     #[test]

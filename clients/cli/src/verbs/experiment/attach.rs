@@ -113,6 +113,9 @@ fn show(
     if let Some(secs) = progress.left_secs {
         message.push_str(&format!(", {} left", format::duration(secs)));
     }
+    if let Some(reason) = &progress.message {
+        message.push_str(&format!("; {reason}"));
+    }
     bar.set_message(message);
     *shown = Some(progress);
     Ok(())

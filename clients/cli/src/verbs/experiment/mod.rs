@@ -172,7 +172,11 @@ fn submitted(reply: &NodeReply<ExperimentResult>) -> String {
     let name = &progress.name;
     if *created {
         let runs = format::count(progress.runs, "run");
-        format!("submitted {name}, {runs}: `jostle experiment attach {name}` shows its progress")
+        let warning = progress.message.iter();
+        let warning: String = warning.map(|it| format!("\n{it}")).collect();
+        format!(
+            "submitted {name}, {runs}: `jostle experiment attach {name}` shows its progress{warning}"
+        )
     } else {
         format!(
             "{name} already exists with the same file: {}",
