@@ -79,11 +79,12 @@ fn with_settings(
     match &command {
         Command::Backup { target, json } => {
             let done = jostled::backup::take(&config.data_dir, target);
-            return backup::report("backed up", done, target, *json);
+            return backup::report("backed up", done, target, *json, 0);
         }
         Command::Restore { source, json } => {
             let done = jostled::backup::restore(source, &config.data_dir);
-            return backup::report("restored", done, &config.data_dir, *json);
+            let code = backup::EXIT_INCOMPLETE;
+            return backup::report("restored", done, &config.data_dir, *json, code);
         }
         _ => {}
     }

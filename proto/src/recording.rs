@@ -91,7 +91,7 @@ pub struct Recording {
     pub every: Option<u64>,
     /// What it is doing.
     pub phase: RecordingPhase,
-    /// Why it ended or failed.
+    /// Why it ended or failed, and which of its files are missing or damaged.
     pub reason: Option<String>,
     /// How many states were recorded.
     pub frames: u64,
@@ -104,6 +104,10 @@ pub struct Recording {
     /// Where the last of those were; `null`: none was lost.
     #[serde(default)]
     pub gap: Option<RecordingGap>,
+    /// How many of its finished files are missing or damaged; `frames`, `parts` and `bytes` are those of
+    /// the others then.
+    #[serde(default)]
+    pub lost_parts: u64,
     /// How many of its files are whole.
     pub parts: u64,
     /// Their bytes.
@@ -152,7 +156,7 @@ pub enum RecordingPhase {
     /// was deleted.
     Ended,
     /// It cannot go on, for example on a full disk, or since all recordings together are as large as
-    /// they may be; what was recorded before is kept.
+    /// they may be, or files of it are missing or damaged; what was recorded before is kept.
     Failed,
 }
 

@@ -7,6 +7,7 @@ use std::path::{Component, Path};
 use serde::{Deserialize, Serialize};
 use serde_json::value::RawValue;
 
+use super::complete::Incomplete;
 use super::error::BackupError;
 
 /// Its file name in the folder of a backup.
@@ -30,6 +31,10 @@ pub struct Manifest {
     pub swarms: u64,
     /// The files, the database last.
     pub files: Vec<FileEntry>,
+    /// The experiments and recordings that lack files, which is found out when the backup is taken or
+    /// restored.
+    #[serde(skip)]
+    pub incomplete: Vec<Incomplete>,
 }
 
 /// One file of a backup.
@@ -61,6 +66,7 @@ impl Manifest {
             taken_unix_secs,
             swarms,
             files,
+            incomplete: Vec::new(),
         }
     }
 
@@ -79,6 +85,7 @@ impl Manifest {
             "swarms": self.swarms,
             "files": self.files.len(),
             "bytes": self.bytes(),
+            "incomplete": self.incomplete,
         })
     }
 

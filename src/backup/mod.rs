@@ -7,6 +7,7 @@
 //! A separate process takes it. It reads completed files and one snapshot of the database and sends no
 //! request to the daemon, so it works while a daemon hangs, or without one.
 
+mod complete;
 mod error;
 mod files;
 mod manifest;
@@ -21,6 +22,8 @@ use std::time::SystemTime;
 use fail::fail_point;
 use rustix::fs::statvfs;
 
+pub use crate::backup::complete::Incomplete;
+use crate::backup::complete::incomplete;
 pub use crate::backup::error::BackupError;
 use crate::backup::error::io_error;
 use crate::backup::files::{make_folder, sync_folder};
@@ -41,6 +44,7 @@ const MIN_FREE_BYTES: u64 = 64 * 1024 * 1024;
 const NICENESS: i32 = 10;
 
 /// Takes a backup of `data` into the new or empty folder `target`. If it fails, its files are removed.
+/// What the data folder lacks is in [`Manifest::incomplete`].
 pub fn take(data: &Path, target: &Path) -> Result<Manifest, BackupError> {
     let database = data.join(store::FILE);
     match fs::metadata(&database) {
@@ -166,8 +170,9 @@ fn copy_data(data: &Path, target: &Path, manifest_file: File) -> Result<Manifest
         sync_folder(folder)?;
     }
     let taken = taken.unwrap_or_default().as_secs();
-    let manifest = Manifest::new(store::SCHEMA, taken, swarms, entries);
+    let mut manifest = Manifest::new(store::SCHEMA, taken, swarms, entries);
     write_manifest(target, manifest_file, &manifest)?;
+    manifest.incomplete = incomplete(target);
     Ok(manifest)
 }
 
@@ -258,9 +263,10 @@ fn write_manifest(target: &Path, mut file: File, manifest: &Manifest) -> Result<
 ///
 /// The files are written into [`store::RESTORING`] and renamed once all are complete, the database last.
 /// While that folder exists, no daemon starts on the data folder. After an error the data folder
-/// contains only its `lock`, unless a rename failed.
+/// contains only its `lock`, unless a rename failed. Experiments and recordings that lack files are
+/// restored, too: [`Manifest::incomplete`] names them.
 pub fn restore(source: &Path, data: &Path) -> Result<Manifest, BackupError> {
-    let manifest = Manifest::read(source)?;
+    let mut manifest = Manifest::read(source)?;
     if manifest.schema > store::SCHEMA {
         return Err(BackupError::Newer {
             folder: source.to_owned(),
@@ -292,6 +298,7 @@ pub fn restore(source: &Path, data: &Path) -> Result<Manifest, BackupError> {
         let _ = fs::remove_dir_all(&staging);
         return Err(error);
     }
+    manifest.incomplete = incomplete(&staging);
     fail_point!("restore-rename");
     for name in FOLDERS.into_iter().chain([store::FILE]) {
         let (from, to) = (staging.join(name), data.join(name));

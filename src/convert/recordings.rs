@@ -21,6 +21,7 @@ pub fn recording(name: String, status: Status) -> proto::Recording {
         missed: status.missed,
         lost: status.lost,
         gap: status.gaps.last().map(gap),
+        lost_parts: status.lost_parts,
         parts: status.parts,
         bytes: status.bytes,
         began_unix_secs: status.began_unix_secs,

@@ -6,6 +6,7 @@
 
 mod error;
 mod gaps;
+mod lost;
 mod resume;
 mod source;
 mod status;
@@ -31,6 +32,7 @@ use tracing::{info, warn};
 
 pub use self::error::RecordError;
 pub use self::gaps::{Gap, Position};
+pub use self::lost::lost_parts;
 pub use self::source::Source;
 use self::status::Entry;
 pub use self::status::Status;
@@ -131,13 +133,15 @@ impl Recordings {
                 Err(error) => warn!(recording = name, %error, "unreadable status file"),
             }
         }
-        Ok(Recordings(Arc::new(Shared {
+        let recordings = Recordings(Arc::new(Shared {
             jobs,
             registry,
             quota_bytes,
             state: Mutex::new(state),
             changed: Condvar::new(),
-        })))
+        }));
+        recordings.check_all();
+        Ok(recordings)
     }
 
     /// Starts a recording. Returns its name, which is generated if it is not given.
@@ -175,7 +179,7 @@ impl Recordings {
             Phase::Failed => return Err(RecordError::Failed(name.to_owned())),
             Phase::Recording => self.end(name)?,
         }
-        self.find(name)
+        self.shown(name)
     }
 
     /// Deletes a recording with its files, and stops it before. Returns its last status.
@@ -183,7 +187,7 @@ impl Recordings {
         if self.find(name)?.phase == Phase::Recording {
             self.end(name)?;
         }
-        let status = self.find(name)?;
+        let status = self.shown(name)?;
         self.0.jobs.remove(name)?;
         self.lock().entries.remove(name);
         info!(recording = name, "deleted");
@@ -198,6 +202,7 @@ impl Recordings {
     /// Reads a piece of a finished part. Parts count from 0.
     pub fn piece(&self, name: &str, part: u64, offset: u64) -> Result<Piece, RecordError> {
         self.find(name)?;
+        self.check(name);
         let all = parts(&self.0.jobs.folder(name))?;
         let parts = all.len() as u64;
         let Some(path) = usize::try_from(part).ok().and_then(|part| all.get(part)) else {
@@ -228,11 +233,13 @@ impl Recordings {
         (self.lock().bytes(), self.0.quota_bytes)
     }
 
+    /// Every recording as clients see it, ordered by name; what was missing at the last
+    /// [`Recordings::check_all`] is not counted.
     pub fn list(&self) -> Vec<(String, Status)> {
         let state = self.lock();
         let entries = state.entries.iter();
         entries
-            .map(|(name, it)| (name.clone(), it.report()))
+            .map(|(name, it)| (name.clone(), it.shown()))
             .collect()
     }
 
@@ -296,6 +303,8 @@ impl Recordings {
             },
             status: status.clone(),
             subscription: Some(source.subscription.clone()),
+            lost: None,
+            checked: None,
         };
         self.lock().entries.insert(name.to_owned(), entry);
         let (recordings, of) = (self.clone(), name.to_owned());
@@ -320,7 +329,7 @@ impl Recordings {
         let progress = |recorder: &Recorder, has_ended: bool| {
             let mut state = self.lock();
             let entry = state.entries.get_mut(name)?;
-            entry.status.count(recorder.progress());
+            entry.status.count_progress(recorder);
             entry.size = recorder.size();
             let (size, status) = (entry.size, has_ended.then(|| entry.report()));
             if let Some(max_bytes) = entry.status.max_bytes.filter(|it| size >= *it) {

@@ -13,7 +13,7 @@ use tracing::info;
 
 use super::gaps::Position;
 use super::source::Source;
-use super::{DEFECT, Origin, Phase, Recordings, Status};
+use super::{DEFECT, Origin, Phase, Recordings, Status, lost};
 use crate::swarm::frame::Frame;
 use crate::swarm::handle::Handle;
 
@@ -85,11 +85,13 @@ impl Recordings {
         let Some(mut status) = self.lock().entries.get(name).map(|it| it.status.clone()) else {
             return Ok(Err(OVER.to_owned()));
         };
+        lost::complete(&folder, &status)?;
         status.every = Some(source.every);
         let is_over = status.count_lost(&folder, resets, source.began_at())?;
         let about = source.about(&status);
         let recorder = Recorder::resume(&folder, status.format, about)?;
         status.count(recorder.written());
+        status.skipped = recorder.skipped();
         if let Some(entry) = self.lock().entries.get_mut(name) {
             entry.status = status.clone();
             entry.size = recorder.size();

@@ -4,10 +4,11 @@ use std::sync::Arc;
 use std::time::SystemTime;
 
 use jostle_proto::RecordingPhase as Phase;
-use jostle_results::recording::{Format, Written};
+use jostle_results::recording::{Format, Recorder, Written};
 use serde::{Deserialize, Serialize};
 
 use super::gaps::{Gap, Position};
+use super::lost::Lost;
 use crate::jobs::StatusFile;
 use crate::swarm::output::Subscription;
 
@@ -50,8 +51,18 @@ pub struct Status {
     pub began_at: Option<Position>,
     /// The number of finished parts.
     pub parts: u64,
-    /// The bytes of these parts.
+    /// The bytes of these parts; while it is running, also those of the part that is being written.
     pub bytes: u64,
+    /// The bytes of the finished parts; `None` in recordings by an earlier version.
+    #[serde(default)]
+    pub part_bytes: Option<u64>,
+    /// How many numbers below that of the next part no finished part has: an earlier version resumed it
+    /// without these.
+    #[serde(default)]
+    pub skipped: u64,
+    /// The number of finished parts that are missing or damaged; not stored.
+    #[serde(skip)]
+    pub lost_parts: u64,
     pub began_unix_secs: u64,
 }
 
@@ -69,6 +80,7 @@ impl Status {
         }
     }
 
+    /// Counts what is in the finished parts.
     pub(super) fn count(&mut self, written: Written) {
         let Written {
             frames,
@@ -76,6 +88,13 @@ impl Status {
             bytes,
         } = written;
         (self.frames, self.parts, self.bytes) = (frames, parts, bytes);
+        self.part_bytes = Some(bytes);
+    }
+
+    /// Counts the part that is being written, too.
+    pub(super) fn count_progress(&mut self, recorder: &Recorder) {
+        self.count(recorder.written());
+        self.bytes = recorder.progress().bytes;
     }
 }
 
@@ -86,6 +105,10 @@ pub(super) struct Entry {
     pub(super) size: u64,
     /// The subscription of its writer while it is running.
     pub(super) subscription: Option<Arc<Subscription>>,
+    /// What it lacked when its files were last compared with its status.
+    pub(super) lost: Option<Lost>,
+    /// When its folder had last changed then, unless it may have changed again at that time.
+    pub(super) checked: Option<SystemTime>,
 }
 
 impl Entry {
@@ -95,6 +118,8 @@ impl Entry {
             size: status.bytes,
             status,
             subscription: None,
+            lost: None,
+            checked: None,
         }
     }
 

@@ -2,6 +2,7 @@
 
 mod failures;
 mod fetched;
+mod lost;
 mod restarts;
 mod steps;
 

@@ -1,6 +1,8 @@
 //! Playbacks: recordings shown as swarms.
 
 use std::fs;
+use std::os::unix::fs::FileExt as _;
+use std::path::PathBuf;
 use std::time::Duration;
 
 use jostle_proto::{Error, ErrorCode, State, keys};
@@ -389,18 +391,23 @@ async fn a_frame_that_changes_after_it_was_opened_is_not_shown() {
         Ok(())
     });
     read.unwrap();
-    let mut uploads = fs::read_dir(daemon.data_dir().join("replays")).unwrap();
-    let upload = uploads.next().unwrap().unwrap().path();
-    let mut changed = fs::read(&upload).unwrap();
+    // The daemon, which is this process, has removed the name of the file.
+    let uploads = daemon.data_dir().join("replays");
+    let is_upload =
+        |open: &PathBuf| fs::read_link(open).is_ok_and(|target| target.starts_with(&uploads));
+    let open = fs::read_dir("/proc/self/fd").unwrap();
+    let upload = open.map(|it| it.unwrap().path()).find(is_upload).unwrap();
     // A digit of a number in the middle of the last state.
-    changed[last.0 as usize + last.1 / 2] ^= 1;
-    fs::write(&upload, changed).unwrap();
+    let middle = last.0 + last.1 as u64 / 2;
+    let changed = [file[usize::try_from(middle).unwrap()] ^ 1];
+    let upload = fs::OpenOptions::new().write(true).open(upload).unwrap();
+    upload.write_all_at(&changed, middle).unwrap();
 
     let key = keys::cmd(PREFIX, "tape", "seek");
     let payload = json!({ "args": {"fraction": 1.0} }).to_string();
     let _ = client.query(&key, Some(payload.as_bytes())).await;
     let status = client.get("tape", "status").await;
-    assert_eq!(status["result"]["phase"], "faulted", "{status}");
+    assert_eq!(status["phase"], "faulted", "{status}");
     let reason = status["result"]["reason"].as_str().unwrap();
     assert!(reason.contains("frame 52 is damaged"), "{reason}");
     daemon.stop().await;

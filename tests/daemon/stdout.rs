@@ -12,7 +12,7 @@ use jostled::cli::arguments::command_line;
 use serde_json::json;
 
 use crate::support::process::jostled;
-use crate::support::{Client, TIMEOUT};
+use crate::support::{Client, NODE, PREFIX, TIMEOUT, until};
 
 /// What the system says of `/dev/full`.
 const FULL: &str = "jostled: failed to write to standard output: No space left on device";
@@ -188,6 +188,11 @@ async fn the_daemon_serves_without(
         tokio::time::sleep(Duration::from_millis(5)).await;
     }
     let client = Client::open(&endpoint).await;
+    let key = jostle_proto::keys::node_get(PREFIX, NODE, "status");
+    until("it serves", async || {
+        !client.query_all(&key, None).await.is_empty()
+    })
+    .await;
     act(&client, child.id()).await;
     let ended = tokio::task::spawn_blocking(move || child.wait().unwrap())
         .await
@@ -207,8 +212,7 @@ async fn the_daemon_serves_and_ends_if_its_log_cannot_be_written() {
     // The process exits if its store can no longer be trusted.
     let failed = the_daemon_serves_without("store-fsync=return", async |client, _| {
         let spec = json!({"name": "live", "spec": {"n": 5}});
-        let key =
-            jostle_proto::keys::node_cmd(crate::support::PREFIX, crate::support::NODE, "create");
+        let key = jostle_proto::keys::node_cmd(PREFIX, NODE, "create");
         // It exits without a reply.
         let replies = client
             .query_all(&key, Some(spec.to_string().as_bytes()))

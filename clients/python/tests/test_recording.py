@@ -402,6 +402,30 @@ def test_every_state_at_rate_max_is_recorded_and_fetched(
     client.delete_recording(begun.recording)
 
 
+def test_a_recording_that_lacks_a_part_is_fetched_without_it_and_with_a_warning(
+    tmp_path: Path,
+) -> None:
+    daemon = Daemon(tmp_path, failing="recording-part=return(100)")
+    try:
+        with jostle.connect(daemon.endpoint) as client:
+            swarm = client.create("school", {"n": 4, "rate": 1, "publish_every": 1})
+            swarm.run()
+            client.record("school", "take")
+            eventually("three parts", lambda: client.recordings()[0].parts >= 3)
+            whole = client.stop_recording("take")
+            folder = daemon.data / "recordings" / "take"
+            (folder / "part-00001.mcap").unlink()
+            (lacking,) = client.recordings()
+            assert (lacking.phase, lacking.lost_parts) == ("failed", 1)
+            assert (lacking.parts, whole.lost_parts) == (whole.parts - 1, 0)
+            with pytest.warns(RuntimeWarning, match=r"1 is missing \(part-00001.mcap\)"):
+                client.fetch_recording("take", tmp_path / "take", show=False)
+            fetched = [it.read_bytes() for it in sorted((tmp_path / "take").iterdir())]
+            assert fetched == [it.read_bytes() for it in sorted(folder.glob("part-*.mcap"))]
+    finally:
+        daemon.kill()
+
+
 def test_options_without_effect_on_a_recording_are_rejected(
     client: jostle.Client, create: Create
 ) -> None:

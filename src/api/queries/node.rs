@@ -32,6 +32,10 @@ impl Context {
                     Ok(()) => continue,
                     Err(error) => Err(error),
                 },
+                "recordings" => match self.recordings(incoming, &responder) {
+                    Ok(()) => continue,
+                    Err(error) => Err(error),
+                },
                 noun => incoming
                     .no_parameters()
                     .and_then(|()| self.node_noun(noun, incoming)),
@@ -52,7 +56,6 @@ impl Context {
             "whoami" => self.node_reply(self.whoami(incoming)),
             "status" => self.node_reply(self.node_status()),
             "experiments" => self.node_reply(self.experiments()),
-            "recordings" => self.node_reply(convert::recordings(self.recordings.list())),
             "schema" => self.node_reply(&self.schemas),
             "metrics" => {
                 // The watch starts before the queryables.

@@ -1,4 +1,4 @@
-//! `get/recording`: a piece of a recording that the daemon wrote.
+//! `get/recordings`: the recordings that the daemon wrote; `get/recording`: a piece of one.
 
 use jostle_proto::NodeReply;
 
@@ -9,6 +9,23 @@ use crate::convert::commands::{CommandError, DEFAULT_TIMEOUT, check_name, select
 use crate::convert::{self, Payload};
 
 impl Context {
+    /// Replies with all recordings, after a look at their folders.
+    pub(super) fn recordings(
+        &self,
+        incoming: &Incoming,
+        responder: &Responder,
+    ) -> Result<(), CommandError> {
+        incoming.no_parameters()?;
+        responder.set_deadline(DEFAULT_TIMEOUT, CommandError::deadline, None);
+        let (node, responder) = (self.node.clone(), responder.clone());
+        self.recording_files.submit(move |recordings| {
+            recordings.check_all();
+            let result = convert::recordings(recordings.list());
+            responder.complete(move || Ok(Payload::json(&NodeReply { node, result })));
+        });
+        Ok(())
+    }
+
     /// Replies with a piece of a recording, if the client may record.
     pub(super) fn recording(
         &self,

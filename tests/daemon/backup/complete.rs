@@ -3,15 +3,17 @@
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
-use std::process::Child;
+use std::process::{Child, Output};
 use std::time::Duration;
 
+use jostle_proto::keys;
 use serde_json::{Value, json};
 
-use crate::support::until;
+use crate::support::{NODE, PREFIX, until};
 
 use super::fixture::{
-    arguments, begin, create_swarms, experiment, node, outcome, restore, send_commands_for,
+    STANDING, arguments, begin, create_swarms, experiment, node, outcome, restore,
+    send_commands_for,
 };
 
 /// Short runs of one condition, each with a trajectory: run `#0` is the first of the plan.
@@ -144,4 +146,104 @@ async fn a_backup_of_recordings_has_every_part_that_their_status_counts() {
         .await;
     }
     drop(client);
+}
+
+/// Removes a file from a backup and its manifest: earlier versions took such backups.
+fn remove_from_backup(folder: &Path, path: &str) {
+    fs::remove_file(folder.join(path)).unwrap();
+    let manifest = folder.join("backup.json");
+    let checked: Value = serde_json::from_slice(&fs::read(&manifest).unwrap()).unwrap();
+    let mut backup = checked["backup"].clone();
+    let files = backup["files"].as_array_mut().unwrap();
+    files.retain(|file| file["path"] != path);
+    let text = backup.to_string();
+    let hash = blake3::hash(text.as_bytes()).to_hex();
+    let text = format!("{{\"blake3\":\"{hash}\",\"backup\":{text}}}");
+    fs::write(manifest, text).unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_a_backup_lacks_is_named_and_the_rest_is_restored() {
+    let base = tempfile::tempdir().unwrap();
+    let path = |name: &str| base.path().join(name);
+    let [data, folder] = ["data", "backup"].map(path);
+    fs::create_dir(&data).unwrap();
+    let (mut process, client) = begin(&data, "recording-part=return(100)").await;
+    create_swarms(&client).await;
+    for name in ["film", "whole"] {
+        let begin = json!({"begin": {"swarm": "fast", "recording": name}});
+        node(&client, "record", begin).await;
+        until("two parts", async || {
+            data.join(format!("recordings/{name}/part-00002.mcap"))
+                .exists()
+        })
+        .await;
+        node(&client, "record", json!({"stop": {"recording": name}})).await;
+    }
+    node(&client, "experiment", json!({"submit": {"toml": EARLIER}})).await;
+    let trajectory = "experiments/earlier/trajectories/run-000002.parquet";
+    let is_finished = async || {
+        let key = keys::experiment(PREFIX, NODE, "earlier", "progress");
+        client.query(&key, None).await.unwrap()["phase"] == "finished"
+    };
+    until("the experiment is finished", is_finished).await;
+    let output = arguments("backup", &folder, &data).output().unwrap();
+    assert_eq!(outcome(&output).unwrap()["incomplete"], json!([]));
+    assert!(output.stderr.is_empty(), "{output:?}");
+
+    let lost = "recordings/film/part-00001.mcap";
+    for path in [lost, trajectory] {
+        remove_from_backup(&folder, path);
+    }
+    let assert_named = |output: &Output| {
+        let text = String::from_utf8(output.stderr.clone()).unwrap();
+        let is_named =
+            text.contains("recordings/film lacks files") && text.contains("part-00001.mcap");
+        assert!(is_named && !text.contains("whole"), "{text}");
+        let summary: Value = serde_json::from_slice(&output.stdout).unwrap();
+        let incomplete = summary["incomplete"].as_array().unwrap();
+        let paths = ["experiments/earlier", "recordings/film"];
+        let reasons = [
+            "files of 1 of its 6 finished runs (run 2)",
+            "(part-00001.mcap)",
+        ];
+        assert_eq!(incomplete.len(), 2, "{summary}");
+        for ((path, reason), it) in paths.iter().zip(reasons).zip(incomplete) {
+            assert_eq!(it["path"], *path);
+            assert!(it["reason"].as_str().unwrap().contains(reason), "{it}");
+        }
+    };
+    let output = arguments("restore", &folder, &path("new"))
+        .output()
+        .unwrap();
+    assert_eq!(output.status.code(), Some(9), "{output:?}");
+    assert_named(&output);
+    let (_new, again) = begin(&path("new"), "").await;
+    again.ok(STANDING, "step", json!({"steps": 1})).await;
+    let list = again.node("recordings").await;
+    let [film, whole] = [0, 1].map(|index| &list["recordings"][index]);
+    assert_eq!(
+        (&film["recording"], &film["phase"]),
+        (&json!("film"), &json!("failed"))
+    );
+    assert_eq!(
+        (&film["lost_parts"], &whole["lost_parts"]),
+        (&json!(1), &json!(0))
+    );
+    assert!(
+        film["reason"].as_str().unwrap().contains("part-00001.mcap"),
+        "{film}"
+    );
+
+    // A backup of a data folder that lacks a file names it.
+    for path in [lost, trajectory] {
+        fs::remove_file(data.join(path)).unwrap();
+    }
+    let output = arguments("backup", &path("second"), &data)
+        .output()
+        .unwrap();
+    assert_eq!(output.status.code(), Some(0), "{output:?}");
+    assert_named(&output);
+    process.stop();
+    assert_eq!(process.end(), Some(0));
 }

@@ -231,11 +231,10 @@ async fn a_kill_that_rolls_the_swarm_back_behind_the_last_state_misses_none() {
         .find(|it| it[0].epoch < it[1].epoch)
         .unwrap();
     assert!(again[1].step < again[0].step, "rolled back: {again:?}");
-    assert!(
-        distinct(&states)
-            .into_iter()
-            .eq(0..=states.last().unwrap().step)
-    );
+    // The last state in the files of the first epoch may be later than the last one.
+    let steps = distinct(&states);
+    let last = *steps.last().unwrap();
+    assert!(steps.into_iter().eq(0..=last));
     drop(process);
 }
 

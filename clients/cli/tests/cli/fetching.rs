@@ -430,3 +430,43 @@ async fn without_permission_to_record_the_published_states_are_recorded_with_a_n
     );
     daemon.stop().await;
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_recording_that_lacks_a_part_is_fetched_without_it_and_the_exit_code_says_so() {
+    let daemon = Daemon::start().await;
+    daemon.jostle("create demo --n 5 --publish-every 1").await;
+    daemon.jostle("record demo --at-daemon --as take").await;
+    daemon.said("step demo 10").await;
+    // Each restart begins another part.
+    let daemon = daemon.restart().await;
+    until("it goes on", async || {
+        daemon.said("step demo 10").await;
+        let list = daemon.reply("record --list").await;
+        list["result"]["recordings"][0]["frames"].as_u64() > Some(12)
+    })
+    .await;
+    daemon.said("record --stop take").await;
+    let folder = daemon.folder().join("recordings/take");
+    let [lost, kept] = [0, 1].map(|part| folder.join(format!("part-0000{part}.mcap")));
+    fs::remove_file(lost).unwrap();
+    let listed = daemon.said("record --list").await;
+    assert!(
+        listed.contains("failed") && listed.contains("part-00000.mcap"),
+        "{listed}"
+    );
+
+    let (_folder, path) = file("take.mcap");
+    let ended = daemon
+        .jostle(&format!("record --fetch take -o {path}"))
+        .await;
+    ended.assert_stderr(3, "part-00000.mcap");
+    let (steps, about) = read(&path);
+    assert_eq!(steps, read(kept.to_str().unwrap()).0);
+    assert_eq!(about["lost_parts"], "1");
+    assert_eq!(
+        self::listed(&daemon).await,
+        ["take"],
+        "the daemon keeps its copy"
+    );
+    daemon.stop().await;
+}

@@ -378,7 +378,8 @@ class Client(Player):
             states = jostle.read_recording(folder)
 
         Complete parts are not fetched again, so after a lost connection or a killed process the
-        same call resumes. The daemon keeps its copy until `delete_recording`.
+        same call resumes. The daemon keeps its copy until `delete_recording`. If the daemon lacks
+        finished parts, the others are fetched, with a `RuntimeWarning`.
 
         Args:
             recording: The name of the recording.

@@ -107,8 +107,8 @@ class Metrics(HtmlStruct, frozen=True, kw_only=True):
         recordings_quota_bytes: The limit of these bytes: running recordings end at it, and none
             begins.
         experiments_bytes: Bytes of all experiments on disk; None from an earlier daemon.
-        experiments_quota_bytes: The limit of these bytes, at which the running experiment is paused;
-            None if there is none.
+        experiments_quota_bytes: The limit of these bytes, at which the running experiment is
+            paused; None if there is none.
         swarms: Every swarm, ordered by name.
     """
 

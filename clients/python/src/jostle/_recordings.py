@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import os
+import warnings
 from pathlib import Path
 from typing import Literal
 
@@ -20,7 +21,7 @@ RecordingFormat = Literal["mcap", "parquet"]
 
 RecordingPhase = Literal["recording", "ended", "failed"]
 """The phase of a recording: it is running, and resumes after a restart of the daemon; it has ended,
-for `reason`; or it has failed."""
+for `reason`; or it has failed, or lacks files."""
 
 
 class RecordedAt(HtmlStruct, frozen=True, kw_only=True):
@@ -54,12 +55,14 @@ class RecordingStatus(HtmlStruct, frozen=True, kw_only=True):
         every: It has the states whose step is a multiple of this; None is the published states, of
             an earlier version.
         phase: Its phase.
-        reason: Why it ended or failed.
+        reason: Why it ended or failed, and which of its files are missing or damaged.
         frames: Number of recorded states.
         missed: Number of missing states: those that were dropped because the disk was too slow,
             and those in `lost`.
         lost: Number of them that were lost because the daemon ended before their file was complete.
         gap: Where the last of these were; None if none was lost.
+        lost_parts: Number of finished files that are missing or damaged; `frames`, `parts` and
+            `bytes` are those of the others then.
         parts: Number of complete files.
         bytes: Bytes of these files.
         began_unix_secs: Its beginning, seconds since 1970.
@@ -78,8 +81,9 @@ class RecordingStatus(HtmlStruct, frozen=True, kw_only=True):
     reason: str | None = None
     frames: int
     missed: int
-    lost: int = 0
+    lost: int
     gap: RecordingGap | None = None
+    lost_parts: int
     parts: int
     bytes: int
     began_unix_secs: int
@@ -130,7 +134,7 @@ def fetch(
     path: str | os.PathLike[str],
     show: bool | None,
 ) -> Path:
-    """Fetches the missing parts of an ended recording into a folder."""
+    """Fetches the missing parts of an ended recording, and warns if the daemon lacks some."""
     if status.phase == "recording":
         raise IncorrectState(
             f"{status.recording} is running: `stop_recording({status.recording!r})` ends it"
@@ -165,6 +169,13 @@ def fetch(
                 os.fsync(file.fileno())
                 fetched += file.tell()
             partial.rename(folder / name)
+    if status.lost_parts:
+        warnings.warn(
+            f"{status.recording} is fetched without {status.lost_parts} of its parts, which the "
+            f"daemon lacks: {status.reason}",
+            RuntimeWarning,
+            stacklevel=3,
+        )
     return folder
 
 

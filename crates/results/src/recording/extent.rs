@@ -33,6 +33,10 @@ pub struct Extent {
 
 impl Extent {
     /// Reads the extent from the end of a part.
+    ///
+    /// # Errors
+    ///
+    /// [`RecordingError`] with the part, also if it is cut short.
     pub fn of(part: &Path) -> Result<Self, RecordingError> {
         let file = File::open(part).map_err(|source| io_error(part, source))?;
         let bytes = file.metadata().map_err(|source| io_error(part, source))?;

@@ -8,7 +8,7 @@ use super::temp_file::PARTIAL;
 use super::{Format, RecordingError};
 
 /// The prefix of a part's file name, before its number.
-pub const PART: &str = "part-";
+const PART: &str = "part-";
 
 /// Lists the whole parts of a folder, ordered by number.
 ///
@@ -29,7 +29,14 @@ pub fn parts(folder: &Path) -> Result<Vec<PathBuf>, RecordingError> {
     Ok(parts)
 }
 
+/// Returns the file name of a part.
+#[must_use]
+pub fn part_name(number: u64, format: Format) -> String {
+    format!("{PART}{number:05}.{}", format.extension())
+}
+
 /// Returns the number in a part's file name.
+#[must_use]
 pub fn number_of(part: &Path) -> Option<u64> {
     let stem = part.file_stem()?.to_str()?;
     stem.strip_prefix(PART)?.parse().ok()

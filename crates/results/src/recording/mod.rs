@@ -29,8 +29,8 @@ use std::time::SystemTime;
 use serde::{Deserialize, Serialize};
 
 pub use self::error::RecordingError;
-pub use self::extent::metadata;
-pub use self::folder::{parts, sweep};
+pub use self::extent::{Extent, metadata};
+pub use self::folder::{number_of, part_name, parts, sweep};
 pub use self::reading::{Message, bytes_at, checksum, read};
 pub use self::recorder::Recorder;
 pub use self::recovery::{Recovered, Recovery, is_unfinished, recover};

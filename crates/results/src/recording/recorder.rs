@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use super::error::io_error;
 use super::extent::{self, Extent};
-use super::folder::{PART, number_of, parts};
+use super::folder::{number_of, part_name, parts};
 use super::mcap::{self, McapPart};
 use super::parquet::ParquetPart;
 use super::temp_file::TempFile;
@@ -269,6 +269,13 @@ impl Recorder {
         self.written
     }
 
+    /// Returns how many numbers below that of the next part no whole part has: those of parts that were
+    /// missing when the recording was resumed.
+    #[must_use]
+    pub fn skipped(&self) -> u64 {
+        self.next - self.written.parts
+    }
+
     /// As [`Recorder::written`], plus a lower bound for the bytes of the current part.
     #[must_use]
     pub fn progress(&self) -> Written {
@@ -310,8 +317,7 @@ impl Recorder {
                     }
                 }
                 Destination::Folder(folder) => {
-                    let number = self.next;
-                    let name = format!("{PART}{number:05}.{}", self.format.extension());
+                    let name = part_name(self.next, self.format);
                     TempFile::begin(&folder.join(name), false, true)?
                 }
             };

@@ -116,11 +116,6 @@ const FIXED: &[(&str, &str, &str)] = &[
         "/result/experiments_bytes",
         "734003200",
     ),
-    (
-        "node.metrics.reply",
-        "/result/experiments_quota_bytes",
-        "107374182400",
-    ),
     ("node.metrics.reply", "/result/swarms/*/step_secs", "3.25"),
     ("node.metrics.reply", "/result/swarms/*/late_secs", "20.5"),
     ("node.recording.reply", "/result/offset", "524288"),

@@ -79,7 +79,9 @@ async fn busy(recorded: &Recorded) {
 
 /// A daemon whose store finds the disk full after a while, with a recording that has failed.
 async fn full(recorded: &Recorded) {
-    let recorder = RecordingClient::failing(recorded, "store-full=40*off->return").await;
+    let quota = ["--experiments-quota-mb", "102400"];
+    let full = "store-full=40*off->return";
+    let recorder = RecordingClient::start_with(recorded, full, &quota).await;
     let spec = json!({"n": 50, "seed": 1});
     recorder.create("school", spec).await;
     recorder

@@ -20,11 +20,15 @@ pub async fn record_fixtures(recorded: &Recorded) {
     first.stop();
     first.end();
     // A recording in Parquet by version 1a581a9.
-    let stored = Path::new(ROOT).join("tests/stored/1a581a9/data/recordings/table/recording.json");
-    let stored: Value = serde_json::from_slice(&fs::read(stored).unwrap()).unwrap();
+    let parquet = Path::new(ROOT).join("tests/stored/1a581a9/data/recordings/table");
+    let stored = fs::read(parquet.join("recording.json")).unwrap();
+    let stored: Value = serde_json::from_slice(&stored).unwrap();
     // One that has lost states when the daemon was killed.
     let mut cut = stored.clone();
     cut["format"] = json!("mcap");
+    for count in ["frames", "parts", "bytes"] {
+        cut[count] = json!(0);
+    }
     (cut["missed"], cut["lost"]) = (json!(8), json!(5));
     let [after, until] = [(2, 100), (3, 220)].map(|it| json!({"epoch": it.0, "step": it.1}));
     cut["gaps"] = json!([{"after": after, "until": until, "missed": 5}]);
@@ -32,6 +36,11 @@ pub async fn record_fixtures(recorded: &Recorded) {
         let folder = data.path().join("recordings").join(name);
         fs::create_dir_all(&folder).unwrap();
         fs::write(folder.join("recording.json"), status.to_string()).unwrap();
+    }
+    for number in 0..3 {
+        let part = format!("part-{number:05}.parquet");
+        let folder = data.path().join("recordings/table");
+        fs::copy(parquet.join(&part), folder.join(&part)).unwrap();
     }
     let process = RecordingClient::start_process(&data, "", &[]);
     let client = Client::open(&process.endpoint).await;

@@ -113,6 +113,7 @@ fn describe(it: &Recording) -> String {
         format::bytes(it.bytes)
     );
     text.push_str(&super::fetch::missing_note(it));
+    text.push_str(&super::fetch::lost_note(it.lost_parts));
     text
 }
 
@@ -150,6 +151,7 @@ mod tests {
             missed: 0,
             lost: 0,
             gap: None,
+            lost_parts: 0,
             parts: 2,
             bytes: 2048,
             began_unix_secs: 0,

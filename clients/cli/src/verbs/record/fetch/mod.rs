@@ -253,6 +253,18 @@ impl Fetching<'_> {
         let noun = format!("recording?name={name};part={part};offset={offset}");
         let reply: NodeReply<RecordingPiece> = self.context.client.get_node(&noun).await?.read()?;
         let piece = reply.result;
+        if piece.parts < self.recording.parts {
+            return Err(Failure::new(
+                "not_found",
+                format!(
+                    "{name} has {} of its {} parts left: `jostle record --list` names those that are \
+                     missing, {} fetches the rest",
+                    piece.parts,
+                    self.recording.parts,
+                    self.command()
+                ),
+            ));
+        }
         let bytes = STANDARD.decode(&piece.bytes).map_err(Failure::unreadable)?;
         let mut options = OpenOptions::new();
         let file = options.create(true).append(true).open(&path);
@@ -274,9 +286,19 @@ impl Fetching<'_> {
             self.assemble_failure(error)
         })?;
         fs::remove_dir_all(self.folder()).map_err(|error| self.file(error))?;
-        let is_kept = !self.recording.temporary || self.delete().await.is_err();
+        let Recording {
+            temporary,
+            lost_parts,
+            ..
+        } = self.recording;
+        // What is missing may be put back.
+        let is_kept = !temporary || lost_parts > 0 || self.delete().await.is_err();
         self.print(written, is_kept)?;
         match (self.recording.phase, &self.recording.reason) {
+            (_, Some(reason)) if lost_parts > 0 => Err(Failure::new(
+                "not_found",
+                format!("the recording on the daemon lacks files: {reason}"),
+            )),
             (RecordingPhase::Failed, Some(reason)) => Err(Failure::disk_full(format!(
                 "the recording on the daemon failed: {reason}"
             ))),
@@ -313,13 +335,19 @@ impl Fetching<'_> {
                 (Ok(about), None) => closing.extend(about),
             }
         }
-        let Recording { missed, .. } = self.recording;
+        let Recording {
+            missed, lost_parts, ..
+        } = self.recording;
         closing.retain(|key, _| !of_part(key));
-        let frames = recorder.written().frames.to_string();
-        closing.extend([
-            ("frames".to_owned(), frames),
-            ("missed".to_owned(), missed.to_string()),
-        ]);
+        let frames = recorder.written().frames;
+        closing.extend(
+            [
+                ("frames", frames),
+                ("missed", missed),
+                ("lost_parts", lost_parts),
+            ]
+            .map(|(key, number)| (key.to_owned(), number.to_string())),
+        );
         recorder.finish(&closing)
     }
 
@@ -354,6 +382,7 @@ impl Fetching<'_> {
             missed,
             lost,
             gap,
+            lost_parts,
             reason,
             ..
         } = &self.recording;
@@ -362,7 +391,8 @@ impl Fetching<'_> {
         let output = self.context.output;
         if output.json {
             return output.document(&json!({
-                "swarm": swarm, "file": file, "frames": frames, "missed": missed, "bytes": bytes,
+                "swarm": swarm, "file": file, "frames": frames, "missed": missed,
+                "lost_parts": lost_parts, "bytes": bytes,
                 "source": FROM_STEPS, "every": every, "recording": recording, "reason": reason,
                 "kept": is_kept, "lost": lost, "gap": gap,
             }));
@@ -381,10 +411,11 @@ impl Fetching<'_> {
             None => String::new(),
         };
         output.data(&format!(
-            "recorded {} of {swarm} to {file}, {}{which}{}",
+            "recorded {} of {swarm} to {file}, {}{which}{}{}",
             format::count(frames, "frame"),
             format::bytes(bytes),
-            missing_note(&self.recording)
+            missing_note(&self.recording),
+            lost_note(*lost_parts)
         ))
     }
 
@@ -443,6 +474,17 @@ fn may_pass(failure: &Failure) -> bool {
         Error::UnknownNode { .. } => true,
         error => error.is_transient(),
     })
+}
+
+/// A note about finished parts that the daemon no longer has.
+pub fn lost_note(parts: u64) -> String {
+    match parts {
+        0 => String::new(),
+        _ => format!(
+            "; without {}, which the daemon lacks",
+            format::count(parts, "finished part")
+        ),
+    }
 }
 
 /// A note about the states that are missing, and where the last of those were that the daemon lost.
