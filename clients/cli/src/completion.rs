@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use clap::Command;
 use clap::builder::StyledStr;
+use clap::error::ErrorKind;
 use clap_complete::CompleteEnv;
 use clap_complete::engine::CompletionCandidate;
 use jostle_client::{Client, ConnectOptions, Error};
@@ -12,7 +13,8 @@ use jostle_measures::Measure;
 use jostle_proto::contract;
 use jostle_proto::keys::DEFAULT_PREFIX;
 
-use crate::output;
+use crate::failure::Failure;
+use crate::output::{self, Output};
 use crate::values::{self, LAWS};
 
 /// The variable by which a shell requests completions.
@@ -35,11 +37,18 @@ pub fn complete_if_requested(command: fn() -> Command) {
             .map(|it| it.get_value().to_string_lossy())
             .collect();
         let separator = variable("_CLAP_IFS").unwrap_or_else(|| "\n".into());
-        // A write fails if the shell has closed the pipe: not an error.
-        let _ = output::write(&values.join(&separator));
-        std::process::exit(0);
+        exit(output::write(&values.join(&separator)));
     }
-    CompleteEnv::with_factory(command).var(VARIABLE).complete();
+    let completed = CompleteEnv::with_factory(command)
+        .var(VARIABLE)
+        .try_complete(std::env::args_os(), std::env::current_dir().ok().as_deref());
+    match completed {
+        Ok(true) => exit(output::write("")),
+        Ok(false) => {}
+        // It lacks the kind, which another write has.
+        Err(error) if error.kind() == ErrorKind::Io => exit(output::write("\n")),
+        Err(error) => error.exit(),
+    }
 }
 
 /// The line that enables completion, and the file where it belongs.
@@ -63,6 +72,15 @@ pub fn line(shell: &str) -> (String, &'static str) {
         "zsh" => (format!("source <({VARIABLE}=zsh jostle)"), "~/.zshrc"),
         _ => (format!("source <({VARIABLE}=bash jostle)"), "~/.bashrc"),
     }
+}
+
+/// Ends the process: a shell has requested nothing else.
+fn exit(written: Result<(), Failure>) -> ! {
+    let code = written.as_ref().map_or_else(Failure::exit_code, |()| 0);
+    if let Err(failure) = written {
+        Output { json: false }.failure(&failure);
+    }
+    std::process::exit(code.into())
 }
 
 pub fn swarms(typed: &OsStr) -> Vec<CompletionCandidate> {

@@ -3,6 +3,7 @@
 use std::fmt::Display;
 
 use jostle_client::Error;
+use jostle_experiment::stdout::StdoutError;
 use jostle_proto::ErrorCode;
 use serde_json::{Map, Value, json};
 
@@ -218,16 +219,12 @@ impl Failure {
     }
 
     /// Standard output cannot be written.
-    pub fn output(error: impl Display) -> Self {
-        Failure::new(
-            "internal",
-            format!("failed to write to standard output: {error}"),
-        )
-    }
-
-    /// The reader of standard output has closed the pipe.
-    pub fn broken_pipe() -> Self {
-        Failure::of(Kind::BrokenPipe, "broken_pipe", "standard output is closed")
+    pub fn output(error: impl Into<StdoutError>) -> Self {
+        let error = error.into();
+        match error {
+            StdoutError::Closed => Failure::of(Kind::BrokenPipe, "broken_pipe", error.to_string()),
+            StdoutError::Failed(_) => Failure::new("internal", error.to_string()),
+        }
     }
 
     /// A defect of the command line.
@@ -536,7 +533,7 @@ mod tests {
         let target = "demo".into();
         assert_eq!(exit_code(Error::Silent { target }), 5);
         assert_eq!(Failure::interrupted().exit_code(), 130);
-        assert_eq!(Failure::broken_pipe().exit_code(), 0);
+        assert_eq!(Failure::output(StdoutError::Closed).exit_code(), 0);
         let (swarm, there) = ("demo".into(), vec!["demos".into(), "herd".into()]);
         let swarm = Failure::from(Error::NoSwarm { swarm, there });
         assert_eq!(swarm.exit_code(), 3);

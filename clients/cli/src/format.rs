@@ -32,7 +32,7 @@ pub fn standing<T>(reply: &Reply<T>) -> String {
 
 /// A simulated time, rounded to the digits that a step can have.
 pub fn time(time: f64) -> String {
-    let digits = format!("{time:.4}");
+    let digits = fixed(time, 4);
     digits.trim_end_matches('0').trim_end_matches('.').into()
 }
 
@@ -55,14 +55,28 @@ pub fn rate(rate: Option<f64>) -> String {
     rate.map_or_else(|| "max".into(), written)
 }
 
-/// A speed or an order, to three decimals; never `-0.000`.
-pub fn share(share: Option<f64>) -> String {
-    let text = or_none(share.map(|share| format!("{share:.3}")));
-    if text == "-0.000" {
-        "0.000".into()
-    } else {
-        text
+/// A number with so many decimals; never `-0.000`.
+pub fn fixed(value: f64, decimals: usize) -> String {
+    unsigned_zero(format!("{value:.decimals$}"))
+}
+
+/// Removes the sign of a number that is zero as written.
+fn unsigned_zero(text: String) -> String {
+    let is_zero = |digits: &str| digits.bytes().all(|byte| b"0.e".contains(&byte));
+    match text.strip_prefix('-') {
+        Some(digits) if is_zero(digits) => digits.to_owned(),
+        _ => text,
     }
+}
+
+/// A speed or an order, to three decimals.
+pub fn share(share: Option<f64>) -> String {
+    or_none(share.map(|share| fixed(share, 3)))
+}
+
+/// A share in percent.
+pub fn percent(share: f64) -> String {
+    format!("{} %", fixed(100.0 * share, 0))
 }
 
 /// A real-time factor, to three digits.
@@ -73,13 +87,13 @@ pub fn factor(factor: Option<f64>) -> String {
             size if size < 100.0 => 1,
             _ => 0,
         };
-        format!("{factor:.decimals$}")
+        fixed(factor, decimals)
     }))
 }
 
 /// A gap or a residual, in scientific notation.
 pub fn magnitude(number: Option<f64>) -> String {
-    or_none(number.map(|number| format!("{number:.1e}")))
+    or_none(number.map(|number| unsigned_zero(format!("{number:.1e}"))))
 }
 
 /// A number in its shortest form, a large one in powers of ten.
@@ -89,7 +103,7 @@ pub fn number(number: f64) -> String {
     } else if number.abs() >= 1e6 && (number / 1e6).fract() == 0.0 {
         format!("{number:e}")
     } else {
-        number.to_string()
+        unsigned_zero(number.to_string())
     }
 }
 
@@ -124,7 +138,7 @@ pub fn duration(secs: f64) -> String {
 pub fn millis(secs: f64) -> String {
     let millis = secs * 1e3;
     match millis.abs() {
-        size if size < 10.0 => format!("{millis:.2} ms"),
+        size if size < 10.0 => format!("{} ms", fixed(millis, 2)),
         size if size < 1000.0 => format!("{millis:.0} ms"),
         _ => format!("{secs:.1} s"),
     }
@@ -294,6 +308,23 @@ mod tests {
         assert_eq!(bytes(512), "512 B");
         assert_eq!(bytes(1536), "1.5 KiB");
         assert_eq!(bytes(1 << 30), "1.0 GiB");
+    }
+
+    #[test]
+    fn a_zero_has_no_sign() {
+        for zero in [-0.0, -1e-9] {
+            assert_eq!(fixed(zero, 2), "0.00");
+            assert_eq!(share(Some(zero)), "0.000");
+            assert_eq!(percent(zero), "0 %");
+            assert_eq!(time(zero), "0");
+            assert_eq!(factor(Some(zero)), "0.00");
+            assert_eq!(millis(zero * 1e-3), "0.00 ms");
+        }
+        assert_eq!(number(-0.0), "0");
+        assert_eq!(rounded(-0.0, 3), "0");
+        assert_eq!(magnitude(Some(-0.0)), "0.0e0");
+        assert_eq!(percent(-0.006), "-1 %");
+        assert_eq!(fixed(f64::NEG_INFINITY, 2), "-inf");
     }
 
     #[test]

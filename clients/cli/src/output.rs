@@ -4,6 +4,7 @@ use std::io::{self, Write};
 use std::process::ExitCode;
 
 use jostle_client::Payload;
+use jostle_experiment::stdout;
 use jostle_proto::Reply;
 use jostle_proto::verbs::Scheduled;
 use serde::Serialize;
@@ -120,8 +121,13 @@ pub fn usage(error: &clap::Error) -> ExitCode {
                 .to_string(),
         );
     } else {
-        // In `jostle --help | head -1` the pipe is closed.
-        let _ = error.print();
+        let written = error.print().and_then(|()| io::stdout().flush());
+        if !error.use_stderr()
+            && let Err(error) = written
+        {
+            let json = std::env::args_os().any(|argument| argument == "--json");
+            return Output { json }.failure(&Failure::output(error));
+        }
     }
     ExitCode::from(u8::try_from(error.exit_code()).unwrap_or(2))
 }
@@ -133,14 +139,7 @@ pub fn scheduled(reply: &Payload) -> Option<Reply<Scheduled>> {
 
 /// Writes to stdout and flushes.
 pub fn write(text: &str) -> Result<(), Failure> {
-    let mut stdout = io::stdout().lock();
-    stdout
-        .write_all(text.as_bytes())
-        .and_then(|()| stdout.flush())
-        .map_err(|error| match error.kind() {
-            io::ErrorKind::BrokenPipe => Failure::broken_pipe(),
-            _ => Failure::output(error),
-        })
+    stdout::write(text.as_bytes()).map_err(Failure::output)
 }
 
 /// Writes a line to stderr; a failure cannot be reported anywhere.

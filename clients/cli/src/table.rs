@@ -152,7 +152,7 @@ pub fn status(reply: &Reply<Status>) -> String {
         lines.insert(1, ("replay", text));
     }
     if let Some(share) = verifying {
-        lines.push(("verifying", format!("{:.0} %", 100.0 * share)));
+        lines.push(("verifying", format::percent(*share)));
     }
     if *scheduled > 0 {
         let commands = format::count(*scheduled, "command");

@@ -122,11 +122,11 @@ fn compare_with_bands(
             ("quantity", |it| it.band.quantity.clone()),
             ("pi1", |it| it.band.pi1.to_string()),
             ("n", |it| it.band.n.to_string()),
-            ("low", |it| format!("{:.4}", it.band.low)),
+            ("low", |it| format::fixed(it.band.low, 4)),
             ("mean", |it| {
-                format::or_none(it.mean.map(|mean| format!("{mean:.4}")))
+                format::or_none(it.mean.map(|mean| format::fixed(mean, 4)))
             }),
-            ("high", |it| format!("{:.4}", it.band.high)),
+            ("high", |it| format::fixed(it.band.high, 4)),
             ("", |it| {
                 if it.is_inside() { "" } else { "outside" }.to_owned()
             }),

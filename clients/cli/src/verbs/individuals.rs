@@ -79,7 +79,7 @@ fn describe(done: &str, direction: Option<f64>, reply: &Reply<IdsResult>) -> Str
     let (swarm, step, n) = (&reply.swarm, reply.step, reply.result.n);
     let individuals = individuals(&reply.result.ids);
     let towards = direction.map_or_else(String::new, |it| {
-        format!(" towards {it:.2} rad ({})", turned(it))
+        format!(" towards {} rad ({})", format::fixed(it, 2), turned(it))
     });
     format!("{done} {individuals}{towards} at step {step}; {swarm} has {n}")
 }

@@ -135,13 +135,27 @@ async fn list(context: &Context) -> Result<(), Failure> {
         ("runs", |it| it.runs.to_string()),
         ("finished", |it| it.finished.to_string()),
         ("faulted", |it| it.faulted.to_string()),
-        ("done", |it| format!("{:.0} %", 100.0 * it.share)),
+        ("done", |it| format::percent(it.share)),
         ("took", |it| format::duration(it.elapsed_secs)),
         ("left", |it| {
             format::or_none(it.left_secs.map(format::duration))
         }),
     ];
-    output.list(&answer, &reply.result.experiments, columns, &if_empty)
+    let experiments = &reply.result.experiments;
+    output.list(&answer, experiments, columns, &if_empty)?;
+    // A finished one may lack files of some runs.
+    let waits = |it: &&Progress| match it.phase {
+        ExperimentPhase::Paused => true,
+        ExperimentPhase::Finished => it.finished < it.runs,
+        _ => false,
+    };
+    for experiment in experiments.iter().filter(waits) {
+        if let Some(reason) = experiment.message.as_ref().filter(|_| !output.json) {
+            let (name, phase) = (&experiment.name, phase(experiment.phase));
+            output.note(&format!("{name} is {phase}: {reason}"));
+        }
+    }
+    Ok(())
 }
 
 async fn change(

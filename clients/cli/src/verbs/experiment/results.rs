@@ -199,8 +199,8 @@ fn listed(texts: &[String]) -> String {
 fn summary(summaries: &[Summary]) -> String {
     fn spread(spread: &Spread) -> String {
         match spread.error {
-            Some(error) => format!("{:.4} ± {error:.4}", spread.mean),
-            None => format!("{:.4}", spread.mean),
+            Some(error) => format!("{} ± {error:.4}", format::fixed(spread.mean, 4)),
+            None => format::fixed(spread.mean, 4),
         }
     }
     let mut columns: Vec<(&str, Vec<String>)> = vec![
@@ -236,7 +236,7 @@ fn summary(summaries: &[Summary]) -> String {
         ),
         (
             "crossed",
-            texts(summaries, |it| format!("{:.4}", it.crossed_share)),
+            texts(summaries, |it| format::fixed(it.crossed_share, 4)),
         ),
     ]);
     let first = summaries.first().map(|it| &it.extra);

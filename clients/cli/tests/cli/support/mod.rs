@@ -179,13 +179,18 @@ impl Ended {
 impl Running {
     /// Starts a command line with this endpoint.
     pub fn begin(endpoint: &str, line: &str, stdin: &str) -> Self {
+        Self::begin_on(endpoint, line, stdin, Stdio::piped())
+    }
+
+    /// Starts a command line with this endpoint and standard output.
+    pub fn begin_on(endpoint: &str, line: &str, stdin: &str, stdout: Stdio) -> Self {
         let mut child = Command::new(env!("CARGO_BIN_EXE_jostle"))
             .args(line.split(' '))
             // Not the user that runs the tests.
             .env("USER", "tester")
             .env("JOSTLE_ENDPOINT", endpoint)
             .stdin(Stdio::piped())
-            .stdout(Stdio::piped())
+            .stdout(stdout)
             .stderr(Stdio::piped())
             .spawn()
             .unwrap();

@@ -161,6 +161,21 @@ pub fn experiments() -> Vec<Row> {
         )
         .says("created live, the swarm of run \"#1\", and scheduled 0 commands"),
         row("experiment list", &["@node/test/get/experiments"]).says("small"),
+        // Earlier daemons sent -0 for the share of an experiment without finished runs.
+        row("experiment list", &["@node/test/get/experiments"])
+            .with(
+                "get/experiments",
+                "/result/experiments/1/message",
+                json!("too little memory"),
+            )
+            .with(
+                "get/experiments",
+                "/result/experiments/1/share",
+                json!(-0.0),
+            )
+            .says("still is paused: too little memory")
+            .says(" 0 %")
+            .says_not("-0 %"),
         row("experiment status <name>small", &[progress]).says("small is finished, 4 of 4"),
         row("experiment attach <name>small", &[progress]).says("; took 3"),
         row(
