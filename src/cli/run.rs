@@ -166,10 +166,10 @@ pub fn run(options: &Options) -> Result<u8, Box<dyn Error>> {
     let lacking = folder.lacking().and(&subset);
     if !lacking.indices().is_empty() {
         let count = counted(lacking.indices().len(), "run");
-        eprintln!(
+        note(&format_args!(
             "jostled: {count} of {} lack files and are executed again: {lacking}",
             path.display()
-        );
+        ));
     }
     let control = ExecutionControl::new();
     let interrupted = Arc::new(AtomicBool::new(false));
