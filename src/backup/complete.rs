@@ -24,7 +24,7 @@ pub struct Incomplete {
 /// The experiments and recordings in a data folder or a backup that lack files which their lists and
 /// status files name.
 pub fn incomplete(folder: &Path) -> Vec<Incomplete> {
-    let [experiments, recordings] = super::FOLDERS;
+    let [experiments, recordings] = super::files::FOLDERS;
     let mut found = Vec::new();
     for (kind, lost) in [
         (experiments, lost_runs as fn(&Path) -> Option<String>),

@@ -16,6 +16,9 @@ const BUFFER: usize = 1 << 20;
 const JSON_READS: u32 = 20;
 const JSON_INTERVAL: Duration = Duration::from_millis(5);
 
+/// The folders of a data folder that belong in a backup.
+pub const FOLDERS: [&str; 2] = ["experiments", "recordings"];
+
 /// More than the depth of the folders of experiments and recordings.
 pub const MAX_DEPTH: usize = 8;
 

@@ -26,13 +26,10 @@ pub use crate::backup::complete::Incomplete;
 use crate::backup::complete::incomplete;
 pub use crate::backup::error::BackupError;
 use crate::backup::error::io_error;
-use crate::backup::files::{make_folder, sync_folder};
+use crate::backup::files::{FOLDERS, make_folder, sync_folder};
 use crate::backup::manifest::FileEntry;
 pub use crate::backup::manifest::Manifest;
 use crate::store::{self, StoreError};
-
-/// The folders of a data folder that belong in a backup.
-const FOLDERS: [&str; 2] = ["experiments", "recordings"];
 
 /// The manifest's file name until it is complete.
 const TEMP_MANIFEST: &str = "backup.json.new";

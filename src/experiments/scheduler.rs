@@ -38,7 +38,7 @@ impl ExperimentManager {
             entry.status.phase = Phase::Running;
             entry.number_of_execution = state.version;
             if let Some(paused) = &entry.execution {
-                return self.resume_counted(name, state.version, paused.clone());
+                return self.resume_counted(name, state.version, paused);
             }
             if let Err(reason) = self.start(name, entry) {
                 warn!(experiment = name, reason, "failed to start");
@@ -58,14 +58,14 @@ impl ExperimentManager {
             manager.settle(&name, number);
             let path = manager.0.jobs.folder(&name);
             let executed = catch_unwind(AssertUnwindSafe(|| {
-                let mut folder = Folder::open(&path, &plan).map_err(End::of_folder)?;
+                let mut folder = Folder::open(&path, &plan).map_err(|it| End::of_folder(&it))?;
                 let execution = Execution {
                     plan: &plan,
                     subset: &Subset::all(&plan),
                     threads: manager.0.threads,
                     checkpoint_every: Some(CHECKPOINT_INTERVAL),
                 };
-                execute(execution, &mut folder, &controlled).map_err(End::of_execution)
+                execute(execution, &mut folder, &controlled).map_err(|it| End::of_execution(&it))
             }));
             let outcome = executed.unwrap_or_else(|_| Err(End::failed("a defect of the daemon")));
             manager.ended(&name, outcome);
@@ -133,11 +133,11 @@ impl End {
         Self { phase, reason }
     }
 
-    fn of_folder(error: FolderError) -> Self {
+    fn of_folder(error: &FolderError) -> Self {
         Self::of(error.is_disk_full(), error.to_string())
     }
 
-    fn of_execution(error: ExecuteError) -> Self {
+    fn of_execution(error: &ExecuteError) -> Self {
         Self::of(error.is_disk_full(), error.to_string())
     }
 }

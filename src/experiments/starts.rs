@@ -8,10 +8,9 @@ use std::time::Duration;
 use fail::fail_point;
 use jostle_experiment::ExecutionControl;
 use jostle_proto::ExperimentPhase as Phase;
-use serde::{Deserialize, Serialize};
 use tracing::warn;
 
-use super::status::{Entry, Status};
+use super::status::{Entry, Starts, Status};
 use super::{ExperimentManager, State};
 
 /// After this time an execution is not the cause of an unclean end: reading the folder and the first
@@ -21,16 +20,6 @@ const SETTLE_TIME: Duration = Duration::from_secs(60);
 /// The number of unclean ends in a row after which an experiment is not started: one may have another
 /// cause, such as a power loss.
 const MAX_UNCLEAN_ENDS: u32 = 2;
-
-/// The last executions in a row, of which none lasted [`SETTLE_TIME`], finished a run, or was ended by
-/// a request or an orderly stop of the daemon.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(default)]
-pub(super) struct Starts {
-    count: u32,
-    /// The number of finished runs when the last one started.
-    finished: usize,
-}
 
 impl Starts {
     /// What counts after an end of the daemon, when so many runs are finished.
@@ -85,7 +74,12 @@ impl ExperimentManager {
     }
 
     /// Resumes an execution that is paused, once that is counted.
-    pub(super) fn resume_counted(&self, name: &str, execution: u64, paused: Arc<ExecutionControl>) {
+    pub(super) fn resume_counted(
+        &self,
+        name: &str,
+        execution: u64,
+        paused: &Arc<ExecutionControl>,
+    ) {
         let (manager, counted, control) = (self.clone(), name.to_owned(), paused.clone());
         let work = move || {
             manager.count_start(&counted, execution);

@@ -6,7 +6,6 @@ use jostle_experiment::{DiskNeed, DiskWatch, ExecutionControl, Plan, Progress};
 use jostle_proto::ExperimentPhase as Phase;
 use serde::{Deserialize, Serialize};
 
-use super::starts::Starts;
 use crate::jobs::StatusFile;
 
 #[derive(Clone, Debug, PartialEq)]
@@ -16,6 +15,16 @@ pub struct Report {
     pub progress: Progress,
     /// Why it failed or the daemon paused it, or which runs ended early.
     pub message: Option<String>,
+}
+
+/// The last executions in a row, of which none lasted a minute, finished a run, or was ended by a request
+/// or an orderly stop of the daemon.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default)]
+pub(super) struct Starts {
+    pub(super) count: u32,
+    /// The number of finished runs when the last one started.
+    pub(super) finished: usize,
 }
 
 /// What outlives the daemon.

@@ -10,7 +10,7 @@ use jostle_proto::State;
 use jostle_results::recording::{self, About, Format, RecordingError};
 use serde::{Deserialize, Serialize};
 
-use super::status::Status;
+use super::status::{Gap, Position, Status};
 
 /// The metadata key for the gaps, as a JSON list.
 const GAPS: &str = "gaps";
@@ -23,30 +23,6 @@ const MISSED: &str = "missed";
 
 /// Gaps that are named, the newest: with more of them the metadata of each part would grow.
 const MAX_GAPS: usize = 100;
-
-/// The epoch and the step of a state.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Position {
-    pub epoch: u64,
-    pub step: u64,
-}
-
-impl From<(u64, u64)> for Position {
-    fn from((epoch, step): (u64, u64)) -> Self {
-        Position { epoch, step }
-    }
-}
-
-/// States that a recording lacks, because the daemon ended before the part with them was complete.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Gap {
-    /// The state up to which nothing is missing; `None` if the recording begins with the gap.
-    pub after: Option<Position>,
-    /// The state at which the recording continues.
-    pub until: Position,
-    /// The number of missing states.
-    pub missed: u64,
-}
 
 /// Up to which state a recording contains all states, or has counted those that it lacks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]

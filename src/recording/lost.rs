@@ -13,7 +13,7 @@ use jostle_proto::RecordingPhase as Phase;
 use jostle_results::recording::{Extent, RecordingError, Written, number_of, part_name, parts};
 use tracing::warn;
 
-use super::status::{Entry, Status};
+use super::status::{Entry, Lost, Status};
 use super::{RecordError, Recordings, State};
 use crate::jobs::StatusFile as _;
 
@@ -22,17 +22,6 @@ const MAX_NAMED: usize = 5;
 
 /// A folder may change again without another time of its last change; so long after a change it cannot.
 const TIME_RESOLUTION: Duration = Duration::from_secs(1);
-
-/// What a recording lacks.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Lost {
-    /// The number of parts that are missing or damaged, as far as they are known; at least 1.
-    pub parts: u64,
-    /// Which, with the remedy.
-    pub reason: String,
-    /// What is there and can be read.
-    pub there: Written,
-}
 
 /// Compares the files of a recording with its status. `None` if all finished parts are there; parts that
 /// the status does not count yet are not compared.

@@ -31,11 +31,10 @@ use parking_lot::{Condvar, Mutex, MutexGuard};
 use tracing::{info, warn};
 
 pub use self::error::RecordError;
-pub use self::gaps::{Gap, Position};
 pub use self::lost::lost_parts;
 pub use self::source::Source;
 use self::status::Entry;
-pub use self::status::Status;
+pub use self::status::{Gap, Position, Status};
 use self::writer::RecordingWriter;
 use crate::jobs::JobDirectory;
 use crate::swarm::handle::Message;

@@ -11,8 +11,8 @@ use fail::fail_point;
 use jostle_results::recording::{Recorder, RecordingError, sweep};
 use tracing::info;
 
-use super::gaps::Position;
 use super::source::Source;
+use super::status::Position;
 use super::{DEFECT, Origin, Phase, Recordings, Status, lost};
 use crate::swarm::frame::Frame;
 use crate::swarm::handle::Handle;

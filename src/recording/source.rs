@@ -5,8 +5,8 @@ use std::sync::Arc;
 use jostle_physics::simulation::Spec;
 use jostle_results::recording::{About, FROM_STEPS, SOURCE};
 
-use super::gaps::{self, Position};
-use super::status::Status;
+use super::gaps;
+use super::status::{Position, Status};
 use crate::convert::{self, Payload};
 use crate::swarm::frame::Frame;
 use crate::swarm::handle::Handle;

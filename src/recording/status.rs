@@ -7,10 +7,43 @@ use jostle_proto::RecordingPhase as Phase;
 use jostle_results::recording::{Format, Recorder, Written};
 use serde::{Deserialize, Serialize};
 
-use super::gaps::{Gap, Position};
-use super::lost::Lost;
 use crate::jobs::StatusFile;
 use crate::swarm::output::Subscription;
+
+/// The epoch and the step of a state.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Position {
+    pub epoch: u64,
+    pub step: u64,
+}
+
+impl From<(u64, u64)> for Position {
+    fn from((epoch, step): (u64, u64)) -> Self {
+        Position { epoch, step }
+    }
+}
+
+/// States that a recording lacks, because the daemon ended before the part with them was complete.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Gap {
+    /// The state up to which nothing is missing; `None` if the recording begins with the gap.
+    pub after: Option<Position>,
+    /// The state at which the recording continues.
+    pub until: Position,
+    /// The number of missing states.
+    pub missed: u64,
+}
+
+/// What a recording lacks.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Lost {
+    /// The number of parts that are missing or damaged, as far as they are known; at least 1.
+    pub parts: u64,
+    /// Which, with the remedy.
+    pub reason: String,
+    /// What is there and can be read.
+    pub there: Written,
+}
 
 /// The status of a recording, as it is stored. While it is running, the counts are those when the last
 /// part was finished.

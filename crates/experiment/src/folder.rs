@@ -260,7 +260,7 @@ impl Folder {
         remove_unused(&self.path);
     }
 
-    /// As [`Self::remove_unused`], of a folder that no process writes to.
+    /// Removes the frames of unfinished runs without a checkpoint, of a folder that no process writes to.
     ///
     /// # Errors
     ///

@@ -19,7 +19,6 @@ mod rights;
 mod sending;
 mod shell;
 mod signals;
-mod stdout;
 mod support;
 mod terminal;
 mod top;

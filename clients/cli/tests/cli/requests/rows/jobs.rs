@@ -9,7 +9,7 @@ pub fn recordings() -> Vec<Row> {
         row(line, sends)
             .with(
                 "get/recordings",
-                "/result/recordings/1/phase",
+                "/result/recordings/2/phase",
                 json!("ended"),
             )
             .with("cmd/record", "/result/phase", json!("ended"))
@@ -75,7 +75,7 @@ pub fn recordings() -> Vec<Row> {
         )
         .with(
             "get/recordings",
-            "/result/recordings/1/phase",
+            "/result/recordings/2/phase",
             json!("ended"),
         )
         .writes("short.mcap"),
