@@ -210,14 +210,19 @@ async fn the_daemon_serves_and_ends_if_its_log_cannot_be_written() {
     });
     assert_eq!(served.await, Some(0));
     // The process exits if its store can no longer be trusted.
-    let failed = the_daemon_serves_without("store-fsync=return", async |client, _| {
-        let spec = json!({"name": "live", "spec": {"n": 5}});
+    let failed = the_daemon_serves_without("store-fsync=4*off->return", async |client, _| {
         let key = jostle_proto::keys::node_cmd(PREFIX, NODE, "create");
-        // It exits without a reply.
-        let replies = client
-            .query_all(&key, Some(spec.to_string().as_bytes()))
-            .await;
-        drop(replies);
+        for k in 0.. {
+            let spec = json!({"name": format!("live-{k}"), "spec": {"n": 5}}).to_string();
+            // It exits without a reply.
+            if client
+                .query_all(&key, Some(spec.as_bytes()))
+                .await
+                .is_empty()
+            {
+                break;
+            }
+        }
     });
     assert_eq!(failed.await, Some(8));
 }

@@ -124,9 +124,9 @@ pub(super) async fn journal(client: &Client, swarm: &str) -> Vec<Value> {
 /// The hash of a swarm at a step of its past.
 pub(super) async fn hash_at(client: &Client, swarm: &str, step: u64) -> Value {
     let name = format!("{swarm}-at-{step}");
-    client
-        .ok(swarm, "fork", json!({"name": name, "step": step}))
-        .await;
+    // The replay to that step takes longer than a reply may on a machine that does other things.
+    let request = json!({"timeout_secs": 60, "args": {"name": name, "step": step}});
+    client.ok(swarm, "fork", request).await;
     let status = client.get(&name, "status").await;
     client.ok(&name, "delete", json!({})).await;
     assert_eq!(status["step"], step, "{status}");
