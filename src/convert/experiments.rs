@@ -4,7 +4,7 @@ use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use jostle_experiment::{LiveCommand, LiveRun, MAX_COMMANDS, Plan};
 use jostle_proto as proto;
-use jostle_results::table::{OrderSeries, Series};
+use jostle_results::table::{MeasureSeries, SeriesPart};
 use serde::Serialize;
 use serde_json::json;
 
@@ -104,59 +104,57 @@ pub fn results_page(
     }
 }
 
-/// Returns at most `limit` entries of a run's order over time, from number `after` + 1.
-pub fn order_page(
-    name: String,
-    series: &OrderSeries,
-    after: u64,
-    limit: usize,
-) -> proto::OrderPage {
-    let count = series.orders.len();
-    let begin = usize::try_from(after).map_or(count, |after| after.min(count));
-    let end = begin.saturating_add(limit).min(count);
-    let part = |column: &[f64]| column.get(begin..end).unwrap_or_default().to_vec();
+/// Returns entries of a run's order over time, from number `after` + 1.
+pub fn order_page(name: String, after: u64, part: SeriesPart) -> proto::OrderPage {
+    let next = next(&part, after);
+    let SeriesPart {
+        rows, is_defined, ..
+    } = part;
+    // A drift that is undefined everywhere is left out.
+    let mut measures = rows.measures.iter().zip(is_defined);
+    let mut column = || {
+        let defined = measures.next().filter(|(_, is_defined)| *is_defined);
+        defined.map_or_else(Vec::new, |(measure, _)| numbers(measure))
+    };
     proto::OrderPage {
         name,
-        run: series.run.clone(),
-        time: part(&series.times),
-        order: part(&series.orders),
-        drift: part(&series.drifts),
-        next: (end < count).then_some(end as u64),
+        run: rows.run,
+        time: rows.times,
+        order: column(),
+        drift: column(),
+        next,
     }
 }
 
-/// Returns entries of a run's measures over time, from number `after` + 1: at most `limit`, and at
-/// most `values` numbers.
-pub fn series_page(
-    name: String,
-    series: &Series,
-    after: u64,
-    limit: usize,
-    values: usize,
-) -> proto::SeriesPage {
-    let count = series.steps.len();
-    let begin = usize::try_from(after).map_or(count, |after| after.min(count));
-    let limit = limit.min(values / (series.measures.len() + 2)).max(1);
-    let end = begin.saturating_add(limit).min(count);
-    let measures = series.measures.iter().map(|measure| proto::MeasureSeries {
+/// Returns entries of a run's measures over time, from number `after` + 1.
+pub fn series_page(name: String, after: u64, part: SeriesPart) -> proto::SeriesPage {
+    let next = next(&part, after);
+    let rows = part.rows;
+    let measures = rows.measures.iter().map(|measure| proto::MeasureSeries {
         name: measure.name.clone(),
-        value: measure.values[begin..end]
-            .iter()
-            .map(|value| value.unwrap_or(f64::NAN))
-            .collect(),
+        value: numbers(measure),
     });
     proto::SeriesPage {
         name,
-        run: series.run.clone(),
-        step: series.steps[begin..end]
-            .iter()
-            .map(|&step| step as f64)
-            .collect(),
-        time: series.times[begin..end].to_vec(),
         measures: measures.collect(),
+        run: rows.run,
+        step: rows.steps.iter().map(|&step| step as f64).collect(),
+        time: rows.times,
         about: None,
-        next: (end < count).then_some(end as u64),
+        next,
     }
+}
+
+/// Returns the number of the last entry of a page; none if no entry follows.
+fn next(part: &SeriesPart, after: u64) -> Option<u64> {
+    let next = after.saturating_add(part.rows.steps.len() as u64);
+    (next < part.total).then_some(next)
+}
+
+/// Returns the values of a measure, NaN where it is undefined.
+fn numbers(measure: &MeasureSeries) -> Vec<f64> {
+    let values = measure.values.iter();
+    values.map(|value| value.unwrap_or(f64::NAN)).collect()
 }
 
 /// Returns rows of a run's trajectory, from number `after` + 1.

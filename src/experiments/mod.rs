@@ -19,15 +19,14 @@ use std::time::Duration;
 
 use jostle_experiment::{Files, Folder, Plan};
 use jostle_proto::{ExperimentPhase as Phase, keys};
-use jostle_results::table::TableError;
 use jostle_results::table::trajectory::{self, About};
-use jostle_results::table::{OrderSeries, Series, Trajectory};
+use jostle_results::table::{TableError, Trajectory};
 use parking_lot::{Condvar, Mutex, MutexGuard};
 use tracing::{info, warn};
 
 pub use self::disk::DiskUsage;
 pub use self::error::ExperimentError;
-use self::results::{Results, ResultsCache, Rows};
+use self::results::{Results, ResultsCache, Rows, SeriesCache};
 pub use self::status::Report;
 use self::status::{Entry, Status};
 use crate::jobs::JobDirectory;
@@ -60,6 +59,7 @@ struct Shared {
     /// The maximum of the bytes of all experiments.
     quota_bytes: Option<u64>,
     results: ResultsCache,
+    series: SeriesCache,
     /// Held during a request that changes an experiment.
     serialize_changes: Mutex<()>,
     /// Held while the status file of a submitted experiment is written; locked before `state`.
@@ -99,6 +99,7 @@ impl ExperimentManager {
             threads: threads.max(1),
             quota_bytes,
             results: ResultsCache::default(),
+            series: SeriesCache::default(),
             serialize_changes: Mutex::default(),
             serialize_writes: Mutex::default(),
             state: Mutex::new(state),
@@ -250,30 +251,6 @@ impl ExperimentManager {
 
     fn results(&self, name: &str, plan: &Arc<Plan>) -> Result<Results, ExperimentError> {
         self.0.results.read(&self.0.jobs.folder(name), plan)
-    }
-
-    /// The order over time of one run.
-    pub fn order(&self, name: &str, run: &str) -> Result<OrderSeries, ExperimentError> {
-        let plan = self.plan(name)?;
-        if plan.order_every.is_none() {
-            return Err(ExperimentError::NoOrder(name.to_owned()));
-        }
-        let (index, results) = self.finished_run(name, &plan, run)?;
-        let folder = self.0.jobs.folder(name);
-        let read = Folder::read_order(&folder, &plan, &results.finished, index);
-        read.map_err(ExperimentError::unreadable)
-    }
-
-    /// The chosen measures of one run over time.
-    pub fn series(&self, name: &str, run: &str) -> Result<Series, ExperimentError> {
-        let plan = self.plan(name)?;
-        if plan.columns.series_every.is_none() {
-            return Err(ExperimentError::NoSeries(name.to_owned()));
-        }
-        let (index, results) = self.finished_run(name, &plan, run)?;
-        let folder = self.0.jobs.folder(name);
-        let read = Folder::read_series(&folder, &plan, &results.finished, index);
-        read.map_err(ExperimentError::unreadable)
     }
 
     /// Rows of the trajectory of one run, at most `limit` after the first `after`.

@@ -4,10 +4,12 @@ use std::fs;
 use std::path::Path;
 use std::sync::Arc;
 
-use jostle_experiment::{FinishedRuns, Folder, Plan};
+use jostle_experiment::{FinishedRuns, Folder, FolderError, Plan, SeriesKind};
 use jostle_results::ResultRow;
+use jostle_results::table::{Series, SeriesPart};
 use parking_lot::Mutex;
 
+use super::ExperimentManager;
 use super::error::ExperimentError;
 
 /// Rows in the plan's order, each with the number of its run in the plan, from 1.
@@ -57,6 +59,100 @@ impl ResultsCache {
             results: results.clone(),
         });
         Ok(results)
+    }
+}
+
+/// The series that was read last as a whole: each page is then a part of it. One that is long is in a
+/// file of its own, of which only the page is read.
+#[derive(Debug, Default)]
+pub struct SeriesCache(Mutex<Option<CachedSeries>>);
+
+#[derive(Debug)]
+struct CachedSeries {
+    /// The list of finished runs from which it was read.
+    finished: Arc<FinishedRuns>,
+    of: (usize, SeriesKind),
+    series: Arc<Series>,
+}
+
+impl SeriesCache {
+    pub fn read(
+        &self,
+        folder: &Path,
+        plan: &Plan,
+        results: &Results,
+        of: (usize, SeriesKind),
+        (after, limit): (u64, usize),
+    ) -> Result<SeriesPart, ExperimentError> {
+        let finished = &results.finished;
+        let read = || {
+            let source = Folder::find_series(folder, plan, finished, of)?;
+            if let Some(part) = Folder::read_series_part(&source, after, limit)? {
+                return Ok(part);
+            }
+            let series = self.cached(finished, of);
+            let series = match series {
+                Some(series) => series,
+                None => Arc::new(Folder::read_series(folder, plan, finished, of)?),
+            };
+            *self.0.lock() = Some(CachedSeries {
+                finished: finished.clone(),
+                of,
+                series: series.clone(),
+            });
+            Ok(SeriesPart::of(&series, after, limit))
+        };
+        read().map_err(|error: FolderError| ExperimentError::unreadable(error))
+    }
+
+    fn cached(&self, finished: &Arc<FinishedRuns>, of: (usize, SeriesKind)) -> Option<Arc<Series>> {
+        let cached = self.0.lock();
+        let cached = cached.as_ref()?;
+        let is_same = Arc::ptr_eq(&cached.finished, finished) && cached.of == of;
+        is_same.then(|| cached.series.clone())
+    }
+}
+
+impl ExperimentManager {
+    /// Entries of a time series of one run: at most `limit` after the first `after`, and at most
+    /// `values` numbers.
+    pub fn series(
+        &self,
+        kind: SeriesKind,
+        (name, run): (&str, &str),
+        (after, limit, values): (u64, usize, usize),
+    ) -> Result<SeriesPart, ExperimentError> {
+        let plan = self.plan(name)?;
+        if !kind.is_in(&plan) {
+            return Err(match kind {
+                SeriesKind::Order => ExperimentError::NoOrder(name.to_owned()),
+                SeriesKind::Measures => ExperimentError::NoSeries(name.to_owned()),
+            });
+        }
+        let limit = limit.min(values / (kind.measures(&plan).len() + 2)).max(1);
+        let (index, mut results) = self.finished_run(name, &plan, run)?;
+        let folder = self.0.jobs.folder(name);
+        let of = (index, kind);
+        let source = Folder::find_series(&folder, &plan, &results.finished, of);
+        if source.is_ok_and(|source| source.is_long_line()) && self.move_series(name, &plan).is_ok()
+        {
+            results = self.results(name, &plan)?;
+        }
+        let series = &self.0.series;
+        series.read(&folder, &plan, &results, of, (after, limit))
+    }
+
+    /// Moves long series that an earlier version wrote to files, as opening the folder does.
+    fn move_series(&self, name: &str, plan: &Plan) -> Result<(), ExperimentError> {
+        let _serialized = self.begin_change()?;
+        // One that is queued is opened when it starts.
+        if self.entry(name, |entry| {
+            entry.status.phase.is_over() && !entry.is_ending()
+        })? {
+            let opened = Folder::open(&self.0.jobs.folder(name), plan);
+            opened.map_err(ExperimentError::not_stored)?;
+        }
+        Ok(())
     }
 }
 

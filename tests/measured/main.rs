@@ -13,6 +13,7 @@ mod overload;
 mod page;
 mod process;
 mod recording;
+mod series;
 mod soak;
 mod streams;
 mod supervisor;

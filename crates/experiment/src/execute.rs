@@ -1,17 +1,20 @@
 //! Executes the unfinished runs of an experiment on several threads.
 
+use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::{self, Receiver};
 use std::sync::{Mutex, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
+use jostle_physics::model::State;
 use thiserror::Error;
 
 use crate::folder::{Checkpoints, Folder, FolderError};
 use crate::plan::Plan;
 use crate::progress::{ExecutionControl, RunHandle};
-use crate::run::{FinishedRun, execute_run_from};
+use crate::run::{FinishedRun, Recorder, execute_run_from};
+use crate::series::{SeriesKind, SeriesRecording};
 use crate::subset::Subset;
 use crate::trajectory::{Recording, Trajectories, trajectory_file};
 
@@ -122,7 +125,7 @@ pub fn execute(
     let next = AtomicUsize::new(0);
     let (finished, received) = mpsc::channel();
     let (checkpoints, trajectories) = (folder.checkpoints(), folder.trajectories());
-    let unwritten = Mutex::new(None);
+    let (path, unwritten) = (&folder.path().to_owned(), Mutex::new(None));
     let work = |finished: mpsc::Sender<Executed>| {
         // None is the calling thread. If the call is not permitted, the nice value is unchanged.
         let _ = rustix::process::setpriority_process(None, NICENESS);
@@ -132,7 +135,7 @@ pub fn execute(
             let handle = control.begin_run(index, &run.name, steps, cost(index));
             let result = match handle.report_steps(0) {
                 true => {
-                    let files = (&checkpoints, &trajectories);
+                    let files = (path.as_path(), &checkpoints, &trajectories);
                     execute_with_checkpoints(execution, index, files, &handle, &unwritten)
                 }
                 false => Ok(None),
@@ -180,8 +183,7 @@ pub fn execute(
         folder.remove_unused();
     }
     written?;
-    // The tables have the values of the list of runs.
-    if !has_room(folder.length()) {
+    if !has_room(folder.table_bytes()) {
         return Err(no_room(control));
     }
     folder.write_tables(plan)?;
@@ -189,8 +191,7 @@ pub fn execute(
         return Err(ExecuteError::Panicked { runs: panicked });
     }
     if folder.finished() == runs.len() {
-        checkpoints.clear();
-        trajectories.clear();
+        folder.clear();
     }
     let unwritten = unwritten
         .into_inner()
@@ -209,12 +210,30 @@ pub fn execute(
 /// A run that ended, with its index in the plan, or the error of reading its checkpoint.
 type Executed = Result<(usize, FinishedRun), FolderError>;
 
+/// The files to which a run that is executed writes.
+pub(crate) struct RunRecorder<'a> {
+    pub trajectory: Option<&'a Recording>,
+    pub series: &'a SeriesRecording,
+}
+
+impl Recorder for RunRecorder<'_> {
+    fn add_frame(&self, state: &State) {
+        if let Some(trajectory) = self.trajectory {
+            trajectory.add(state);
+        }
+    }
+
+    fn add_rows(&self, kind: SeriesKind, rows: &[u8], earlier: u64) {
+        self.series.add(kind, rows, earlier);
+    }
+}
+
 /// Executes a run from its last checkpoint. The result is none if the execution was cancelled. The
 /// last error of writing a checkpoint is stored in `unwritten`, and the run goes on.
 fn execute_with_checkpoints(
     execution: Execution<'_>,
     index: usize,
-    (checkpoints, trajectories): (&Checkpoints, &Trajectories),
+    (folder, checkpoints, trajectories): (&Path, &Checkpoints, &Trajectories),
     handle: &RunHandle<'_>,
     unwritten: &Mutex<Option<FolderError>>,
 ) -> Result<Option<FinishedRun>, FolderError> {
@@ -226,25 +245,32 @@ fn execute_with_checkpoints(
     let run = &plan.runs()[index];
     let mut checkpoint = checkpoints.read(index)?;
     let recording = trajectories.record(plan, index, &mut checkpoint)?;
-    let has_failed = || recording.as_ref().is_some_and(Recording::has_failed);
-    let (mut last, mut length) = (
-        Instant::now(),
-        recording.as_ref().map_or(0, Recording::length),
-    );
+    let series = SeriesRecording::of(folder, index, &mut checkpoint);
+    let recorder = RunRecorder {
+        trajectory: recording.as_ref(),
+        series: &series,
+    };
+    let has_failed =
+        || series.has_failed() || recording.as_ref().is_some_and(Recording::has_failed);
+    let recorded = || series.length() + recording.as_ref().map_or(0, Recording::length);
+    let (mut last, mut length) = (Instant::now(), recorded());
     let steps = plan.point(run).steps;
-    let mut has_room = |current: u64| {
+    let mut has_room = |is_last: bool| {
         let Some(disk) = handle.disk() else {
             return true;
         };
         let before = length;
-        length = recording.as_ref().map_or(0, Recording::length);
-        // At the end of the run its frames are copied: without the space for that it ends here.
-        let is_last = current == steps && length > 0;
-        disk.add(length.saturating_sub(before)) && (!is_last || disk.has_room(length))
+        length = recorded();
+        // At the end of the run its rows are copied: without the space for that it ends here.
+        let is_copied = is_last && length > 0;
+        disk.add(length.saturating_sub(before)) && (!is_copied || disk.has_room(length))
     };
-    let mut finished = execute_run_from(plan, run, checkpoint, recording.as_ref(), |current| {
-        let continues = handle.report_steps(current.steps()) && has_room(current.steps());
+    let mut finished = execute_run_from(plan, run, checkpoint, Some(&recorder), |current| {
+        let continues = handle.report_steps(current.steps()) && has_room(current.steps() == steps);
         if checkpoint_every.is_some_and(|every| !continues || last.elapsed() >= every) {
+            current.pass_rows(&recorder);
+            has_room(false);
+            series.sync();
             let mut checkpoint = current.checkpoint();
             // Without its frames a checkpoint is of no use.
             checkpoint.recorded = recording.as_ref().and_then(Recording::sync);
@@ -257,6 +283,8 @@ fn execute_with_checkpoints(
         }
         continues && !has_failed()
     });
+    // Those that were recorded at the end.
+    has_room(false);
     if let Some(recording) = recording {
         match &mut finished {
             Some(finished) => {
@@ -269,6 +297,16 @@ fn execute_with_checkpoints(
             }
             None => recording.check()?,
         }
+    }
+    match &mut finished {
+        Some(finished) => {
+            let (has_row, disk) = (finished.row.is_some(), handle.disk());
+            let Some(files) = series.finish(plan, run, has_row, disk)? else {
+                return Ok(None);
+            };
+            finished.files.extend(files);
+        }
+        None => series.check()?,
     }
     Ok(finished)
 }

@@ -5,7 +5,10 @@
 //! - `experiment.toml`, a copy of the experiment's file, and `experiment.points.csv`, and
 //!   `experiment.start.snapshot`, copies of the files that it names;
 //! - `runs.jsonl`, a header and a line for each finished run, with its order over time if the plan
-//!   has `order_every`, and its measures over time if it has `series_every`; a run counts as finished once its line is durable;
+//!   has `order_every`, and its measures over time if it has `series_every`, unless these are long; a
+//!   run counts as finished once its line is durable;
+//! - `orders/` and `series/`, with a file for each finished run whose order or measures over time are
+//!   long, and the rows of unfinished ones;
 //! - `order/`, in folders of earlier versions, which stored the order over time there;
 //! - the tables, written from these: `results.parquet`, `results.csv`, `order.parquet`,
 //!   `series.parquet` and `touch.csv`;
@@ -18,18 +21,14 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::ffi::{OsStr, OsString};
 use std::fs::{self, File, OpenOptions};
 use std::io::{BufWriter, Seek as _, SeekFrom, Write as _};
-use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use jostle_physics::model::MODEL_VERSION;
 use jostle_results::ResultRow;
-use jostle_results::contact_statistics::{self, CONTACT_STATISTICS_NAME};
 use jostle_results::table::order::ORDER_NAME;
 use jostle_results::table::series::SERIES_NAME;
 use jostle_results::table::trajectory::TRAJECTORIES;
-use jostle_results::table::{
-    self, CSV_NAME, OrderSeries, OrderWriter, PARQUET_NAME, Series, SeriesWriter,
-};
+use jostle_results::table::{CSV_NAME, PARQUET_NAME, Series};
 use rustix::fs::{FlockOperation, flock};
 use rustix::io::Errno;
 
@@ -37,14 +36,14 @@ pub use self::checkpoints::Checkpoints;
 pub use self::error::FolderError;
 use self::error::io_error;
 use self::lacking::lacking;
-use self::list::{
-    Entry, Header, Line, RUNS, Record, SERIES, parse_runs, read_line, read_or_empty, read_order,
-    read_series, to_line,
-};
+use self::list::{Entry, Header, RUNS, Record, read_runs, to_line};
 pub use self::part::{Part, parts_in};
+use self::series::RAW;
+pub use self::series::SeriesSource;
 use crate::files::{EXPERIMENT, Files};
 use crate::plan::Plan;
 use crate::run::FinishedRun;
+use crate::series::{SeriesKind, bytes_of, remove_spools, remove_spools_of};
 use crate::subset::Subset;
 use crate::trajectory::Trajectories;
 
@@ -53,6 +52,8 @@ pub(crate) mod error;
 mod lacking;
 mod list;
 mod part;
+pub(crate) mod series;
+mod tables;
 
 const LOCK: &str = "lock";
 
@@ -64,8 +65,8 @@ pub struct FinishedRuns {
     /// The version of the model that executed them. Only runs of [`MODEL_VERSION`] can be executed
     /// again.
     pub model_version: u32,
-    /// The byte range of each run's line in the list, by its index in the plan.
-    lines: BTreeMap<usize, Range<u64>>,
+    /// The finished runs by their index in the plan; their rows are above.
+    entries: BTreeMap<usize, Entry>,
 }
 
 /// The finished runs of a folder of which files are missing.
@@ -107,14 +108,14 @@ impl Folder {
         claim(path, plan)?;
         let file = path.join(RUNS);
         let fail = |source| io_error(&file, source);
-        let bytes = read_or_empty(&file)?;
-        let list = parse_runs(path, plan, &bytes)?;
+        let list = read_runs(path, plan)?;
         if list.model_version != MODEL_VERSION {
             return Err(FolderError::OtherModel {
                 folder: path.to_owned(),
                 theirs: list.model_version,
             });
         }
+        let list = series::settle_all(path, plan, list)?;
         let mut length = list.length;
         let mut runs = OpenOptions::new()
             .create(true)
@@ -153,13 +154,13 @@ impl Folder {
     ///
     /// [`FolderError`].
     pub fn read(path: &Path, plan: &Plan) -> Result<FinishedRuns, FolderError> {
-        let list = parse_runs(path, plan, &read_or_empty(&path.join(RUNS))?)?;
-        let rows = rows(&list.finished);
-        let entries = list.finished.into_iter();
+        let mut list = read_runs(path, plan)?;
+        let entries = list.finished.values_mut();
+        let rows = entries.filter_map(|entry| entry.record.row.take());
         Ok(FinishedRuns {
-            rows,
+            rows: rows.collect(),
             model_version: list.model_version,
-            lines: entries.map(|(index, entry)| (index, entry.line)).collect(),
+            entries: list.finished,
         })
     }
 
@@ -169,41 +170,13 @@ impl Folder {
     ///
     /// [`FolderError`].
     pub fn missing_files(path: &Path, plan: &Plan) -> Result<MissingFiles, FolderError> {
-        let list = parse_runs(path, plan, &read_or_empty(&path.join(RUNS))?)?;
+        let list = read_runs(path, plan)?;
         let lacking = lacking(path, plan, &list.finished);
         Ok(MissingFiles {
             finished: list.finished.len() - lacking.len(),
             runs: Subset::of(lacking.into_iter().collect()),
             model_version: list.model_version,
         })
-    }
-
-    /// Reads the order over time of a finished run, by its index in the plan.
-    ///
-    /// # Errors
-    ///
-    /// [`FolderError`], if the run has no such series, too.
-    pub fn read_order(
-        path: &Path,
-        plan: &Plan,
-        finished: &FinishedRuns,
-        index: usize,
-    ) -> Result<OrderSeries, FolderError> {
-        read_order(path, plan, index, &finished.line(path, index)?)
-    }
-
-    /// Reads the chosen measures over time of a finished run, by its index in the plan.
-    ///
-    /// # Errors
-    ///
-    /// [`FolderError`], if the run has no such series, too.
-    pub fn read_series(
-        path: &Path,
-        plan: &Plan,
-        finished: &FinishedRuns,
-        index: usize,
-    ) -> Result<Series, FolderError> {
-        read_series(path, plan, index, &finished.line(path, index)?)
     }
 
     /// Returns the path of the trajectory of a run, by its index in the plan.
@@ -255,7 +228,7 @@ impl Folder {
         self.length
     }
 
-    /// Removes the frames of unfinished runs without a checkpoint, which start again.
+    /// Removes the rows of unfinished runs without a checkpoint, which start again.
     pub(crate) fn remove_unused(&self) {
         remove_unused(&self.path);
     }
@@ -266,7 +239,9 @@ impl Folder {
     ///
     /// [`FolderError::InUse`] and [`FolderError::Io`]: the folder is unchanged.
     pub fn sweep(path: &Path) -> Result<(), FolderError> {
-        if !path.join(TRAJECTORIES).exists() {
+        let series = SeriesKind::ALL.map(SeriesKind::folder);
+        let mut folders = series.into_iter().chain([TRAJECTORIES]);
+        if !folders.any(|folder| path.join(folder).exists()) {
             return Ok(());
         }
         let _lock = lock(path)?;
@@ -301,20 +276,18 @@ impl Folder {
         let mut entries = Vec::with_capacity(batch.len());
         let indices: Vec<usize> = batch.iter().map(|(index, _)| *index).collect();
         for (index, finished) in batch {
+            let bytes = |series: &Option<Series>| series.as_ref().map(bytes_of);
             let record = Record {
                 run: plan.runs()[index].name.clone(),
                 fault: finished.fault,
                 row: finished.row,
                 touch: finished.touch,
                 files: finished.files,
-                has_order: finished.order.is_some(),
+                order: bytes(&finished.order),
+                series: bytes(&finished.series),
             };
             let start = self.length + lines.len() as u64;
-            lines.extend(to_line(&Line {
-                record: &record,
-                order: finished.order.map(Into::into),
-                series: finished.series.map(Into::into),
-            }));
+            lines.extend(series::line(&record, [finished.order, finished.series]));
             let line = start..self.length + lines.len() as u64;
             entries.push((index, Entry { record, line }));
         }
@@ -333,6 +306,7 @@ impl Folder {
             self.lacking.remove(&index);
             checkpoints.remove(index);
             trajectories.remove_spool(index);
+            remove_spools_of(&self.path, index);
         }
         Ok(())
     }
@@ -357,8 +331,7 @@ impl Folder {
         writer.flush().map_err(fail)?;
         drop(writer);
         self.runs.sync_data().map_err(fail)?;
-        let bytes = fs::read(&path).map_err(fail)?;
-        let list = parse_runs(&self.path, plan, &bytes)?;
+        let list = read_runs(&self.path, plan)?;
         self.lacking = lacking(&self.path, plan, &list.finished);
         (self.finished, self.length) = (list.finished, list.length);
         Ok(())
@@ -387,8 +360,7 @@ impl Folder {
     ///
     /// [`FolderError::Rename`] and [`FolderError::Io`]. The folder keeps its name, unless only the sync of the parent failed.
     pub fn rename(&mut self, path: &Path) -> Result<(), FolderError> {
-        self.checkpoints().clear();
-        self.trajectories().clear();
+        self.clear();
         sync_folder(&self.path)?;
         fs::rename(&self.path, path).map_err(|source| FolderError::Rename {
             from: self.path.clone(),
@@ -399,65 +371,29 @@ impl Folder {
         sync_folder(parent(path))
     }
 
-    /// Writes the tables of the finished runs, in the plan's order.
-    ///
-    /// # Errors
-    ///
-    /// [`FolderError`].
-    pub fn write_tables(&self, plan: &Plan) -> Result<(), FolderError> {
-        table::write(&self.path, &self.rows())?;
-        if plan.touch {
-            let entries = self.finished.values();
-            let rows = entries.filter_map(|entry| entry.record.touch.clone());
-            contact_statistics::write(
-                &self.path.join(CONTACT_STATISTICS_NAME),
-                &rows.collect::<Vec<_>>(),
-            )?;
-        }
-        if plan.order_every.is_some() {
-            let mut writer = OrderWriter::begin(&self.path.join(ORDER_NAME))?;
-            self.for_each_line(|index, line| {
-                Ok(writer.append(&read_order(&self.path, plan, index, line)?)?)
-            })?;
-            writer.finish()?;
-        }
-        if plan.columns.series_every.is_some() {
-            let names = plan.columns.measures.iter().map(ToString::to_string);
-            let mut writer = SeriesWriter::begin(&self.path.join(SERIES_NAME), names)?;
-            self.for_each_line(|index, line| {
-                Ok(writer.append(&read_series(&self.path, plan, index, line)?)?)
-            })?;
-            writer.finish()?;
-        }
-        Ok(())
-    }
-
-    /// Calls `each` with the index and the line of every run that has a row and its files, in the
-    /// plan's order.
-    fn for_each_line(
-        &self,
-        mut each: impl FnMut(usize, &[u8]) -> Result<(), FolderError>,
-    ) -> Result<(), FolderError> {
-        for (&index, entry) in &self.finished {
-            if entry.record.row.is_some() && self.is_finished(index) {
-                each(index, &read_line(&self.path, &entry.line)?)?;
-            }
-        }
-        Ok(())
+    /// Removes checkpoints and what unfinished runs have recorded.
+    pub(crate) fn clear(&self) {
+        self.checkpoints().clear();
+        self.trajectories().remove_spools(|_| true);
+        remove_spools(&self.path, |_| true);
     }
 }
 
-impl FinishedRuns {
-    /// Reads the line of a run; empty if it is not finished.
-    fn line(&self, folder: &Path, index: usize) -> Result<Vec<u8>, FolderError> {
-        let line = self.lines.get(&index);
-        line.map_or_else(|| Ok(Vec::new()), |line| read_line(folder, line))
-    }
+/// Copies a file of a run from another folder. The copy is durable on return.
+pub(crate) fn copy(from: &Path, to: &Path) -> Result<(), FolderError> {
+    let mut source = File::open(from).map_err(|error| io_error(from, error))?;
+    let fail = |error| io_error(to, error);
+    fs::create_dir_all(parent(to)).map_err(fail)?;
+    let mut file = jostle_atomic_file::begin(to).map_err(fail)?;
+    std::io::copy(&mut source, &mut file).map_err(fail)?;
+    jostle_atomic_file::publish(file, to).map_err(fail)
 }
 
 fn remove_unused(folder: &Path) {
     let checkpoints = Checkpoints::of(folder);
-    Trajectories::of(folder).remove_unused(|index| checkpoints.has(index));
+    let is_unused = |index| !checkpoints.has(index);
+    Trajectories::of(folder).remove_spools(is_unused);
+    remove_spools(folder, is_unused);
 }
 
 /// Locks a folder until the returned file is closed.
@@ -488,14 +424,7 @@ fn claim(folder: &Path, plan: &Plan) -> Result<(), FolderError> {
             folder: folder.to_owned(),
         }),
         Err(_) if !folder.join(EXPERIMENT).exists() => {
-            let names = [
-                RUNS,
-                PARQUET_NAME,
-                CSV_NAME,
-                ORDER_NAME,
-                SERIES_NAME,
-                SERIES,
-            ];
+            let names = [RUNS, PARQUET_NAME, CSV_NAME, ORDER_NAME, SERIES_NAME, RAW];
             if let Some(file) = names.into_iter().find(|name| folder.join(name).exists()) {
                 let folder = folder.to_owned();
                 return Err(FolderError::NoExperiment { folder, file });

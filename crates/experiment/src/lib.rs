@@ -6,6 +6,7 @@
 
 mod cells;
 mod contact_events;
+mod digest;
 mod disk;
 mod dry_run;
 mod error;
@@ -24,6 +25,7 @@ mod progress;
 mod protocol;
 mod row_grids;
 mod run;
+mod series;
 mod set_points;
 pub mod shell;
 mod start;
@@ -39,7 +41,7 @@ pub use export::{
     AppliedChange, ExportError, ExportOptions, ExportedFiles, SwarmHistory, experiment_file,
 };
 pub use files::{Files, FilesError, POINTS, SET_POINTS, START};
-pub use folder::{FinishedRuns, Folder, FolderError, MissingFiles, unfinished};
+pub use folder::{FinishedRuns, Folder, FolderError, MissingFiles, SeriesSource, unfinished};
 pub use grid::AXES;
 pub use jostle_physics::model::MODEL_VERSION;
 pub use limits::{
@@ -52,5 +54,6 @@ pub use play::{LiveCommand, LiveRun, MAX_COMMANDS, PlayError};
 pub use progress::{ExecutionControl, Progress};
 pub use protocol::{Block, Protocol, Trigger, Variables};
 pub use run::{FinishedRun, execute_run, start};
+pub use series::SeriesKind;
 pub use set_points::{SetPoint, SetPointLog};
 pub use subset::{Subset, SubsetError};

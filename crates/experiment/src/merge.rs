@@ -11,11 +11,12 @@ use std::thread;
 
 use thiserror::Error;
 
+use crate::digest::Digests;
 use crate::error::PlanError;
 use crate::files::{EXPERIMENT, Files};
 use crate::folder::{Folder, FolderError, Part, parts_in, unfinished};
 use crate::plan::Plan;
-use crate::run::{FinishedRun, execute_run};
+use crate::run::{FinishedRun, execute_run_from};
 use crate::subset::Subset;
 use crate::trajectory::Trajectories;
 
@@ -268,7 +269,7 @@ impl Parts {
     }
 
     /// Executes runs again on this machine and compares their results with those of the parts: rows,
-    /// reasons of faults, series and contacts. After each run `progress` is called with the number of
+    /// reasons of faults, series, trajectories and contacts. After each run `progress` is called with the number of
     /// runs that were executed.
     ///
     /// # Errors
@@ -320,14 +321,13 @@ impl Parts {
     fn execute_again(&self, index: usize) -> Result<Option<Difference>, FolderError> {
         let run = &self.plan.runs()[index];
         let part = &self.parts[self.part_of[index]];
-        // Here it is executed without a folder.
-        let theirs = FinishedRun {
-            files: BTreeMap::new(),
-            ..part.result(&self.plan, index)?
-        };
-        let ours = execute_run(&self.plan, run, |_| true).unwrap_or_default();
+        let (theirs, their_digests) = part.result(&self.plan, index)?;
+        let digests = Digests::default();
+        let ours = execute_run_from(&self.plan, run, None, Some(&digests), |_| true);
+        let ours = ours.unwrap_or_default();
+        let is_same = ours == theirs && digests.finish() == their_digests;
         let hash = |result: FinishedRun| result.row.map_or_else(String::new, |row| row.state_hash);
-        Ok((ours != theirs).then(|| Difference {
+        Ok((!is_same).then(|| Difference {
             run: run.name.clone(),
             folder: part.path().to_owned(),
             theirs: hash(theirs),
@@ -393,10 +393,10 @@ impl Parts {
                 }
             }
         }
-        let lines = part_of.iter().enumerate();
+        let (lines, to) = (part_of.iter().enumerate(), folder.path().to_owned());
         folder.append_copies(
             plan,
-            lines.map(|(index, &part)| parts[part].line(plan, index)),
+            lines.map(|(index, &part)| parts[part].copy(plan, index, &to)),
         )?;
         let (finished, runs) = (folder.finished(), plan.runs().len());
         if finished != runs {

@@ -12,19 +12,20 @@ use jostle_physics::simulation::{
 use jostle_proto::snapshot::SnapshotPhase;
 use jostle_results::ResultRow;
 use jostle_results::contact_statistics::ContactStatistics;
-use jostle_results::table::{OrderSeries, Series};
+use jostle_results::table::Series;
 
 use crate::contact_events::ContactMeter;
 use crate::limits::MAX_INDIVIDUALS;
 use crate::plan::{Plan, PlannedRun};
 use crate::protocol::{Boundary, ProtocolRun};
-use crate::trajectory::Recording;
 
 pub use self::checkpoint::RunCheckpoint;
 use self::measures::Measures;
+pub use self::recorder::Recorder;
 
 mod checkpoint;
 mod measures;
+mod recorder;
 
 /// The number of the first command after `create`, which is part of the key of a selection's draw.
 /// A swarm that is created with the seed of a run and whose first command is `inform` with the same
@@ -41,9 +42,11 @@ pub struct FinishedRun {
     pub row: Option<ResultRow>,
     /// Why the run ended early, if it did.
     pub fault: Option<String>,
-    /// The order over time, if the plan has `order_every`.
-    pub order: Option<OrderSeries>,
-    /// The chosen measures over time, if the plan has `series_every`.
+    /// The order over time, if the plan has `order_every`: the measures `order` and `drift`. None if it
+    /// is long and in a file.
+    pub order: Option<Series>,
+    /// The chosen measures over time, if the plan has `series_every`. None if they are long and in a
+    /// file.
     pub series: Option<Series>,
     /// The measurements of contacts, if the plan has `touch`.
     pub touch: Option<ContactStatistics>,
@@ -79,13 +82,13 @@ pub fn execute_run(
 }
 
 /// As [`execute_run`], from a checkpoint of the run if there is one, with the same result as from the
-/// start. The frames of its trajectory are added to `recording`.
+/// start. Without a recorder, the result contains all series, however long they are.
 pub fn execute_run_from(
     plan: &Plan,
     run: &PlannedRun,
     checkpoint: Option<RunCheckpoint>,
-    recording: Option<&Recording>,
-    mut on_step: impl FnMut(&CurrentRun<'_>) -> bool,
+    recorder: Option<&dyn Recorder>,
+    mut on_step: impl FnMut(&mut CurrentRun<'_>) -> bool,
 ) -> Option<FinishedRun> {
     let resumed = checkpoint.and_then(|checkpoint| CurrentRun::resume(plan, run, checkpoint));
     let current = match resumed {
@@ -106,7 +109,7 @@ pub fn execute_run_from(
         let is_last = current.steps() >= steps;
         let ended = match current.boundary(is_last) {
             Ok(Boundary::Continue) if !is_last => {
-                current.record(recording);
+                current.record(recorder);
                 let stepped = current.step();
                 stepped.err().map(|fault| (Boundary::Continue, Some(fault)))
             }
@@ -114,10 +117,13 @@ pub fn execute_run_from(
             Err(fault) => Some((Boundary::Continue, Some(fault))),
         };
         if let Some((boundary, fault)) = ended {
-            current.record_last(recording);
-            return Some(current.finish(boundary, fault));
+            current.record_last(recorder);
+            return Some(current.finish(boundary, fault, recorder));
         }
-        if !on_step(&current) {
+        if let Some(recorder) = recorder {
+            current.measures.pass_rows(recorder, false);
+        }
+        if !on_step(&mut current) {
             return None;
         }
     }
@@ -196,6 +202,11 @@ impl<'a> CurrentRun<'a> {
         })
     }
 
+    /// Passes all rows of its long series to the recorder, before a checkpoint is written.
+    pub fn pass_rows(&mut self, recorder: &dyn Recorder) {
+        self.measures.pass_rows(recorder, true);
+    }
+
     /// Returns the number of steps taken.
     #[must_use]
     pub fn steps(&self) -> u64 {
@@ -225,19 +236,20 @@ impl<'a> CurrentRun<'a> {
     }
 
     /// Adds the state before a step to the trajectory, if it is due.
-    fn record(&mut self, recording: Option<&Recording>) {
+    fn record(&mut self, recorder: Option<&dyn Recorder>) {
         let every = self.plan.record_every;
         if every.is_some_and(|every| self.steps().is_multiple_of(every)) {
-            self.record_last(recording);
+            self.record_last(recorder);
         }
     }
 
     /// Adds the last state to the trajectory, unless it has it.
-    fn record_last(&mut self, recording: Option<&Recording>) {
-        if let Some(recording) = recording
+    fn record_last(&mut self, recorder: Option<&dyn Recorder>) {
+        if let Some(recorder) = recorder
+            && self.plan.record_every.is_some()
             && self.recorded != Some(self.steps())
         {
-            recording.add(&self.simulation.state);
+            recorder.add_frame(&self.simulation.state);
             self.recorded = Some(self.steps());
         }
     }
@@ -250,14 +262,19 @@ impl<'a> CurrentRun<'a> {
         };
         let count = self.simulation.means.count;
         self.measures
-            .add(count, &self.simulation.order_before, &report);
+            .add(self.plan, count, &self.simulation.order_before, &report);
         if let Some(meter) = &mut self.meter {
             meter.add(self.simulation.stepper(), &report, &self.simulation.state);
         }
         Ok(())
     }
 
-    fn finish(mut self, boundary: Boundary, fault: Option<String>) -> FinishedRun {
+    fn finish(
+        mut self,
+        boundary: Boundary,
+        fault: Option<String>,
+        recorder: Option<&dyn Recorder>,
+    ) -> FinishedRun {
         let is_stopped = boundary == Boundary::Stop;
         let fault = match self.steps() {
             0 if is_stopped => Some("step 0: the condition of [stop] holds: give from".to_owned()),
@@ -267,11 +284,11 @@ impl<'a> CurrentRun<'a> {
         self.past.observe(&self.simulation.state);
         let view = View::new(&self.simulation.state, &self.past);
         self.measures.record_last(self.plan, &view);
-        let dt = self.simulation.state.parameters.dt;
-        let series = self.measures.take_series(self.plan, self.run, dt);
-        let (row, order) = self
+        let of = (self.plan, self.run);
+        let finished = self
             .measures
-            .finish(self.plan, self.run, &self.simulation, is_stopped);
+            .finish(of, &self.simulation, is_stopped, recorder);
+        let (row, [order, series]) = finished;
         let touch = row.as_ref().zip(self.meter);
         let touch = touch.and_then(|(row, meter)| {
             meter.finish(&self.run.name, &row.contacts, &self.simulation.state)
@@ -283,8 +300,8 @@ impl<'a> CurrentRun<'a> {
         FinishedRun {
             fault,
             series: series.filter(|_| row.is_some()),
+            order: order.filter(|_| row.is_some()),
             row,
-            order,
             touch,
             files: BTreeMap::new(),
         }
@@ -347,145 +364,4 @@ fn inform(plan: &Plan, run: &PlannedRun, state: &mut State) -> Result<usize, Cha
 
 #[cfg(test)]
 #[expect(clippy::unwrap_used, reason = "tests")]
-mod tests {
-    use super::*;
-    use jostle_convert::hexadecimal;
-    use jostle_physics::model::body;
-    use jostle_physics::simulation::Change;
-    use jostle_results::{Cell, Measure};
-
-    fn plan(rest: &str) -> Plan {
-        Plan::parse(&format!("name = \"a\"\n{rest}")).unwrap()
-    }
-
-    fn finished_run(plan: &Plan) -> FinishedRun {
-        execute_run(plan, &plan.runs()[0], |_| true).unwrap()
-    }
-
-    #[test]
-    fn a_single_uninformed_individual_has_order_1_and_no_overlap() {
-        let plan =
-            plan("duration = 20\nspec = { n = 1, dt = 0.01 }\nmeasure = { order_every = 500 }");
-        let FinishedRun {
-            row, fault, order, ..
-        } = finished_run(&plan);
-        let row = row.unwrap();
-        assert_eq!((fault, row.steps, row.time), (None, 2000, 20.0));
-        assert!((row.number(Measure::V) - 1.0).abs() < 1e-12);
-        for (measure, expected) in [
-            (Measure::V_PD, Cell::Absent),
-            (Measure::ORDERED_INTERVALS, Cell::Count(1)),
-            (Measure::UNORDERED_INTERVALS, Cell::Count(0)),
-            (Measure::ORDERED_TIME, Cell::Number(20.0)),
-            (Measure::UNORDERED_TIME, Cell::Number(0.0)),
-            (Measure::WORST_OVERLAP, Cell::Number(0.0)),
-            (Measure::CROSSED_SHARE, Cell::Number(0.0)),
-            (Measure::WORST_RESIDUAL, Cell::Number(0.0)),
-            (Measure::DEGRADED, Cell::Count(0)),
-            (Measure::FALLBACKS, Cell::Count(0)),
-        ] {
-            assert_eq!(row.value(measure), expected, "{measure:?}");
-        }
-        assert_eq!(row.state_hash.len(), 64);
-        let series = order.unwrap();
-        assert_eq!(series.steps, [0, 500, 1000, 1500, 2000]);
-        assert_eq!(series.times, [0.0, 5.0, 10.0, 15.0, 20.0]);
-        assert!(
-            series
-                .orders
-                .iter()
-                .all(|order| (order - 1.0).abs() < 1e-12)
-        );
-    }
-
-    #[test]
-    fn a_single_informed_individual_drifts_by_the_closed_form() {
-        // a is the angle from the direction. tan(a/2) decays as exp(-c t) with c = π2 π3, so the
-        // mean of cos a over [0, T] is ln((q + exp(2 c T)) / (q + 1)) / (c T) - 1, q = tan²(a₀/2).
-        let start = "start = { kind = \"given\", x = [0], y = [0], alpha = [2] }";
-        let text =
-            format!("duration = 10\n[spec]\nn = 1\ndt = 0.0005\n{start}\n[[grid]]\ninformed = 1");
-        let row = finished_run(&plan(&text)).row.unwrap();
-        assert_eq!(
-            ResultRow::from_cells(row.cells()),
-            Some(row.clone()),
-            "every measure"
-        );
-        let (c, q) = (0.5, libm::tan(1.0) * libm::tan(1.0));
-        let mean = libm::log((q + libm::exp(2.0 * c * 10.0)) / (q + 1.0)) / (c * 10.0) - 1.0;
-        let drift = row.number(Measure::V_PD);
-        assert!((drift - mean).abs() < 2e-4, "{drift} {mean}");
-        assert_eq!((row.informed, row.pi2), (1, 0.5));
-    }
-
-    #[test]
-    fn a_run_equals_a_simulation_with_its_seed_and_the_same_change() {
-        for settings in [
-            "relinearise = 1",
-            "contacts = \"closest\"\ndt = 0.1",
-            "noise = 0.1",
-        ] {
-            let text = format!("duration = 8\n[spec]\nn = 15\n{settings}\n[[grid]]\ninformed = 4");
-            let plan = plan(&text);
-            let row = finished_run(&plan).row.unwrap();
-            let spec = plan.spec(&plan.runs()[0]);
-            let mut swarm = Simulation::new(&spec).unwrap();
-            swarm.seq = 1;
-            let inform = Change::Inform {
-                selection: Selection::Count(4),
-                direction: 0.0,
-                weight: None,
-                for_time: None,
-            };
-            swarm.apply_all(&[inform]).unwrap();
-            let mut worst_gap = f64::INFINITY;
-            for _ in 0..row.steps {
-                let now = body::worst_gap(&swarm.state.parameters, &swarm.state.configuration);
-                worst_gap = worst_gap.min(now.unwrap_or(f64::INFINITY));
-                swarm.step().unwrap();
-            }
-            assert_eq!(
-                row.state_hash,
-                hexadecimal(&swarm.state.hash()),
-                "{settings}"
-            );
-            assert_eq!(row.optional_number(Measure::V), swarm.means.mean_order());
-            assert_eq!(row.optional_number(Measure::V_PD), swarm.means.mean_drift());
-            let overlap = row.number(Measure::WORST_OVERLAP);
-            assert!(overlap > 0.0, "{settings}: no overlap");
-            assert!((overlap + worst_gap).abs() < 1e-9, "{settings}");
-        }
-    }
-
-    #[test]
-    fn a_stopped_run_has_no_result() {
-        let plan = plan("duration = 8\nspec = { n = 3 }");
-        let mut calls = Vec::new();
-        let stopped = execute_run(&plan, &plan.runs()[0], |steps| {
-            calls.push(steps);
-            steps < 3
-        });
-        assert_eq!((stopped, calls), (None, vec![1, 2, 3]));
-    }
-
-    #[test]
-    fn a_run_without_room_has_a_fault_and_no_row() {
-        // The disc is nearly too small: with some of the seeds the individuals do not fit.
-        let crowded = (0..100).find_map(|k| {
-            let radius = 2.2 - 0.01 * f64::from(k);
-            let text = format!(
-                "name = \"a\"\nduration = 8\nreplicates = 20\n[spec]\nn = 9\npi1 = 1\n\
-                 start = {{ kind = \"disc\", radius = {radius} }}"
-            );
-            let plan = Plan::parse(&text).ok()?;
-            let finished = plan
-                .runs()
-                .iter()
-                .map(|run| execute_run(&plan, run, |_| false));
-            finished.flatten().next()
-        });
-        let finished = crowded.unwrap();
-        assert_eq!((finished.row, finished.order), (None, None));
-        assert!(finished.fault.unwrap().contains("fit in a disc"));
-    }
-}
+mod tests;

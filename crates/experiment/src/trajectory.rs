@@ -15,9 +15,10 @@ use jostle_results::table::trajectory::{TRAJECTORIES, file_name};
 
 use self::about::about;
 use self::spool::Spool;
+pub use self::spool::frame;
 use crate::disk::DiskWatch;
-use crate::folder::FolderError;
 use crate::folder::error::io_error;
+use crate::folder::{FolderError, copy};
 use crate::plan::{Plan, PlannedRun};
 use crate::run::RunCheckpoint;
 
@@ -55,33 +56,10 @@ impl Trajectories {
         let _ = fs::remove_file(self.spool(index));
     }
 
-    /// Removes the spools from which no run continues, since it has no checkpoint, and files that were
+    /// Removes the spools of runs that `is_unused`, by their index in the plan, and files that were
     /// being written when a process was killed.
-    pub fn remove_unused(&self, has_checkpoint: impl Fn(usize) -> bool) {
-        self.remove_spools(|name| {
-            let number = name.strip_suffix(".partial").and_then(number_of);
-            let index = number.and_then(|number: usize| number.checked_sub(1));
-            index.is_none_or(|index| !has_checkpoint(index))
-        });
-    }
-
-    /// Removes all spools, and files that were being written when a process was killed.
-    pub fn clear(&self) {
-        self.remove_spools(|_| true);
-    }
-
-    /// Removes spools that `is_unused` by their name, and unfinished files.
-    fn remove_spools(&self, is_unused: impl Fn(&str) -> bool) {
-        let Ok(entries) = fs::read_dir(&self.0) else {
-            return;
-        };
-        for path in entries.flatten().map(|entry| entry.path()) {
-            let name = path.file_name().unwrap_or_default().to_string_lossy();
-            let is_spool = name.ends_with(".partial");
-            if name.starts_with(jostle_atomic_file::PREFIX) || is_spool && is_unused(&name) {
-                let _ = fs::remove_file(path);
-            }
-        }
+    pub fn remove_spools(&self, is_unused: impl Fn(usize) -> bool) {
+        remove_spools_in(&self.0, is_unused);
     }
 
     /// Copies the trajectory of a run from those of another folder. It is durable on return.
@@ -90,13 +68,7 @@ impl Trajectories {
     ///
     /// [`FolderError::Io`].
     pub fn copy(&self, from: &Self, index: usize) -> Result<(), FolderError> {
-        fs::create_dir_all(&self.0).map_err(|source| io_error(&self.0, source))?;
-        let (from, to) = (from.path(index), self.path(index));
-        let mut source = fs::File::open(&from).map_err(|error| io_error(&from, error))?;
-        let fail = |error| io_error(&to, error);
-        let mut file = jostle_atomic_file::begin(&to).map_err(fail)?;
-        io::copy(&mut source, &mut file).map_err(fail)?;
-        jostle_atomic_file::publish(file, &to).map_err(fail)
+        copy(&from.path(index), &self.path(index))
     }
 
     /// Begins to record a run, or continues after a checkpoint, which is dropped if the spool lacks
@@ -131,9 +103,27 @@ impl Trajectories {
     }
 }
 
-/// Returns the number of a run in the plan, from 1, by the name of its file without the extension.
-fn number_of(stem: &str) -> Option<usize> {
-    stem.strip_prefix("run-")?.parse().ok()
+/// Removes the spools of a folder from which no run continues, and files that were being written when
+/// a process was killed. One that cannot be removed does no harm.
+pub fn remove_spools_in(folder: &Path, is_unused: impl Fn(usize) -> bool) {
+    let Ok(entries) = fs::read_dir(folder) else {
+        return;
+    };
+    for path in entries.flatten().map(|entry| entry.path()) {
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        let is_spool_unused = name
+            .strip_suffix(".partial")
+            .is_some_and(|stem| index_of(stem).is_none_or(&is_unused));
+        if name.starts_with(jostle_atomic_file::PREFIX) || is_spool_unused {
+            let _ = fs::remove_file(path);
+        }
+    }
+}
+
+/// Returns the index of a run in the plan by the name of its file without the extension.
+fn index_of(stem: &str) -> Option<usize> {
+    let number: usize = stem.strip_prefix("run-")?.parse().ok()?;
+    number.checked_sub(1)
 }
 
 /// The recording of a run that is executed.

@@ -12,7 +12,6 @@ use std::time::SystemTime;
 use crate::recording::extent::Extent;
 use crate::recording::{self, About, Frame, Moment, Recorder, RecordingError};
 use crate::samples::samples;
-use crate::table::order::{OrderSeries, OrderWriter};
 use crate::table::series::{self, MeasureSeries, Series, SeriesWriter};
 use crate::table::trajectory::{self, Trajectory, TrajectoryWriter};
 use crate::table::{self, TableError};
@@ -120,17 +119,24 @@ fn of_series_and_orders_are_found() {
     each_flip(&path, 0, |path| series::read(path).map_err(named));
 
     let path = folder.path().join(table::order::ORDER_NAME);
-    let mut writer = OrderWriter::begin(&path).unwrap();
-    let order = OrderSeries {
+    let mut writer = table::order::begin(&path).unwrap();
+    let order = Series {
         run: "led".to_owned(),
         steps: (0..scaled(60)).collect(),
         times: (0..scaled(60)).map(number).collect(),
-        orders: (0..scaled(60)).map(number).collect(),
-        drifts: (0..scaled(60)).map(number).collect(),
+        measures: table::order::MEASURES
+            .map(|name| MeasureSeries {
+                name: name.to_owned(),
+                values: (0..scaled(60)).map(|it| Some(number(it))).collect(),
+            })
+            .into(),
     };
     writer.append(&order).unwrap();
     writer.finish().unwrap();
-    each_flip(&path, 0, |path| series::read(path).map_err(named));
+    each_flip(&path, 0, |path| {
+        let part = series::read_part(path, 10, 20).map_err(named)?;
+        Ok((series::read(path).map_err(named)?, part))
+    });
 }
 
 #[test]

@@ -1,5 +1,6 @@
 //! `progress`, `results`, `order` and `series` of experiments.
 
+use jostle_experiment::SeriesKind;
 use jostle_proto::{Experiments, keys};
 
 use crate::api::context::Context;
@@ -100,8 +101,10 @@ impl Context {
         let (run, after, limit) = page_of_run(incoming.parameters(), MAX_ENTRIES)?;
         let (name, run, responder) = (name.to_owned(), run.to_owned(), responder.clone());
         self.experiment_files.submit(move |experiments| {
-            responder.finish(experiments.order(&name, &run), move |series| {
-                Payload::cbor(&convert::order_page(name, &series, after, limit))
+            let page = (after, limit, usize::MAX);
+            let part = experiments.series(SeriesKind::Order, (&name, &run), page);
+            responder.finish(part, move |part| {
+                Payload::cbor(&convert::order_page(name, after, part))
             });
         });
         Ok(())
@@ -124,9 +127,10 @@ impl Context {
                     Payload::cbor(&convert::trajectory_page(name, run, after, rows))
                 });
             }
-            responder.finish(experiments.series(&name, &run), move |series| {
-                let page = convert::series_page(name, &series, after, limit, MAX_VALUES);
-                Payload::cbor(&page)
+            let page = (after, limit, MAX_VALUES);
+            let part = experiments.series(SeriesKind::Measures, (&name, &run), page);
+            responder.finish(part, move |part| {
+                Payload::cbor(&convert::series_page(name, after, part))
             });
         });
         Ok(())

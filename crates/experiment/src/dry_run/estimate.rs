@@ -9,6 +9,7 @@ use serde::Serialize;
 use super::condition;
 use crate::plan::{Plan, PlannedRun, Point};
 use crate::run::execute_run;
+use crate::series::{MAX_INLINE, SeriesKind};
 use crate::subset::Subset;
 
 /// Processor seconds of all steps that are taken for an estimate.
@@ -32,6 +33,11 @@ const BYTES_OF_DRIFT: f64 = 28.0;
 /// Bytes of a step of the time series of the chosen measures, and in addition of each of its values.
 const BYTES_OF_SERIES_STEP: f64 = 12.0;
 const BYTES_OF_VALUE: f64 = 28.0;
+
+/// Bytes of a row of a long series, and in addition of each of its values, in the table and in the file
+/// of the run.
+const BYTES_OF_LONG_ROW: f64 = 24.0;
+const BYTES_OF_LONG_VALUE: f64 = 20.0;
 
 /// What the runs of a subset take.
 #[derive(Clone, Debug, Serialize)]
@@ -165,16 +171,26 @@ pub fn disk_bytes(plan: &Plan, runs: &[&PlannedRun]) -> f64 {
         let columns = plan.columns.measures.len() + point.variables.0.len() + usize::from(stop);
         let touch = if plan.touch { BYTES_OF_TOUCH } else { 0.0 };
         let has_drift = point.informed > 0 || point.protocol.is_some();
-        let of_entry = BYTES_OF_ENTRY + if has_drift { BYTES_OF_DRIFT } else { 0.0 };
-        let series = plan.series_entries(run);
+        let drift = if has_drift { BYTES_OF_DRIFT } else { 0.0 };
         let measures = plan.columns.measures.len() as f64;
-        let orders = plan.order_every.map_or(0, |every| point.steps / every + 1);
+        let of_series = |kind: SeriesKind| {
+            let (values, short) = match kind {
+                SeriesKind::Order => (1.0 + f64::from(has_drift), BYTES_OF_ENTRY + drift),
+                SeriesKind::Measures => {
+                    (measures, BYTES_OF_SERIES_STEP + BYTES_OF_VALUE * measures)
+                }
+            };
+            let of_row = match kind.most_bytes(plan, run) > MAX_INLINE {
+                true => BYTES_OF_LONG_ROW + BYTES_OF_LONG_VALUE * values,
+                false => short,
+            };
+            of_row * kind.most_rows(plan, run) as f64
+        };
         BYTES_OF_RUN
             + BYTES_OF_CHARACTER * run.name.len() as f64
             + BYTES_OF_COLUMN * columns as f64
             + touch
-            + of_entry * orders as f64
-            + (BYTES_OF_SERIES_STEP + BYTES_OF_VALUE * measures) * series as f64
+            + SeriesKind::ALL.into_iter().map(of_series).sum::<f64>()
             + plan.trajectory_bytes(run)
     };
     let points = plan.files.points.as_ref().map_or(0, String::len);

@@ -4,8 +4,10 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::Path;
 
-use super::list::{Entry, order_file};
+use super::list::Entry;
+use super::series::raw_file;
 use crate::plan::Plan;
+use crate::series::SeriesKind;
 use crate::trajectory::trajectory_file;
 
 /// Returns the finished runs of which a file is missing or has another length than its line says.
@@ -31,8 +33,10 @@ fn unnamed(plan: &Plan, index: usize, entry: &Entry) -> impl Iterator<Item = Str
     let record = &entry.record;
     let has_row = record.row.is_some();
     let trajectory = (has_row && plan.record_every.is_some()).then(|| trajectory_file(index));
-    let has_order_file = has_row && plan.order_every.is_some() && !record.has_order;
-    let order = has_order_file.then(|| order_file(index));
+    let is_stored =
+        record.order.is_some() || record.files.contains_key(&SeriesKind::Order.file(index));
+    let has_raw_order = has_row && plan.order_every.is_some() && !is_stored;
+    let order = has_raw_order.then(|| raw_file(index));
     let paths = trajectory.into_iter().chain(order);
     paths.filter(|path| !record.files.contains_key(path))
 }

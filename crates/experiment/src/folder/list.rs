@@ -1,26 +1,26 @@
 //! The list of finished runs, `runs.jsonl`: a header and a line for each run.
 
 use std::collections::BTreeMap;
-use std::fs::{self, File};
-use std::io::{self, Read as _, Seek as _, SeekFrom};
+use std::fs::File;
+use std::io::{self, BufRead as _, BufReader, Read as _, Seek as _, SeekFrom};
 use std::ops::Range;
 use std::path::{Component, Path};
 
 use jostle_physics::model::MODEL_VERSION;
 use jostle_results::ResultRow;
 use jostle_results::contact_statistics::ContactStatistics;
-use jostle_results::table::{MeasureSeries, OrderSeries, Series};
-use serde::de::IgnoredAny;
-use serde::{Deserialize, Deserializer, Serialize};
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
 
 use super::error::{FolderError, io_error};
+use super::series::{StoredOrder, StoredSeries, order_bytes, series_bytes};
 use crate::plan::Plan;
 
 /// The name of the list in its folder.
 pub const RUNS: &str = "runs.jsonl";
 
-/// The folder in which earlier versions stored series.
-pub const SERIES: &str = "order";
+/// The longest line that is parsed from memory. Only earlier versions wrote longer ones.
+const LONG_LINE: u64 = 1 << 20;
 
 /// The first line of the list of finished runs.
 #[derive(Deserialize, Serialize)]
@@ -43,19 +43,22 @@ pub struct Record {
     /// bytes. Earlier versions did not store them.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub files: BTreeMap<String, u64>,
-    /// Whether the line contains the order over time.
-    #[serde(
-        default,
-        rename = "order",
-        skip_serializing,
-        deserialize_with = "is_present"
-    )]
-    pub has_order: bool,
+    /// The bytes of the rows of the order over time, if the line contains it.
+    #[serde(default, skip_serializing, deserialize_with = "order_bytes")]
+    pub order: Option<u64>,
+    /// The bytes of the rows of the measures over time, if the line contains them.
+    #[serde(default, skip_serializing, deserialize_with = "series_bytes")]
+    pub series: Option<u64>,
 }
 
-/// Skips a value.
-fn is_present<'de, D: Deserializer<'de>>(value: D) -> Result<bool, D::Error> {
-    IgnoredAny::deserialize(value).map(|_| true)
+impl Record {
+    /// Adds a file of the run beside the list.
+    pub fn add_file(&mut self, name: String, path: &Path) -> Result<(), FolderError> {
+        let file = path.metadata();
+        let file = file.map_err(|source| io_error(path, source))?;
+        self.files.insert(name, file.len());
+        Ok(())
+    }
 }
 
 /// A line of the list, with its time series, which is not kept in memory.
@@ -67,51 +70,6 @@ pub struct Line<'a> {
     pub order: Option<StoredOrder>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub series: Option<StoredSeries>,
-}
-
-/// The time series of a line; other fields are skipped.
-#[derive(Default, Deserialize)]
-struct SeriesOfLine {
-    order: Option<StoredOrder>,
-    series: Option<StoredSeries>,
-}
-
-/// The order parameter every `order_every` steps, and the drift if individuals are informed.
-#[derive(Deserialize, Serialize)]
-pub struct StoredOrder {
-    pub order: Vec<f64>,
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub drift: Vec<Option<f64>>,
-}
-
-impl From<OrderSeries> for StoredOrder {
-    fn from(series: OrderSeries) -> Self {
-        let drifts = series.drifts.into_iter();
-        Self {
-            order: series.orders,
-            // JSON has no NaN.
-            drift: drifts
-                .map(|drift| (!drift.is_nan()).then_some(drift))
-                .collect(),
-        }
-    }
-}
-
-/// The chosen measures every `series_every` steps and at the last step, in the order of the plan.
-#[derive(Deserialize, Serialize)]
-pub struct StoredSeries {
-    pub step: Vec<u64>,
-    pub values: Vec<Vec<Option<f64>>>,
-}
-
-impl From<Series> for StoredSeries {
-    fn from(series: Series) -> Self {
-        let measures = series.measures.into_iter();
-        Self {
-            step: series.steps,
-            values: measures.map(|measure| measure.values).collect(),
-        }
-    }
 }
 
 /// A finished run and the byte range of its line in the list.
@@ -140,96 +98,6 @@ pub fn read_line(folder: &Path, line: &Range<u64>) -> Result<Vec<u8>, FolderErro
     Ok(bytes)
 }
 
-fn series_of(line: &[u8]) -> SeriesOfLine {
-    serde_json::from_slice(line).unwrap_or_default()
-}
-
-/// Reads the chosen measures over time of a run from its line of the list.
-pub fn read_series(
-    folder: &Path,
-    plan: &Plan,
-    index: usize,
-    line: &[u8],
-) -> Result<Series, FolderError> {
-    let run = &plan.runs()[index];
-    let names = plan.columns.measures.iter().map(ToString::to_string);
-    let stored = series_of(line).series.filter(|it| {
-        let is_whole = |values: &Vec<_>| values.len() == it.step.len();
-        it.values.len() == plan.columns.measures.len() && it.values.iter().all(is_whole)
-    });
-    let Some(stored) = stored else {
-        let reason = format!("run {:?} has no time series of the measures", run.name);
-        return Err(io_error(
-            &folder.join(RUNS),
-            io::Error::new(io::ErrorKind::InvalidData, reason),
-        ));
-    };
-    let dt = plan.point(run).spec.parameters.dt;
-    Ok(Series {
-        run: run.name.clone(),
-        times: stored.step.iter().map(|&step| step as f64 * dt).collect(),
-        steps: stored.step,
-        measures: names
-            .zip(stored.values)
-            .map(|(name, values)| MeasureSeries { name, values })
-            .collect(),
-    })
-}
-
-/// Reads the order over time of a run from its line of the list, or from the file in which earlier
-/// versions stored it.
-pub fn read_order(
-    folder: &Path,
-    plan: &Plan,
-    index: usize,
-    line: &[u8],
-) -> Result<OrderSeries, FolderError> {
-    let run = &plan.runs()[index];
-    let point = plan.point(run);
-    let every = plan.order_every.unwrap_or(1);
-    let series = match series_of(line).order {
-        Some(series) => series,
-        None => read_order_file(folder, index, point.informed > 0)?,
-    };
-    let orders = series.order;
-    let drifts = series.drift.into_iter();
-    let steps: Vec<u64> = (0..orders.len() as u64)
-        .map(|entry| entry * every)
-        .collect();
-    let dt = point.spec.parameters.dt;
-    Ok(OrderSeries {
-        run: run.name.clone(),
-        times: steps.iter().map(|&step| step as f64 * dt).collect(),
-        steps,
-        orders,
-        drifts: drifts.map(|drift| drift.unwrap_or(f64::NAN)).collect(),
-    })
-}
-
-/// Returns the path of the file of a run's order over time in folders of earlier versions.
-pub fn order_file(index: usize) -> String {
-    format!("{SERIES}/{index:06}")
-}
-
-/// Reads the file of a run's order over time: the orders and then the drifts, if the series has drifts, as
-/// little-endian doubles without a header.
-pub fn read_order_file(
-    folder: &Path,
-    index: usize,
-    has_drift: bool,
-) -> Result<StoredOrder, FolderError> {
-    let path = folder.join(order_file(index));
-    let bytes = fs::read(&path).map_err(|source| io_error(&path, source))?;
-    let (numbers, _) = bytes.as_chunks();
-    let mut order: Vec<f64> = numbers.iter().copied().map(f64::from_le_bytes).collect();
-    let drift = match has_drift {
-        true => order.split_off(order.len() / 2),
-        false => Vec::new(),
-    };
-    let drift = drift.into_iter().map(Some).collect();
-    Ok(StoredOrder { order, drift })
-}
-
 /// The parsed list of runs.
 pub struct List {
     /// The finished runs by their index in the plan.
@@ -240,32 +108,39 @@ pub struct List {
     pub model_version: u32,
 }
 
-/// Parses the list of runs. Of several lines of one run the last one is valid: a run whose files were
-/// missing was executed again.
-pub fn parse_runs(folder: &Path, plan: &Plan, bytes: &[u8]) -> Result<List, FolderError> {
+/// Reads the list of runs of a folder; an empty one if there is none. Of several lines of one run the
+/// last one is valid: a run whose files were missing was executed again.
+pub fn read_runs(folder: &Path, plan: &Plan) -> Result<List, FolderError> {
+    let path = folder.join(RUNS);
     let damaged = |line: usize, reason: String| FolderError::Damaged {
-        path: folder.join(RUNS),
+        path: path.clone(),
         line: line + 1,
         reason,
     };
-    let (mut finished, mut length) = (BTreeMap::new(), 0);
-    let mut model_version = MODEL_VERSION;
-    for (number, line) in bytes.split_inclusive(|&byte| byte == b'\n').enumerate() {
-        let is_last = length + line.len() == bytes.len();
+    let fail = |source| io_error(&path, source);
+    let mut list = List {
+        finished: BTreeMap::new(),
+        length: 0,
+        model_version: MODEL_VERSION,
+    };
+    let mut lines = match Lines::open(&path) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(list),
+        lines => lines.map_err(fail)?,
+    };
+    let mut number = 0;
+    while lines.next().map_err(fail)? {
+        // The process ended while it wrote the last line, which lacks its newline or has other bytes.
         if number == 0 {
-            let header: Header = match serde_json::from_slice(line) {
-                Ok(header) if line.ends_with(b"\n") => header,
-                _ if is_last => break,
-                Ok(_) => unreachable!("only the last line can lack a newline"),
+            let header: Header = match lines.parse() {
+                Ok(header) => header,
+                Err(_) if lines.is_last().map_err(fail)? => break,
                 Err(error) => return Err(damaged(number, error.to_string())),
             };
-            model_version = header.model_version;
+            list.model_version = header.model_version;
         } else {
-            let mut record: Record = match serde_json::from_slice(line) {
-                Ok(record) if line.ends_with(b"\n") => record,
-                // The process ended while it wrote the line.
-                _ if is_last => break,
-                Ok(_) => unreachable!("only the last line can lack a newline"),
+            let mut record: Record = match lines.parse() {
+                Ok(record) => record,
+                Err(_) if lines.is_last().map_err(fail)? => break,
                 Err(error) => return Err(damaged(number, error.to_string())),
             };
             let Some(index) = plan.index(&record.run) else {
@@ -288,16 +163,77 @@ pub fn parse_runs(folder: &Path, plan: &Plan, bytes: &[u8]) -> Result<List, Fold
             if let Some(row) = &mut record.row {
                 row.fault.clone_from(&record.fault);
             }
-            let line = length as u64..(length + line.len()) as u64;
-            finished.insert(index, Entry { record, line });
+            let line = lines.range.clone();
+            list.finished.insert(index, Entry { record, line });
         }
-        length += line.len();
+        list.length = lines.range.end;
+        number += 1;
     }
-    Ok(List {
-        finished,
-        length: length as u64,
-        model_version,
-    })
+    Ok(list)
+}
+
+/// The lines of a list, one after the other. The text of a long one is not kept in memory.
+struct Lines<'a> {
+    path: &'a Path,
+    reader: BufReader<File>,
+    /// The bytes of the current line, at most [`LONG_LINE`].
+    text: Vec<u8>,
+    range: Range<u64>,
+}
+
+impl<'a> Lines<'a> {
+    fn open(path: &'a Path) -> io::Result<Self> {
+        Ok(Self {
+            path,
+            reader: BufReader::with_capacity(1 << 16, File::open(path)?),
+            text: Vec::new(),
+            range: 0..0,
+        })
+    }
+
+    /// Goes to the next line; returns false at the end, or at a line without its newline.
+    fn next(&mut self) -> io::Result<bool> {
+        self.text.clear();
+        self.range = self.range.end..self.range.end;
+        loop {
+            let read = self.reader.fill_buf()?;
+            if read.is_empty() {
+                return Ok(false);
+            }
+            let newline = read.iter().position(|&byte| byte == b'\n');
+            let count = newline.map_or(read.len(), |at| at + 1);
+            if self.range.end - self.range.start < LONG_LINE {
+                self.text.extend(&read[..count]);
+            }
+            self.reader.consume(count);
+            self.range.end += count as u64;
+            if newline.is_some() {
+                return Ok(true);
+            }
+        }
+    }
+
+    /// Returns whether no line follows.
+    fn is_last(&mut self) -> io::Result<bool> {
+        Ok(self.reader.fill_buf()?.is_empty())
+    }
+
+    fn parse<T: DeserializeOwned>(&self) -> serde_json::Result<T> {
+        match self.range.end - self.range.start == self.text.len() as u64 {
+            true => serde_json::from_slice(&self.text),
+            false => {
+                let reader = line_reader(self.path, &self.range);
+                serde_json::from_reader(reader.map_err(serde::de::Error::custom)?)
+            }
+        }
+    }
+}
+
+/// Returns a reader of a line.
+pub fn line_reader(path: &Path, line: &Range<u64>) -> io::Result<impl io::Read + use<>> {
+    let mut runs = File::open(path)?;
+    runs.seek(SeekFrom::Start(line.start))?;
+    Ok(BufReader::new(runs.take(line.end - line.start)))
 }
 
 /// Returns whether a path is relative and stays in its folder.
@@ -310,12 +246,4 @@ pub fn to_line(value: &impl Serialize) -> Vec<u8> {
     let mut line = serde_json::to_vec(value).expect("names and numbers are valid JSON");
     line.push(b'\n');
     line
-}
-
-/// Reads a file; empty if it does not exist.
-pub fn read_or_empty(path: &Path) -> Result<Vec<u8>, FolderError> {
-    match fs::read(path) {
-        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(Vec::new()),
-        read => read.map_err(|source| io_error(path, source)),
-    }
 }

@@ -5,19 +5,24 @@ use std::fs::{self, File};
 use std::io;
 use std::path::{Path, PathBuf};
 
+use blake3::Hash;
 use jostle_physics::model::MODEL_VERSION;
+use jostle_results::table::series::for_each_part;
+use jostle_results::table::trajectory;
 use rustix::fs::{FlockOperation, flock};
 use rustix::io::Errno;
 
 use super::LOCK;
 use super::error::{FolderError, io_error};
 use super::lacking::lacking;
-use super::list::{
-    Entry, Line, RUNS, parse_runs, read_line, read_or_empty, read_order, read_series, to_line,
-};
+use super::list::{Entry, RUNS, read_runs};
+use super::series::{SeriesSource, find, read, settle};
+use crate::digest::Digests;
 use crate::files::{EXPERIMENT, Files};
 use crate::plan::Plan;
 use crate::run::FinishedRun;
+use crate::series::{MAX_INLINE, SeriesKind, bytes_of};
+use crate::trajectory::Trajectories;
 
 /// Read access to the folder of a part. Files are opened for each read: with many parts, open files
 /// would exceed the limit of the process.
@@ -58,7 +63,7 @@ impl Part {
     /// [`FolderError`]; also if another process writes to the folder.
     pub fn read(folder: &Path, plan: &Plan) -> Result<Self, FolderError> {
         let _lock = lock_shared(folder)?;
-        let list = parse_runs(folder, plan, &read_or_empty(&folder.join(RUNS))?)?;
+        let list = read_runs(folder, plan)?;
         if list.model_version != MODEL_VERSION {
             return Err(FolderError::OtherModel {
                 folder: folder.to_owned(),
@@ -95,51 +100,71 @@ impl Part {
         entry.is_some_and(|entry| entry.record.row.is_some())
     }
 
-    /// Reads the result of a finished run, as `execute_run` returns it.
+    /// Reads the result of a finished run, as `execute_run_from` returns it with [`Digests`], and the
+    /// digests of what is too long for it.
     ///
     /// # Errors
     ///
     /// [`FolderError`]; also if the run is not finished.
-    pub fn result(&self, plan: &Plan, index: usize) -> Result<FinishedRun, FolderError> {
-        let line = self.line(plan, index)?;
-        let record = self.finished[&index].record.clone();
-        let has_row = record.row.is_some();
-        let has_order = plan.order_every.is_some() && has_row;
-        let order = has_order.then(|| read_order(&self.path, plan, index, &line));
-        let has_series = plan.columns.series_every.is_some() && has_row;
-        let series = has_series.then(|| read_series(&self.path, plan, index, &line));
-        Ok(FinishedRun {
+    pub fn result(
+        &self,
+        plan: &Plan,
+        index: usize,
+    ) -> Result<(FinishedRun, [Hash; 3]), FolderError> {
+        let entry = self.entry(index)?;
+        let record = entry.record.clone();
+        let digests = Digests::default();
+        let mut short = [None, None];
+        for kind in SeriesKind::ALL {
+            if !kind.is_in(plan) || record.row.is_none() {
+                continue;
+            }
+            let source = find(&self.path, plan, index, kind, entry);
+            if let SeriesSource::File(path) = &source {
+                for_each_part(path, |rows| {
+                    digests.add_series(kind, rows);
+                    Ok(())
+                })?;
+                continue;
+            }
+            let series = read(&self.path, plan, (index, kind), &source)?;
+            match bytes_of(&series) > MAX_INLINE {
+                true => digests.add_series(kind, &series),
+                false => short[kind as usize] = Some(series),
+            }
+        }
+        if plan.record_every.is_some() && record.row.is_some() {
+            let path = Trajectories::of(&self.path).path(index);
+            trajectory::for_each_part(&path, |rows| digests.add_trajectory(rows))?;
+        }
+        let [order, series] = short;
+        let finished = FinishedRun {
             row: record.row,
             fault: record.fault,
-            order: order.transpose()?,
-            series: series.transpose()?,
+            order,
+            series,
             touch: record.touch,
-            files: record.files,
-        })
+            // Here no run is executed in a folder.
+            files: BTreeMap::new(),
+        };
+        Ok((finished, digests.finish()))
     }
 
-    /// Reads the line of a finished run, with its time series. Earlier versions stored the order
-    /// over time in a separate file.
+    /// Returns the line of a finished run for the list of the folder `to`, and copies the files of its
+    /// series there.
     ///
     /// # Errors
     ///
     /// [`FolderError`]; also if the run is not finished.
-    pub fn line(&self, plan: &Plan, index: usize) -> Result<Vec<u8>, FolderError> {
-        let Some(entry) = self.finished.get(&index) else {
+    pub fn copy(&self, plan: &Plan, index: usize, to: &Path) -> Result<Vec<u8>, FolderError> {
+        settle((&self.path, to), plan, index, self.entry(index)?)
+    }
+
+    fn entry(&self, index: usize) -> Result<&Entry, FolderError> {
+        self.finished.get(&index).ok_or_else(|| {
             let path = self.path.join(RUNS);
-            return Err(io_error(&path, io::ErrorKind::NotFound.into()));
-        };
-        let line = read_line(&self.path, &entry.line)?;
-        if plan.order_every.is_none() || entry.record.row.is_none() || entry.record.has_order {
-            return Ok(line);
-        }
-        let order = read_order(&self.path, plan, index, &line)?;
-        Ok(to_line(&Line {
-            record: &entry.record,
-            order: Some(order.into()),
-            // Earlier versions had no other series.
-            series: None,
-        }))
+            io_error(&path, io::ErrorKind::NotFound.into())
+        })
     }
 }
 

@@ -1,5 +1,7 @@
 //! Tests of the folder: reopening, truncated and damaged files, locks.
 
+use jostle_results::table;
+
 use super::*;
 use crate::run::execute_run;
 
@@ -41,12 +43,14 @@ impl Fixture {
         Folder::read(self.path(), &self.plan).unwrap()
     }
 
-    fn order(&self, index: usize) -> Result<OrderSeries, FolderError> {
-        Folder::read_order(self.path(), &self.plan, &self.read(), index)
+    fn order(&self, index: usize) -> Result<Series, FolderError> {
+        let of = (index, SeriesKind::Order);
+        Folder::read_series(self.path(), &self.plan, &self.read(), of)
     }
 
     fn series(&self, index: usize) -> Result<Series, FolderError> {
-        Folder::read_series(self.path(), &self.plan, &self.read(), index)
+        let of = (index, SeriesKind::Measures);
+        Folder::read_series(self.path(), &self.plan, &self.read(), of)
     }
 
     /// Applies `change` to the bytes of the list of finished runs.
@@ -83,7 +87,7 @@ fn a_reopened_folder_returns_rows_in_plan_order_with_their_series() {
             .order
             .unwrap()
     });
-    assert_eq!(series, expected.clone().map(Series::from));
+    assert_eq!(series, expected);
     for (index, expected) in [0, 2].into_iter().zip(expected) {
         let order = fixture.order(index).unwrap();
         assert_eq!(order, expected);
@@ -149,9 +153,13 @@ fn read_stored_series(plan: &str, has_drift: bool) {
     fixture.append(&mut folder, 1);
     drop(folder);
     let order = fixture.order(1).unwrap();
+    let [orders, drifts] = [0, 1].map(|column| {
+        let values = order.measures[column].values.iter();
+        values.flatten().copied().collect::<Vec<f64>>()
+    });
     assert_eq!(
-        (order.orders.len(), order.drifts.is_empty()),
-        (6, !has_drift)
+        (orders.len(), drifts.len()),
+        (6, if has_drift { 6 } else { 0 })
     );
     // The line and the file as earlier versions wrote them.
     fixture.edit(|bytes| {
@@ -164,8 +172,8 @@ fn read_stored_series(plan: &str, has_drift: bool) {
         *bytes = lines.collect::<String>().into_bytes();
     });
     assert!(fixture.order(1).is_err());
-    fs::create_dir(fixture.path().join(SERIES)).unwrap();
-    let numbers = order.orders.iter().chain(&order.drifts);
+    fs::create_dir(fixture.path().join(RAW)).unwrap();
+    let numbers = orders.iter().chain(&drifts);
     let bytes: Vec<u8> = numbers.flat_map(|number| number.to_le_bytes()).collect();
     fs::write(fixture.path().join("order/000001"), bytes).unwrap();
     let stored = fixture.order(1).unwrap();
@@ -173,7 +181,7 @@ fn read_stored_series(plan: &str, has_drift: bool) {
     let folder = fixture.open().unwrap();
     folder.write_tables(&fixture.plan).unwrap();
     let table = table::series::read(&fixture.path().join(ORDER_NAME)).unwrap();
-    assert_eq!(table, [Series::from(order)]);
+    assert_eq!(table, [order]);
 }
 
 #[test]
@@ -280,7 +288,8 @@ fn a_line_that_is_written_in_part_is_replaced_by_the_next_one() {
         fixture.append(&mut folder, 0);
         let mut finished = run(1).unwrap();
         if let Some(series) = &mut finished.order {
-            series.orders = vec![1.0 / 3.0; 10_000];
+            series.steps = vec![0; 10_000];
+            series.measures[0].values = vec![Some(1.0 / 3.0); 10_000];
         }
         let failed = folder.append(&fixture.plan, vec![(1, finished)]);
         assert!(matches!(failed, Err(FolderError::Io { .. })), "{failed:?}");

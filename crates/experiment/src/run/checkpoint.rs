@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::measures::Measures;
 use crate::contact_events::ContactMeter;
 use crate::protocol::ProtocolProgress;
+use crate::series::{SeriesKind, SeriesLog};
 
 /// The snapshot of a run at one of its steps, and its measurements so far.
 #[derive(Deserialize, Serialize)]
@@ -29,6 +30,11 @@ impl RunCheckpoint {
     #[must_use]
     pub fn to_bytes(&self) -> Vec<u8> {
         jostle_proto::to_cbor(self)
+    }
+
+    /// The time series of the run so far.
+    pub(crate) fn logs(&self) -> impl Iterator<Item = (SeriesKind, &SeriesLog)> {
+        self.measures.logs()
     }
 
     /// Parses a checkpoint; none if it is damaged or has another layout.

@@ -7,12 +7,14 @@ use jostle_physics::observables::intervals::Intervals;
 use jostle_physics::observables::{self, Order};
 use jostle_physics::simulation::{Simulation, steps_in};
 use jostle_physics::stepper::StepReport;
-use jostle_results::table::{MeasureSeries, OrderSeries, Series};
+use jostle_results::table::Series;
 use jostle_results::{ExtraValue, Measure, ResultRow};
 use serde::{Deserialize, Serialize};
 
 use crate::plan::{Columns, Plan, PlannedRun, Point};
 use crate::protocol::STOPPED_AT;
+use crate::run::Recorder;
+use crate::series::{SeriesKind, SeriesLog};
 
 /// Measurements of a run, of the state before each step. A checkpoint contains them; the means are
 /// those of its simulation.
@@ -27,18 +29,12 @@ pub struct Measures {
     worst_residual: f64,
     degraded: u64,
     fallbacks: u64,
-    order_every: Option<u64>,
-    orders: Vec<f64>,
-    drifts: Vec<f64>,
     /// The sum and the number of values of each chosen measure.
     #[serde(default)]
     columns: Vec<(f64, u64)>,
-    /// The steps of the time series of the chosen measures.
+    /// The time series that the plan has, by [`SeriesKind`].
     #[serde(default)]
-    series_steps: Vec<u64>,
-    /// The values of each chosen measure at these steps.
-    #[serde(default)]
-    series: Vec<Vec<Option<f64>>>,
+    logs: [Option<SeriesLog>; 2],
 }
 
 /// The form of [`Intervals`] in a checkpoint.
@@ -54,20 +50,44 @@ struct IntervalsForm {
 
 impl Measures {
     pub fn new(plan: &Plan) -> Self {
+        let log = |kind: SeriesKind| {
+            let measures = kind.is_in(plan).then(|| kind.measures(plan).len());
+            measures.map(SeriesLog::new)
+        };
         Self {
-            order_every: plan.order_every,
             columns: vec![(0.0, 0); plan.columns.measures.len()],
-            series: vec![Vec::new(); series_columns(plan)],
+            logs: SeriesKind::ALL.map(log),
             ..Self::default()
         }
     }
 
     /// Returns whether a checkpoint's measures are those of a plan.
     pub fn is_of(&self, plan: &Plan) -> bool {
-        let steps = self.series_steps.len();
+        let is_of = |(kind, log): (SeriesKind, &Option<SeriesLog>)| match log {
+            Some(log) => kind.is_in(plan) && log.is_of(kind.measures(plan).len()),
+            None => !kind.is_in(plan),
+        };
         self.columns.len() == plan.columns.measures.len()
-            && self.series.len() == series_columns(plan)
-            && self.series.iter().all(|values| values.len() == steps)
+            && SeriesKind::ALL.into_iter().zip(&self.logs).all(is_of)
+    }
+
+    /// The time series that the plan has.
+    pub fn logs(&self) -> impl Iterator<Item = (SeriesKind, &SeriesLog)> {
+        let logs = SeriesKind::ALL.into_iter().zip(&self.logs);
+        logs.filter_map(|(kind, log)| Some((kind, log.as_ref()?)))
+    }
+
+    /// Passes rows of the series to the recorder: those of a series that has too many in memory, or
+    /// `all` of each series that is long.
+    pub fn pass_rows(&mut self, recorder: &dyn Recorder, all: bool) {
+        let logs = SeriesKind::ALL.into_iter().zip(&mut self.logs);
+        for (kind, log) in logs {
+            if let Some(log) = log
+                && (log.is_full() || all && log.is_long())
+            {
+                log.pass_rows(kind, recorder);
+            }
+        }
     }
 
     /// Measures the chosen columns of the state before a step.
@@ -102,43 +122,41 @@ impl Measures {
     /// Adds the last state to the time series of the chosen measures.
     pub fn record_last(&mut self, plan: &Plan, view: &View<'_>) {
         let step = view.state().step;
-        if plan.columns.series_every.is_some() && self.series_steps.last() != Some(&step) {
+        let [_, log] = &self.logs;
+        if log.as_ref().is_some_and(|log| log.last() != Some(step)) {
             self.record_series(step, evaluate(plan, view));
         }
     }
 
     fn record_series(&mut self, step: u64, values: Vec<Option<f64>>) {
-        self.series_steps.push(step);
-        for (series, value) in self.series.iter_mut().zip(values) {
+        if let [_, Some(log)] = &mut self.logs {
             // Stored text has no infinite numbers.
-            series.push(value.filter(|value| value.is_finite()));
+            let values = values.into_iter();
+            let values = values.map(|value| value.filter(|value| value.is_finite()));
+            log.add(step, values.map(|value| value.unwrap_or(f64::NAN)));
         }
     }
 
-    /// Takes the time series of the chosen measures; none unless the plan has `series_every`.
-    pub fn take_series(&mut self, plan: &Plan, run: &PlannedRun, dt: f64) -> Option<Series> {
-        plan.columns.series_every?;
-        let steps = std::mem::take(&mut self.series_steps);
-        let names = plan.columns.measures.iter().map(ToString::to_string);
-        let measures = names.zip(std::mem::take(&mut self.series));
-        Some(Series {
-            run: run.name.clone(),
-            times: steps.iter().map(|&step| step as f64 * dt).collect(),
-            steps,
-            measures: measures
-                .map(|(name, values)| MeasureSeries { name, values })
-                .collect(),
-        })
+    /// Returns a time series; none if the plan does not have it, or it is long and the recorder has it.
+    fn series(
+        &mut self,
+        kind: SeriesKind,
+        (plan, run): (&Plan, &PlannedRun),
+        recorder: Option<&dyn Recorder>,
+    ) -> Option<Series> {
+        let log = self.logs[kind as usize].as_mut()?;
+        match recorder {
+            Some(recorder) if log.is_long() => {
+                log.pass_rows(kind, recorder);
+                None
+            }
+            _ => Some(log.series(kind, plan, run)),
+        }
     }
 
     /// Adds step number `count`; `order` is that of the state before it.
-    pub fn add(&mut self, count: u64, order: &Order, report: &StepReport) {
-        if self
-            .order_every
-            .is_some_and(|every| (count - 1).is_multiple_of(every))
-        {
-            self.record(order);
-        }
+    pub fn add(&mut self, plan: &Plan, count: u64, order: &Order, report: &StepReport) {
+        self.record(plan, count - 1, order);
         self.intervals.add(order.order);
         if let Some(gap) = report.worst_gap {
             self.worst_gap = self.worst_gap.min(gap);
@@ -149,20 +167,25 @@ impl Measures {
         self.fallbacks += u64::from(report.fallback > 0);
     }
 
-    /// Adds an entry to the time series. A drift that is undefined is NaN.
-    fn record(&mut self, order: &Order) {
-        self.orders.push(order.order);
-        self.drifts.push(order.drift.unwrap_or(f64::NAN));
+    /// Adds the order at a step to its time series, if it is due. A drift that is undefined is NaN.
+    fn record(&mut self, plan: &Plan, step: u64, order: &Order) {
+        let is_due = |every: u64| step.is_multiple_of(every);
+        if let [Some(log), _] = &mut self.logs
+            && plan.order_every.is_some_and(is_due)
+        {
+            log.add(step, [order.order, order.drift.unwrap_or(f64::NAN)]);
+        }
     }
 
-    /// Returns the row and the time series; the simulation has the last state.
+    /// Returns the row and the time series of the order and of the chosen measures; the simulation has
+    /// the last state.
     pub fn finish(
         mut self,
-        plan: &Plan,
-        run: &PlannedRun,
+        (plan, run): (&Plan, &PlannedRun),
         simulation: &Simulation,
         is_stopped: bool,
-    ) -> (Option<ResultRow>, Option<OrderSeries>) {
+        recorder: Option<&dyn Recorder>,
+    ) -> (Option<ResultRow>, [Option<Series>; 2]) {
         let (state, means) = (&simulation.state, &simulation.means);
         let State {
             parameters,
@@ -171,27 +194,10 @@ impl Measures {
             ..
         } = state;
         let extra = self.extra(plan, run, is_stopped.then(|| state.time()));
-        let series = self.order_every.map(|every| {
-            if step.is_multiple_of(every) {
-                self.record(&observables::order(configuration));
-            }
-            let steps: Vec<u64> = (0..self.orders.len() as u64)
-                .map(|entry| entry * every)
-                .collect();
-            OrderSeries {
-                run: run.name.clone(),
-                times: steps
-                    .iter()
-                    .map(|&step| step as f64 * parameters.dt)
-                    .collect(),
-                steps,
-                orders: std::mem::take(&mut self.orders),
-                drifts: match self.drifts.iter().all(|drift| drift.is_nan()) {
-                    true => Vec::new(),
-                    false => std::mem::take(&mut self.drifts),
-                },
-            }
-        });
+        if self.logs[0].is_some() {
+            self.record(plan, *step, &observables::order(configuration));
+        }
+        let series = SeriesKind::ALL.map(|kind| self.series(kind, (plan, run), recorder));
         let last = body::gaps(parameters, configuration);
         let mut worst_gap = self.worst_gap.min(last.worst_gap.unwrap_or(0.0));
         if self.crossed > 0 {
@@ -277,14 +283,4 @@ impl Measures {
 fn evaluate(plan: &Plan, view: &View<'_>) -> Vec<Option<f64>> {
     let measures = plan.columns.measures.iter();
     measures.map(|measure| measure.evaluate(view)).collect()
-}
-
-/// Returns the number of measures that are recorded over time.
-fn series_columns(plan: &Plan) -> usize {
-    let Columns {
-        measures,
-        series_every,
-        ..
-    } = &plan.columns;
-    series_every.map_or(0, |_| measures.len())
 }

@@ -104,6 +104,24 @@ fn encode(state: &State) -> Vec<u8> {
     bytes
 }
 
+/// Returns the rows of a frame, as a trajectory has them.
+pub fn frame(state: &State) -> Trajectory {
+    let configuration = &state.configuration;
+    let n = configuration.n();
+    let [x, y] = configuration.origin.map(|origin| CELL * origin as f64);
+    let shifted = |column: &[f64], shift: f64| column.iter().map(|value| value + shift).collect();
+    let weights = configuration.weight.iter();
+    Trajectory {
+        step: vec![state.step; n],
+        time: vec![state.time(); n],
+        id: configuration.id.clone(),
+        x: shifted(&configuration.x, x),
+        y: shifted(&configuration.y, y),
+        alpha: shifted(&configuration.alpha, 0.0),
+        informed: weights.map(|weight| *weight > 0.0).collect(),
+    }
+}
+
 /// Writes the frames of a spool as a trajectory. Calls `has_room` with the bytes of each frame; if it
 /// returns false, there is no trajectory and the result is false.
 ///

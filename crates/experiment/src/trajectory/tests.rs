@@ -4,11 +4,13 @@ use jostle_results::table::Trajectory;
 use jostle_results::table::trajectory::{read, read_about};
 
 use super::*;
+use crate::execute::RunRecorder;
 use crate::execute::{Execution, execute};
 use crate::folder::Folder;
 use crate::merge::Parts;
 use crate::progress::ExecutionControl;
 use crate::run::{CurrentRun, execute_run, execute_run_from};
+use crate::series::SeriesRecording;
 use crate::subset::Subset;
 
 /// 50 steps, with individuals that enter at step 12 and leave at step 25.
@@ -140,7 +142,7 @@ fn killed(
 ) -> Option<RunCheckpoint> {
     let recording = files.record(plan, 0, &mut checkpoint).unwrap().unwrap();
     let mut last = None;
-    let on_step = |current: &CurrentRun<'_>| {
+    let on_step = |current: &mut CurrentRun<'_>| {
         if current.steps() == checkpoint_at {
             let mut checkpoint = current.checkpoint();
             checkpoint.recorded = recording.sync();
@@ -148,7 +150,11 @@ fn killed(
         }
         current.steps() < killed_at
     };
-    let ended = execute_run_from(plan, &plan.runs()[0], checkpoint, Some(&recording), on_step);
+    let recorder = RunRecorder {
+        trajectory: Some(&recording),
+        series: &SeriesRecording::of(&files.0, 0, &mut None),
+    };
+    let ended = execute_run_from(plan, &plan.runs()[0], checkpoint, Some(&recorder), on_step);
     match ended {
         None => {
             // What was written after the checkpoint may be on disk or not.

@@ -1,6 +1,7 @@
 //! Columns of Parquet: the types of their values, and how these are written and read.
 
 use std::io;
+use std::ops::Range;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -23,8 +24,8 @@ pub trait ParquetValue: Sized {
     /// Writes a chunk of the column.
     fn write(values: &[Self], column: &mut SerializedColumnWriter<'_>) -> Result<(), CellError>;
 
-    /// Reads a chunk of `rows` rows.
-    fn read(column: ColumnReader, rows: usize) -> Result<Vec<Self>, CellError>;
+    /// Reads these rows of a chunk; the pages before them are skipped.
+    fn read(column: ColumnReader, rows: Range<usize>) -> Result<Vec<Self>, CellError>;
 }
 
 /// An error of writing or reading a column.
@@ -89,7 +90,7 @@ impl ParquetValue for bool {
         Ok(())
     }
 
-    fn read(column: ColumnReader, rows: usize) -> Result<Vec<Self>, CellError> {
+    fn read(column: ColumnReader, rows: Range<usize>) -> Result<Vec<Self>, CellError> {
         let ColumnReader::BoolColumnReader(reader) = column else {
             return Err(CellError::Value(0, "not a boolean".to_owned()));
         };
@@ -111,7 +112,7 @@ impl ParquetValue for Arc<str> {
         Ok(())
     }
 
-    fn read(column: ColumnReader, rows: usize) -> Result<Vec<Self>, CellError> {
+    fn read(column: ColumnReader, rows: Range<usize>) -> Result<Vec<Self>, CellError> {
         let text = String::read(column, rows)?;
         Ok(text.into_iter().map(Arc::from).collect())
     }
@@ -133,7 +134,7 @@ impl ParquetValue for String {
         Ok(())
     }
 
-    fn read(column: ColumnReader, rows: usize) -> Result<Vec<Self>, CellError> {
+    fn read(column: ColumnReader, rows: Range<usize>) -> Result<Vec<Self>, CellError> {
         let ColumnReader::ByteArrayColumnReader(reader) = column else {
             return Err(CellError::Value(0, "not text".to_owned()));
         };
@@ -163,7 +164,7 @@ impl ParquetValue for u64 {
         Ok(())
     }
 
-    fn read(column: ColumnReader, rows: usize) -> Result<Vec<Self>, CellError> {
+    fn read(column: ColumnReader, rows: Range<usize>) -> Result<Vec<Self>, CellError> {
         let ColumnReader::Int64ColumnReader(reader) = column else {
             return Err(CellError::Value(0, "not a 64-bit integer".to_owned()));
         };
@@ -189,7 +190,7 @@ impl ParquetValue for u32 {
         Ok(())
     }
 
-    fn read(column: ColumnReader, rows: usize) -> Result<Vec<Self>, CellError> {
+    fn read(column: ColumnReader, rows: Range<usize>) -> Result<Vec<Self>, CellError> {
         let ColumnReader::Int32ColumnReader(reader) = column else {
             return Err(CellError::Value(0, "not a 32-bit integer".to_owned()));
         };
@@ -212,7 +213,7 @@ impl ParquetValue for f64 {
         Ok(())
     }
 
-    fn read(column: ColumnReader, rows: usize) -> Result<Vec<Self>, CellError> {
+    fn read(column: ColumnReader, rows: Range<usize>) -> Result<Vec<Self>, CellError> {
         let ColumnReader::DoubleColumnReader(reader) = column else {
             return Err(CellError::Value(0, "not a 64-bit number".to_owned()));
         };
@@ -236,7 +237,7 @@ impl ParquetValue for Option<f64> {
         Ok(())
     }
 
-    fn read(column: ColumnReader, rows: usize) -> Result<Vec<Self>, CellError> {
+    fn read(column: ColumnReader, rows: Range<usize>) -> Result<Vec<Self>, CellError> {
         let ColumnReader::DoubleColumnReader(reader) = column else {
             return Err(CellError::Value(0, "not a 64-bit number".to_owned()));
         };
@@ -262,7 +263,7 @@ impl ParquetValue for Option<String> {
         Ok(())
     }
 
-    fn read(column: ColumnReader, rows: usize) -> Result<Vec<Self>, CellError> {
+    fn read(column: ColumnReader, rows: Range<usize>) -> Result<Vec<Self>, CellError> {
         let ColumnReader::ByteArrayColumnReader(reader) = column else {
             return Err(CellError::Value(0, "not text".to_owned()));
         };
@@ -285,7 +286,10 @@ fn convert<T, U>(
 
 /// Reads values that must be present. Other writers may declare every column optional, so only an
 /// absent value is an error.
-fn required<D: DataType>(reader: ColumnReaderImpl<D>, rows: usize) -> Result<Vec<D::T>, CellError> {
+fn required<D: DataType>(
+    reader: ColumnReaderImpl<D>,
+    rows: Range<usize>,
+) -> Result<Vec<D::T>, CellError> {
     convert(optional(reader, rows)?, |value| {
         value.ok_or_else(|| "no value".to_owned())
     })
@@ -293,8 +297,12 @@ fn required<D: DataType>(reader: ColumnReaderImpl<D>, rows: usize) -> Result<Vec
 
 fn optional<D: DataType>(
     mut reader: ColumnReaderImpl<D>,
-    rows: usize,
+    rows: Range<usize>,
 ) -> Result<Vec<Option<D::T>>, CellError> {
+    if reader.skip_records(rows.start)? < rows.start {
+        return Err(CellError::Value(0, "the column ends before".to_owned()));
+    }
+    let rows = rows.len();
     let (mut levels, mut present, mut records) = (Vec::new(), Vec::new(), 0);
     while records < rows {
         let (read, _, _) =

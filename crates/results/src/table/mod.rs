@@ -17,8 +17,7 @@ use std::path::{Path, PathBuf};
 
 use crate::ResultRow;
 
-pub use order::{OrderSeries, OrderWriter};
-pub use series::{MeasureSeries, Series, SeriesWriter};
+pub use series::{MeasureSeries, Series, SeriesPart, SeriesWriter};
 pub use trajectory::{Trajectory, TrajectoryWriter};
 
 /// The file name of a Parquet table within its directory.

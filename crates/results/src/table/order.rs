@@ -1,164 +1,140 @@
-//! The order over time, run by run.
+//! The order over time, run by run: series of two measures.
 
 use std::path::Path;
 
 use super::TableError;
-use super::series::{MeasureSeries, Series, SeriesWriter, ValueColumn};
+use super::series::{SeriesWriter, ValueColumn};
 
-/// The names of the measures.
-const ORDER: &str = "order";
-const DRIFT: &str = "drift";
+/// The names of the measures: the order, and the drift along the informed individuals' direction.
+pub const MEASURES: [&str; 2] = ["order", "drift"];
 
 /// The file name of the table within its directory.
 pub const ORDER_NAME: &str = "order.parquet";
 
-/// The order of one run over time, in columns of one length.
-#[derive(Clone, Debug, Default)]
-pub struct OrderSeries {
-    /// The run's name, as in the table of runs.
-    pub run: String,
-    /// The steps.
-    pub steps: Vec<u64>,
-    /// The time of each step.
-    pub times: Vec<f64>,
-    /// The order at each step.
-    pub orders: Vec<f64>,
-    /// The drift along the informed individuals' direction at each step, NaN where it is undefined;
-    /// empty if it is undefined everywhere.
-    pub drifts: Vec<f64>,
-}
-
-/// An undefined drift, NaN, equals itself.
-impl PartialEq for OrderSeries {
-    fn eq(&self, other: &Self) -> bool {
-        let bits = |column: &[f64]| column.iter().map(|it| it.to_bits()).collect::<Vec<_>>();
-        self.run == other.run
-            && self.steps == other.steps
-            && self.times == other.times
-            && self.orders == other.orders
-            && bits(&self.drifts) == bits(&other.drifts)
-    }
-}
-
-/// Writes a file of rows `run, step, time, order, drift`. All rows of a run are in one row group.
+/// Begins a file of rows `run, step, time, order, drift`. The order of each row has a value.
 ///
-/// [`OrderWriter::finish`] gives the file its name; if the writer is dropped before, the file is
-/// deleted.
-pub struct OrderWriter(SeriesWriter);
-
-impl OrderWriter {
-    /// Begins the file.
-    ///
-    /// # Errors
-    ///
-    /// [`TableError::Io`].
-    pub fn begin(path: &Path) -> Result<Self, TableError> {
-        let column = |name: &str, is_optional| ValueColumn {
-            name: name.to_owned(),
-            is_optional,
-        };
-        let columns = vec![column(ORDER, false), column(DRIFT, true)];
-        SeriesWriter::begin_columns(path, "order", columns).map(Self)
-    }
-
-    /// Adds one run, and writes a row group if there are enough rows.
-    ///
-    /// # Errors
-    ///
-    /// [`TableError::Io`] if the disk is full; the file is lost then.
-    ///
-    /// # Panics
-    ///
-    /// If the columns differ in length.
-    pub fn append(&mut self, series: &OrderSeries) -> Result<(), TableError> {
-        self.0.append(&series.clone().into())
-    }
-
-    /// Ends the file and gives it its name.
-    ///
-    /// # Errors
-    ///
-    /// [`TableError::Io`].
-    pub fn finish(self) -> Result<(), TableError> {
-        self.0.finish()
-    }
-}
-
-impl From<OrderSeries> for Series {
-    fn from(series: OrderSeries) -> Self {
-        let drifts = match series.drifts.is_empty() {
-            true => vec![None; series.steps.len()],
-            false => series
-                .drifts
-                .into_iter()
-                .map(|drift| (!drift.is_nan()).then_some(drift))
-                .collect(),
-        };
-        let measure = |name: &str, values| MeasureSeries {
-            name: name.to_owned(),
-            values,
-        };
-        Self {
-            run: series.run,
-            steps: series.steps,
-            times: series.times,
-            measures: vec![
-                measure(ORDER, series.orders.into_iter().map(Some).collect()),
-                measure(DRIFT, drifts),
-            ],
-        }
-    }
+/// # Errors
+///
+/// [`TableError::Io`].
+pub fn begin(path: &Path) -> Result<SeriesWriter, TableError> {
+    let [order, drift] = MEASURES.map(str::to_owned);
+    let columns = [(order, false), (drift, true)];
+    let columns = columns.map(|(name, is_optional)| ValueColumn { name, is_optional });
+    SeriesWriter::begin_columns(path, "order", columns.into())
 }
 
 #[cfg(test)]
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
-    use crate::table::parquet::for_each_group;
-    use crate::table::series::{self, ROWS_OF_GROUP};
+    use crate::table::parquet::{for_each_group, rows};
+    use crate::table::series::{self, ROWS_OF_GROUP, SeriesPart};
+    use crate::table::{MeasureSeries, Series};
 
-    fn groups(path: &Path) -> usize {
-        let mut groups = 0;
-        for_each_group(path, |_| {
-            groups += 1;
+    fn groups(path: &Path) -> Vec<usize> {
+        let mut groups = Vec::new();
+        for_each_group(path, |group| {
+            groups.push(rows(group));
             Ok(())
         })
         .unwrap();
         groups
     }
 
+    /// A series of `count` rows; the drift of each third row is undefined, or that of every row.
+    fn series(run: &str, count: u32, is_led: bool) -> Series {
+        let values = |value: &dyn Fn(u32) -> Option<f64>| (0..count).map(value).collect();
+        let is_defined = |row| is_led && row % 3 != 0;
+        let measures: [(&str, Vec<Option<f64>>); 2] = [
+            ("order", values(&|row| Some(1.0 / f64::from(row + 1)))),
+            (
+                "drift",
+                values(&|row| is_defined(row).then_some(0.1 - f64::from(row))),
+            ),
+        ];
+        Series {
+            run: run.to_owned(),
+            steps: (0..u64::from(count)).map(|row| 5 * row).collect(),
+            times: (0..count).map(|row| 0.1 * f64::from(row)).collect(),
+            measures: measures
+                .map(|(name, values)| MeasureSeries {
+                    name: name.to_owned(),
+                    values,
+                })
+                .into(),
+        }
+    }
+
     #[test]
-    fn series_round_trip_run_by_run() {
+    fn series_round_trip_in_row_groups_of_one_size() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join(ORDER_NAME);
-        let quiet = OrderSeries {
-            run: "quiet".to_owned(),
-            steps: vec![0, 50],
-            times: vec![0.0, 1.0],
-            orders: vec![0.1 + 0.2, 1.0],
-            drifts: vec![],
-        };
-        let led = OrderSeries {
-            run: "led".to_owned(),
-            drifts: vec![-0.5, 1.0 / 3.0],
-            ..quiet.clone()
-        };
-        let mut writer = OrderWriter::begin(&path).unwrap();
-        let long = OrderSeries {
-            run: "long".to_owned(),
-            steps: vec![7; ROWS_OF_GROUP - 1],
-            times: vec![0.5; ROWS_OF_GROUP - 1],
-            orders: vec![0.25; ROWS_OF_GROUP - 1],
-            drifts: vec![],
-        };
-        // Two row groups: `quiet` and `long`, then `led`.
-        for series in [&quiet, &long, &led] {
+        let all = [
+            series("quiet", 2, false),
+            series("long", 150_000, true),
+            series("led", 3, true),
+        ];
+        let mut writer = begin(&path).unwrap();
+        for series in &all {
             writer.append(series).unwrap();
         }
         assert!(!path.exists(), "the file has its name before it is whole");
         writer.finish().unwrap();
-        assert_eq!(groups(&path), 2);
-        let expected = [quiet, long, led].map(Series::from);
-        assert_eq!(series::read(&path).unwrap(), expected);
+        assert_eq!(
+            groups(&path),
+            [ROWS_OF_GROUP, ROWS_OF_GROUP, 150_005 - 2 * ROWS_OF_GROUP]
+        );
+        assert!(series::read(&path).unwrap() == all);
+        let whole = std::fs::read(&path).unwrap();
+
+        // The same bytes, if the long one is in a file of its own, or comes in parts.
+        let file = directory.path().join("run.parquet");
+        let mut writer = begin(&file).unwrap();
+        for first in (0..150_000).step_by(7_000) {
+            writer
+                .append(&SeriesPart::of(&all[1], first, 7_000).rows)
+                .unwrap();
+        }
+        writer.finish().unwrap();
+        let mut writer = begin(&path).unwrap();
+        writer.append(&all[0]).unwrap();
+        writer.append_file(&file).unwrap();
+        writer.append(&all[2]).unwrap();
+        writer.finish().unwrap();
+        assert!(std::fs::read(&path).unwrap() == whole);
+    }
+
+    #[test]
+    fn a_part_of_a_file_is_that_of_its_series() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("run.parquet");
+        for is_led in [true, false] {
+            let series = series("n=3 #1", 140_000, is_led);
+            let mut writer = begin(&path).unwrap();
+            writer.append(&series).unwrap();
+            writer.finish().unwrap();
+            for (after, limit) in [
+                (0, 1),
+                (0, 70_000),
+                (65_530, 10),
+                (65_536, 65_536),
+                (139_990, 100),
+                (140_000, 10),
+                (u64::MAX, 10),
+            ] {
+                let part = series::read_part(&path, after, limit).unwrap();
+                let begin = usize::try_from(after).unwrap().min(140_000);
+                let end = (begin + limit).min(140_000);
+                assert_eq!(part.total, 140_000);
+                assert_eq!(part.is_defined, [true, is_led]);
+                assert_eq!(part.rows.steps, series.steps[begin..end]);
+                assert_eq!(part.rows.times, series.times[begin..end]);
+                assert_eq!(part.rows.measures.len(), 2);
+                for (part, whole) in part.rows.measures.iter().zip(&series.measures) {
+                    assert_eq!(part.name, whole.name);
+                    assert!(part.values == whole.values[begin..end], "{after} {limit}");
+                }
+            }
+        }
     }
 }

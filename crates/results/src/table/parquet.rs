@@ -1,6 +1,7 @@
 //! Parquet tables, for data frames.
 
 use std::io::Write;
+use std::ops::Range;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -244,6 +245,16 @@ pub fn read_column<C: ParquetValue>(
     column: &str,
     first: usize,
 ) -> Result<Vec<C>, TableError> {
+    read_rows(path, group, column, (first, 0..rows(group)))
+}
+
+/// Reads `rows` of a column of a row group; `first` is the number of rows in the groups before it.
+pub fn read_rows<C: ParquetValue>(
+    path: &Path,
+    group: &dyn RowGroupReader,
+    column: &str,
+    (first, rows): (usize, Range<usize>),
+) -> Result<Vec<C>, TableError> {
     let columns = group.metadata().columns();
     let index = columns
         .iter()
@@ -252,10 +263,11 @@ pub fn read_column<C: ParquetValue>(
             path: path.to_owned(),
             column: column.to_owned(),
         })?;
+    let first = first + rows.start;
     group
         .get_column_reader(index)
         .map_err(CellError::from)
-        .and_then(|reader| C::read(reader, rows(group)))
+        .and_then(|reader| C::read(reader, rows))
         .map_err(|error| error.within(path, column, first))
 }
 

@@ -1,8 +1,11 @@
 //! Measures over time, run by run. They have far more rows than runs, so they are written in groups.
 
+use std::ops::Range;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use parquet::errors::ParquetError;
+use parquet::file::reader::{FileReader as _, RowGroupReader};
 use parquet::file::writer::SerializedFileWriter;
 use parquet::schema::types::Type;
 use tempfile::NamedTempFile;
@@ -10,7 +13,8 @@ use tempfile::NamedTempFile;
 use super::TableError;
 use super::column::{ParquetValue, failed};
 use super::parquet::{
-    begin, extra_numbers, finish, for_each_group, group, read_column, write_column,
+    begin, extra_numbers, finish, for_each_group, group, malformed, open, read_column, read_rows,
+    rows, write_column,
 };
 
 /// The file name of the table within its directory.
@@ -32,6 +36,17 @@ pub struct Series {
     pub measures: Vec<MeasureSeries>,
 }
 
+impl Series {
+    /// Adds later rows of the same run.
+    pub fn extend(&mut self, later: Self) {
+        self.steps.extend(later.steps);
+        self.times.extend(later.times);
+        for (measure, later) in self.measures.iter_mut().zip(later.measures) {
+            measure.values.extend(later.values);
+        }
+    }
+}
+
 /// One measure over time.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct MeasureSeries {
@@ -41,9 +56,52 @@ pub struct MeasureSeries {
     pub values: Vec<Option<f64>>,
 }
 
-/// Number of rows after which a row group is written. The metadata of a row group takes 540 bytes: with
-/// a group for each of 100,000 short runs, `order.parquet` had 130 MB, 54 of them metadata.
+/// A part of the series of a run.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct SeriesPart {
+    /// Its rows.
+    pub rows: Series,
+    /// The number of rows of the whole series.
+    pub total: u64,
+    /// Whether each measure has a value anywhere in the whole series.
+    pub is_defined: Vec<bool>,
+}
+
+impl SeriesPart {
+    /// Returns at most `limit` rows of a series after the first `after`.
+    #[must_use]
+    pub fn of(series: &Series, after: u64, limit: usize) -> Self {
+        let count = series.steps.len();
+        let first = usize::try_from(after).map_or(count, |after| after.min(count));
+        let rows = first..first.saturating_add(limit).min(count);
+        let measures = series.measures.iter();
+        Self {
+            rows: Series {
+                run: series.run.clone(),
+                steps: series.steps[rows.clone()].to_vec(),
+                times: series.times[rows.clone()].to_vec(),
+                measures: measures
+                    .clone()
+                    .map(|measure| MeasureSeries {
+                        name: measure.name.clone(),
+                        values: measure.values[rows.clone()].to_vec(),
+                    })
+                    .collect(),
+            },
+            total: count as u64,
+            is_defined: measures
+                .map(|measure| measure.values.iter().any(Option::is_some))
+                .collect(),
+        }
+    }
+}
+
+/// Number of rows of a row group. The metadata of a row group takes 540 bytes: with a group for each of
+/// 100,000 short runs, `order.parquet` had 130 MB, 54 of them metadata.
 pub(super) const ROWS_OF_GROUP: usize = 1 << 16;
+
+/// Number of values that are read from a file at a time: 16 bytes each.
+const VALUES_OF_PART: usize = 1 << 18;
 
 /// A column of measured values.
 #[derive(Clone, Debug)]
@@ -53,7 +111,8 @@ pub(super) struct ValueColumn {
     pub is_optional: bool,
 }
 
-/// Writes a file of rows `run, step, time` and the measures. All rows of a run are in one row group.
+/// Writes a file of rows `run, step, time` and the measures, in row groups of one size. The bytes
+/// depend only on the rows.
 ///
 /// [`SeriesWriter::finish`] gives the file its name; if the writer is dropped before, the file is
 /// deleted.
@@ -64,13 +123,38 @@ pub struct SeriesWriter {
     group: Rows,
 }
 
-/// The rows of the next row group.
+/// The rows of the next row group. An undefined value is NaN, which takes half the memory of an
+/// [`Option`].
 #[derive(Default)]
 struct Rows {
-    runs: Vec<String>,
+    /// The runs, each with its number of rows.
+    runs: Vec<(Arc<str>, usize)>,
     steps: Vec<u64>,
     times: Vec<f64>,
-    values: Vec<Vec<Option<f64>>>,
+    values: Vec<Vec<f64>>,
+}
+
+impl Rows {
+    fn add(&mut self, series: &Series, rows: Range<usize>) {
+        match self.runs.last_mut() {
+            Some((run, count)) if **run == *series.run => *count += rows.len(),
+            _ => self.runs.push((series.run.as_str().into(), rows.len())),
+        }
+        self.steps.extend(&series.steps[rows.clone()]);
+        self.times.extend(&series.times[rows.clone()]);
+        for (values, measure) in self.values.iter_mut().zip(&series.measures) {
+            let added = measure.values[rows.clone()].iter();
+            values.extend(added.map(|value| value.unwrap_or(f64::NAN)));
+        }
+    }
+
+    /// Removes the rows; the memory is used again.
+    fn clear(&mut self) {
+        self.runs.clear();
+        self.steps.clear();
+        self.times.clear();
+        self.values.iter_mut().for_each(Vec::clear);
+    }
 }
 
 impl SeriesWriter {
@@ -95,12 +179,15 @@ impl SeriesWriter {
         Ok(Self {
             path: path.to_owned(),
             writer: begin(path, schema(table, &columns))?,
+            group: Rows {
+                values: vec![Vec::new(); columns.len()],
+                ..Rows::default()
+            },
             columns,
-            group: Rows::default(),
         })
     }
 
-    /// Adds one run, and writes a row group if there are enough rows.
+    /// Adds rows of a run, and writes row groups of one size while there are enough.
     ///
     /// # Errors
     ///
@@ -110,42 +197,57 @@ impl SeriesWriter {
     ///
     /// If the columns differ in length, or the measures in number from those of the file.
     pub fn append(&mut self, series: &Series) -> Result<(), TableError> {
-        let rows = series.steps.len();
-        assert_eq!(rows, series.times.len());
+        let count = series.steps.len();
+        assert_eq!(count, series.times.len());
         assert_eq!(series.measures.len(), self.columns.len());
-        let group = &mut self.group;
-        group.runs.extend(vec![series.run.clone(); rows]);
-        group.steps.extend(&series.steps);
-        group.times.extend(&series.times);
-        group.values.resize(self.columns.len(), Vec::new());
-        for (values, measure) in group.values.iter_mut().zip(&series.measures) {
-            assert_eq!(rows, measure.values.len());
-            values.extend(&measure.values);
+        let measures = series.measures.iter();
+        measures.for_each(|measure| assert_eq!(count, measure.values.len()));
+        let mut first = 0;
+        while first < count {
+            let end = count.min(first + ROWS_OF_GROUP - self.group.steps.len());
+            self.group.add(series, first..end);
+            if self.group.steps.len() == ROWS_OF_GROUP {
+                self.write_group()?;
+            }
+            first = end;
         }
-        match group.runs.len() {
-            ROWS_OF_GROUP.. => self.write_group(),
-            _ => Ok(()),
-        }
+        Ok(())
+    }
+
+    /// Adds all rows of a file of one run, a part of them at a time.
+    ///
+    /// # Errors
+    ///
+    /// [`TableError`] with the file that cannot be read or written.
+    ///
+    /// # Panics
+    ///
+    /// If the measures differ in number from those of the file.
+    pub fn append_file(&mut self, path: &Path) -> Result<(), TableError> {
+        for_each_part(path, |part| self.append(part))
     }
 
     fn write_group(&mut self) -> Result<(), TableError> {
-        let rows = std::mem::take(&mut self.group);
-        let malformed = |error| failed(&self.path, &error, "");
+        let (rows, path) = (&self.group, &self.path);
+        let malformed = |error| failed(path, &error, "");
         let mut group = self.writer.next_row_group().map_err(malformed)?;
-        let path = &self.path;
-        write_column(path, &mut group, "run", &rows.runs)?;
+        let runs = rows.runs.iter();
+        let runs = runs.flat_map(|(run, count)| std::iter::repeat_n(run.clone(), *count));
+        write_column(path, &mut group, "run", &runs.collect::<Vec<_>>())?;
         write_column(path, &mut group, "step", &rows.steps)?;
         write_column(path, &mut group, "time", &rows.times)?;
-        for (ValueColumn { name, is_optional }, values) in self.columns.iter().zip(rows.values) {
+        for (ValueColumn { name, is_optional }, values) in self.columns.iter().zip(&rows.values) {
             match is_optional {
-                true => write_column(path, &mut group, name, &values)?,
-                false => {
-                    let values: Vec<f64> = values.into_iter().flatten().collect();
-                    write_column(path, &mut group, name, &values)?;
+                true => {
+                    let values = values.iter();
+                    let values = values.map(|value| (!value.is_nan()).then_some(*value));
+                    write_column(path, &mut group, name, &values.collect::<Vec<_>>())?;
                 }
+                false => write_column(path, &mut group, name, values)?,
             }
         }
         group.close().map_err(malformed)?;
+        self.group.clear();
         Ok(())
     }
 
@@ -155,11 +257,103 @@ impl SeriesWriter {
     ///
     /// [`TableError::Io`].
     pub fn finish(mut self) -> Result<(), TableError> {
-        if !self.group.runs.is_empty() {
+        if !self.group.steps.is_empty() {
             self.write_group()?;
         }
         finish(&self.path, self.writer)
     }
+}
+
+/// Calls `each` with the rows of a file of one run, in order, a part of them at a time.
+///
+/// # Errors
+///
+/// [`TableError`] with the file and, if applicable, the column and the row; or that of `each`.
+pub fn for_each_part(
+    path: &Path,
+    mut each: impl FnMut(&Series) -> Result<(), TableError>,
+) -> Result<(), TableError> {
+    let mut first = 0;
+    for_each_group(path, |group| {
+        let count = rows(group);
+        let limit = VALUES_OF_PART / group.num_columns().max(1);
+        for begin in (0..count).step_by(limit.max(1)) {
+            let end = count.min(begin + limit.max(1));
+            each(&read_group(path, group, (first, begin..end))?)?;
+        }
+        first += count;
+        Ok(())
+    })
+}
+
+/// Reads at most `limit` rows of a file of one run after the first `after`. Only the row groups of
+/// these rows are read, and only their pages are decoded.
+///
+/// # Errors
+///
+/// [`TableError`] with the file and, if applicable, the column and the row.
+pub fn read_part(path: &Path, after: u64, limit: usize) -> Result<SeriesPart, TableError> {
+    let (mut part, mut first) = (SeriesPart::default(), 0);
+    let mut page: Option<Series> = None;
+    let after = usize::try_from(after).unwrap_or(usize::MAX);
+    let reader = open(path)?;
+    for index in 0..reader.num_row_groups() {
+        let group = reader.get_row_group(index);
+        let group = &*group.map_err(|error| malformed(path, &error))?;
+        let count = rows(group);
+        let names = extra_numbers(group, |name| FIXED.contains(&name));
+        part.is_defined.resize(names.len(), false);
+        for (is_defined, name) in part.is_defined.iter_mut().zip(&names) {
+            *is_defined |= nulls(group, name).is_none_or(|nulls| nulls < count as u64);
+        }
+        let taken = page.as_ref().map_or(0, |page| page.steps.len());
+        let begin = after.saturating_sub(first).min(count);
+        let end = count.min(begin.saturating_add(limit - taken));
+        // The page of a series after its end has the names of the measures, too.
+        if begin < end || page.is_none() && index + 1 == reader.num_row_groups() {
+            let rows = read_group(path, group, (first, begin..end))?;
+            match &mut page {
+                None => page = Some(rows),
+                Some(page) => page.extend(rows),
+            }
+        }
+        first += count;
+    }
+    part.rows = page.unwrap_or_default();
+    part.total = first as u64;
+    Ok(part)
+}
+
+/// Returns the number of undefined values of a column of a row group, if the file has it.
+fn nulls(group: &dyn RowGroupReader, name: &str) -> Option<u64> {
+    let mut columns = group.metadata().columns().iter();
+    let column = columns.find(|chunk| chunk.column_path().parts() == [name])?;
+    column.statistics()?.null_count_opt()
+}
+
+/// Reads rows of a row group of a file of one run.
+fn read_group(
+    path: &Path,
+    group: &dyn RowGroupReader,
+    (first, rows): (usize, Range<usize>),
+) -> Result<Series, TableError> {
+    let mut measures = Vec::new();
+    for name in extra_numbers(group, |name| FIXED.contains(&name)) {
+        let values = read_rows(path, group, &name, (first, rows.clone()))?;
+        measures.push(MeasureSeries { name, values });
+    }
+    let run = read_rows::<String>(
+        path,
+        group,
+        "run",
+        (first, rows.start..rows.end.min(rows.start + 1)),
+    )?;
+    Ok(Series {
+        run: run.into_iter().next().unwrap_or_default(),
+        steps: read_rows(path, group, "step", (first, rows.clone()))?,
+        times: read_rows(path, group, "time", (first, rows))?,
+        measures,
+    })
 }
 
 /// Reads a file of a [`SeriesWriter`], or `order.parquet`, whose measures are the order and the

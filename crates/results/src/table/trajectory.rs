@@ -200,14 +200,24 @@ pub fn read_about(path: &Path) -> Result<About, TableError> {
 ///
 /// [`TableError`] with the file and, if applicable, the column and the row.
 pub fn read(path: &Path) -> Result<Trajectory, TableError> {
-    let (mut all, mut first) = (Trajectory::default(), 0);
+    let mut all = Trajectory::default();
+    for_each_part(path, |rows| all.extend(rows))?;
+    Ok(all)
+}
+
+/// Calls `each` with all rows of a file, a row group at a time.
+///
+/// # Errors
+///
+/// [`TableError`] with the file and, if applicable, the column and the row.
+pub fn for_each_part(path: &Path, mut each: impl FnMut(&Trajectory)) -> Result<(), TableError> {
+    let mut first = 0;
     for_each_group(path, |group| {
         let rows = read_group(path, group, first)?;
         first += rows.len();
-        all.extend(&rows);
+        each(&rows);
         Ok(())
-    })?;
-    Ok(all)
+    })
 }
 
 /// Reads at most `limit` rows after the first `after`, and returns them with the number of all rows.
