@@ -1,5 +1,7 @@
 //! `help`: the help of a verb, or a topic.
 
+use std::io::{self, Write as _};
+
 use serde_json::json;
 
 use crate::arguments::{self, HelpArguments, TOPICS};
@@ -32,9 +34,9 @@ pub fn help(output: Output, arguments: &HelpArguments) -> Result<(), Failure> {
     if output.json {
         return print(output, &verb.render_long_help().to_string());
     }
-    // An error means that the reader closed the pipe.
-    let _ = verb.print_long_help();
-    Ok(())
+    let printed = verb.print_long_help();
+    let printed = printed.and_then(|()| io::stdout().flush());
+    printed.map_err(Failure::output)
 }
 
 fn print(output: Output, text: &str) -> Result<(), Failure> {

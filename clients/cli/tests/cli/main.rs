@@ -19,6 +19,7 @@ mod rights;
 mod sending;
 mod shell;
 mod signals;
+mod stdout;
 mod support;
 mod terminal;
 mod top;

@@ -157,7 +157,7 @@ async fn check_all(rows: Vec<(Row, Added)>) {
             let (open, folder) = (Canned::start().await, files());
             let for_anna = Canned::start_for("anna", "word").await;
             while let Some((row, added)) = rows.get(next.fetch_add(1, Ordering::SeqCst)) {
-                let is_anna = added.token.is_some() || row.arguments().contains("--credentials");
+                let is_anna = added.token.is_some() || row.is_of_anna();
                 let canned = if is_anna { &for_anna } else { &open };
                 row.check(canned, folder.path(), added).await;
             }

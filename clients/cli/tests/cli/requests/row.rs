@@ -147,6 +147,21 @@ impl Row {
         words.join(" ").replace("{}", folder.to_str().unwrap())
     }
 
+    /// Whether it ends by itself, without an error.
+    pub fn ends(&self) -> bool {
+        self.code == 0
+    }
+
+    /// Whether it has the credentials of anna.
+    pub fn is_of_anna(&self) -> bool {
+        self.arguments().contains("--credentials")
+    }
+
+    /// Prepares the replies.
+    pub fn prepare(&self, canned: &Canned) {
+        canned.reply_with(&self.changes);
+    }
+
     /// Runs the command line and compares requests and output.
     pub async fn check(&self, canned: &Canned, folder: &Path, added: &Added) {
         canned.reply_with(&self.changes);
