@@ -55,19 +55,26 @@ def take(
 ) -> Path:
     """A folder with a recording of each format."""
     swarm = create(n=3, rate=None, publish_every=1)
+    record(daemon, client, swarm, 6, tmp_path / "take.parquet", tmp_path / "take.mcap")
+    return tmp_path
+
+
+def record(
+    daemon: Daemon, client: jostle.Client, swarm: jostle.Swarm, steps: int, *paths: Path
+) -> None:
+    """Records steps of a swarm to files."""
     line = [str(JOSTLED.with_name("jostle")), "-e", daemon.endpoint, "record", swarm.name]
-    names = ("take.parquet", "take.mcap")
-    begun = [subprocess.Popen([*line, "-o", str(tmp_path / it), "--steps", "6"]) for it in names]
+    more = ["--steps", str(steps)]
+    begun = [subprocess.Popen([*line, "-o", str(path), *more]) for path in paths]
 
     def going() -> int:
         return sum(it.swarm == swarm.name for it in client.recordings())
 
-    eventually("it records", lambda: going() == len(names))
-    for _ in range(6):
+    eventually("it records", lambda: going() == len(paths))
+    for _ in range(steps):
         swarm.step()
     for recorder in begun:
         assert recorder.wait(MAX_WAIT_SECS) == 0
-    return tmp_path
 
 
 def rows(path: Path) -> str:
@@ -114,6 +121,25 @@ def test_a_flipped_bit_of_a_recording_is_found(take: Path) -> None:
     assert each_flip(take / "take.parquet", recorded) > 500
     assert each_flip(take / "take.parquet", rows) > 500
     assert each_flip(take / "take.mcap", recorded) > 500
+
+
+def test_a_flipped_bit_of_each_row_group_is_found(
+    daemon: Daemon, create: Callable[..., jostle.Swarm], client: jostle.Client, tmp_path: Path
+) -> None:
+    path, flipped = tmp_path / "take.parquet", tmp_path / "flipped.parquet"
+    # A row group has 65,536 rows or a few more.
+    record(daemon, client, create(n=700, rate=None, publish_every=1), 100, path)
+    whole, metadata = path.read_bytes(), pq.read_metadata(path)
+    assert metadata.num_row_groups == 2
+    for index in range(metadata.num_row_groups):
+        column = metadata.row_group(index).column(metadata.schema.names.index("x"))
+        place = column.data_page_offset + column.total_compressed_size // 2
+        flipped.write_bytes(whole[:place] + bytes([whole[place] ^ 1]) + whole[place + 1 :])
+        # Nobody else would notice it.
+        assert not pd.read_parquet(flipped).equals(pd.read_parquet(path))
+        for read in (rows, recorded):
+            with pytest.raises(jostle.InvalidArgument, match=r"flipped\.parquet"):
+                read(flipped)
 
 
 def test_a_table_is_what_pandas_reads(results: Path) -> None:

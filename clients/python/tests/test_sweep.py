@@ -275,12 +275,13 @@ def test_the_end_of_the_caller_ends_its_child_processes(tmp_path: Path, by: sign
     assert not (tmp_path / "results").exists()
 
 
-# Twenty seconds on two cores, a task for each run: a killed worker starts again in a second or two.
+# Some twenty seconds on two cores, a task for each run: a killed worker starts again in a second or
+# two.
 KILLED = """
 name = "killed"
 seed = 5
 replicates = 6
-duration = 1500
+duration = 750
 [[grid]]
 n = [20, 40]
 pi1 = [1, 4]
@@ -322,7 +323,7 @@ def test_a_sweep_on_dask_survives_killed_workers_and_a_killed_scheduler(
 ) -> None:
     folder = tmp_path / "results"
     cluster = start_cluster("first")
-    sweep = jostle.sweep(KILLED, f"dask:{cluster.address}", folder=folder, task_secs=1.0)
+    sweep = jostle.sweep(KILLED, f"dask:{cluster.address}", folder=folder, task_secs=0.5)
     killed: list[int] = []
     killer = threading.Thread(target=kill, args=(cluster, tmp_path / "results.parts", killed))
     killer.start()
@@ -333,7 +334,7 @@ def test_a_sweep_on_dask_survives_killed_workers_and_a_killed_scheduler(
     finished = len(sweep.rows())
     assert 0 < finished < 48
     second = start_cluster("second")
-    again = jostle.sweep(KILLED, f"dask:{second.address}", folder=folder, task_secs=1.0)
+    again = jostle.sweep(KILLED, f"dask:{second.address}", folder=folder, task_secs=0.5)
     assert len(again.rows()) == finished
     assert len(again.wait().rows()) == 48
     written = {name: (folder / name).read_bytes() for name in TABLES[:3]}

@@ -153,7 +153,7 @@ class Experiment:
         return self._command("pause")
 
     def resume(self) -> Progress:
-        """Resumes it if it is paused, cancelled or failed."""
+        """Resumes it if it is paused, cancelled or failed, or finished and lacks files of runs."""
         return self._command("resume")
 
     def cancel(self) -> Progress:
