@@ -239,6 +239,37 @@ async fn a_kill_that_rolls_the_swarm_back_behind_the_last_state_misses_none() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_reset_that_was_scheduled_counts_at_the_step_at_which_it_was_executed() {
+    let data = tempfile::tempdir().unwrap();
+    let data = data.path();
+    let (mut process, client) = start_daemon(data, ONE_SHORT_PART).await;
+    create(&client).await;
+    begin(
+        &client,
+        json!({"swarm": "school", "recording": "take", "every": 1}),
+    )
+    .await;
+    steps(&client, 10).await;
+    has(&client, "take", "parts", 1).await;
+    client.ok("school", "reset", json!({"at_step": 20})).await;
+    steps(&client, 10).await;
+    until("it is reset", async || {
+        client.get("school", "status").await["step"] == 0
+    })
+    .await;
+    steps(&client, 7).await;
+    assert_eq!(mark(&client).await, 7);
+    process.kill();
+    let (process, client) = start_daemon(data, "").await;
+    until_resumed(data, 1).await;
+    let stopped = stop(&client, "take").await;
+    // 11 to 20, and 0 to 6.
+    assert_eq!(stopped["missed"], 10 + 7, "{stopped}");
+    assert_eq!(stopped["gap"]["until"]["step"], 7);
+    drop(process);
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_kill_before_the_first_part_loses_all_from_the_first_state_on() {
     let data = tempfile::tempdir().unwrap();
     let (mut process, client) = start_daemon(data.path(), "").await;

@@ -266,8 +266,9 @@ fn as_earlier(plan: &Plan, path: &Path) {
         text.push('\n');
     }
     fs::write(path.join("runs.jsonl"), text).unwrap();
-    for folder in ["orders", "series"] {
-        fs::remove_dir_all(path.join(folder)).unwrap();
+    let folders = ["orders", "series"].map(|folder| path.join(folder));
+    for folder in folders.iter().filter(|folder| folder.exists()) {
+        fs::remove_dir_all(folder).unwrap();
     }
 }
 
@@ -328,6 +329,31 @@ fn parts_that_are_stored_either_way_merge_to_the_same_bytes() {
     drop(parts.write(&path("merged")).unwrap());
     // Runs that ended one after the other are in the order of the plan.
     assert_same_files(&path("merged"), &path("whole"));
+}
+
+#[test]
+fn a_short_series_stays_in_a_line_of_an_earlier_version_from_which_a_long_one_moves() {
+    // The measures have 31 rows.
+    let plan = plan(&FILE.replace("series_every = 1", "series_every = 100"));
+    let directory = tempfile::tempdir().unwrap();
+    let path = |name: &str| directory.path().join(name);
+    for (name, runs) in [
+        ("whole", "1-4"),
+        ("one", "1,4"),
+        ("two", "2-3"),
+        ("new", "2-3"),
+    ] {
+        drop(execute_in(&plan, &path(name), runs));
+    }
+    assert!(names(&path("new")).contains(&"orders/run-000002.parquet".to_owned()));
+    assert!(!path("new").join("series").exists());
+    as_earlier(&plan, &path("two"));
+    let parts = Parts::read(&[path("one"), path("two")]).unwrap();
+    parts.verify(&Subset::all(&plan), 1, |_| ()).unwrap();
+    drop(parts.write(&path("merged")).unwrap());
+    assert_same_files(&path("merged"), &path("whole"));
+    drop(Folder::open(&path("two"), &plan).unwrap());
+    assert_same_files(&path("two"), &path("new"));
 }
 
 #[test]
