@@ -20,7 +20,7 @@ pub enum ExperimentArgs {
     Submit(SubmitArgs),
     /// Pause its runs.
     Pause(ExperimentName),
-    /// Resume a paused one; one that was cancelled or failed is queued again.
+    /// Resume a paused one; one that was cancelled, failed, or is finished and lacks files is queued again.
     Resume(ExperimentName),
     /// End it; what is finished is kept.
     Cancel(ExperimentName),

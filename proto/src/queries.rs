@@ -346,8 +346,11 @@ pub struct NodeStatus {
     pub faulted: u64,
     /// Individuals in all swarms together.
     pub individuals: u64,
-    /// Memory reserved for the swarms, in bytes.
+    /// Memory reserved for the swarms and the experiment that goes on, in bytes.
     pub memory_bytes: u64,
+    /// Of it, memory reserved for that experiment, in bytes.
+    #[serde(default)]
+    pub experiments_memory_bytes: u64,
     /// Clients connected.
     pub clients: u64,
 }

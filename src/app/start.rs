@@ -108,6 +108,7 @@ async fn open(config: &Config) -> Result<Server, ServerError> {
     };
 
     recover(&core, &files.recordings).await?;
+    files.experiments.resume_all();
     context.is_recovering.store(false, Ordering::Release);
     let set_point_subscribers = set_points::listen(
         &core.session,
@@ -313,9 +314,10 @@ impl Files {
             ["experiments", "recordings", "replays"].map(|name| config.data_dir.join(name));
         let threads = config.experiment_threads();
         let quota_bytes = config.experiments_quota_bytes;
+        let registry = core.registry.clone();
         let opened = spawn_blocking({
             let folder = experiments.clone();
-            move || ExperimentManager::open(&folder, threads, quota_bytes)
+            move || ExperimentManager::open(&folder, threads, quota_bytes, registry)
         });
         let opened = opened.await.expect("opening does not panic");
         let experiments = opened.map_err(folder_error(&experiments))?;

@@ -49,7 +49,7 @@ struct Settings {
     /// Maximum number of swarms
     #[arg(long, value_name = "N", default_value = "1024")]
     max_swarms: String,
-    /// Maximum memory of all swarms, in MiB
+    /// Maximum memory of all swarms and of the running experiment, in MiB
     #[arg(long, value_name = "MIB", default_value = "2048")]
     max_memory_mb: String,
     /// Maximum number of clients; the `hello` of another one is rejected

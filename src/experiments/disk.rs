@@ -48,8 +48,9 @@ impl ExperimentManager {
         reasons.flatten().collect()
     }
 
-    /// Measures the folders of experiments, which may have very many files, and then schedules them.
-    pub(super) fn measure_all(&self) {
+    /// Measures the folders of the experiments, which may have very many files, and then resumes the
+    /// unfinished ones. Called after the recovery of the swarms, whose memory they leave.
+    pub fn resume_all(&self) {
         let manager = self.clone();
         let measure = move || {
             let names: Vec<String> = manager.lock().entries.keys().cloned().collect();

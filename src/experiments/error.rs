@@ -77,6 +77,17 @@ pub enum ExperimentError {
         reserved: u64,
     },
     #[error(
+        "the experiment needs {} of memory for a single run, {} of {} are free beside the swarms: make it \
+         smaller, delete swarms, or raise max_memory_mb", size(*needed), size(*free), size(*limit)
+    )]
+    NoMemory {
+        needed: u64,
+        /// What the swarms leave, in bytes.
+        free: u64,
+        /// `max_memory_mb` in bytes.
+        limit: u64,
+    },
+    #[error(
         "the experiment needs up to {} on disk, {} of {} are left (experiments_quota_mb){}: delete one \
          that is over, or raise the setting", size(*needed), size(*left), size(*quota), kept(*reserved)
     )]

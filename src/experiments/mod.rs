@@ -5,6 +5,7 @@
 
 mod disk;
 mod error;
+mod memory;
 mod missing_files;
 mod results;
 mod scheduler;
@@ -30,6 +31,7 @@ use self::results::{Results, ResultsCache, Rows, SeriesCache};
 pub use self::status::Report;
 use self::status::{Entry, Status};
 use crate::jobs::JobDirectory;
+use crate::swarm::registry::SwarmRegistry;
 
 /// Maximum number of experiments: a list of them fits a message.
 const MAX_EXPERIMENTS: usize = 1000;
@@ -58,6 +60,8 @@ struct Shared {
     threads: usize,
     /// The maximum of the bytes of all experiments.
     quota_bytes: Option<u64>,
+    /// Limits the memory of swarms and experiments together.
+    registry: Arc<SwarmRegistry>,
     results: ResultsCache,
     series: SeriesCache,
     /// Held during a request that changes an experiment.
@@ -82,9 +86,14 @@ struct State {
 }
 
 impl ExperimentManager {
-    /// Opens the experiments in a folder, and resumes the unfinished ones on so many threads. Their
-    /// files take at most `quota_bytes`.
-    pub fn open(folder: &Path, threads: usize, quota_bytes: Option<u64>) -> io::Result<Self> {
+    /// Opens the experiments in a folder, which are executed on so many threads after
+    /// [`Self::resume_all`]. Their files take at most `quota_bytes`.
+    pub fn open(
+        folder: &Path,
+        threads: usize,
+        quota_bytes: Option<u64>,
+        registry: Arc<SwarmRegistry>,
+    ) -> io::Result<Self> {
         let jobs = JobDirectory::open(folder)?;
         let mut state = State::default();
         for (name, status) in jobs.list()? {
@@ -98,6 +107,7 @@ impl ExperimentManager {
             jobs,
             threads: threads.max(1),
             quota_bytes,
+            registry,
             results: ResultsCache::default(),
             series: SeriesCache::default(),
             serialize_changes: Mutex::default(),
@@ -108,7 +118,6 @@ impl ExperimentManager {
         for entry in manager.lock().entries.values_mut() {
             entry.need = entry.plan.as_ref().map(|plan| manager.need(plan));
         }
-        manager.measure_all();
         manager.find_missing_files()?;
         Ok(manager)
     }
@@ -149,6 +158,7 @@ impl ExperimentManager {
             return Err(ExperimentError::TooMany(count));
         }
         let need = self.need(&plan);
+        self.check_memory(&plan)?;
         let warning = self.check_need(need)?;
         Folder::open(&folder, &plan).map_err(ExperimentError::not_stored)?;
         let mut status = Status::queued(number);

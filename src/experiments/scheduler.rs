@@ -59,10 +59,12 @@ impl ExperimentManager {
             let path = manager.0.jobs.folder(&name);
             let executed = catch_unwind(AssertUnwindSafe(|| {
                 let mut folder = Folder::open(&path, &plan).map_err(|it| End::of_folder(&it))?;
+                let memory = manager.reserve_memory(&plan);
+                let memory = memory.map_err(|it| End::of(true, format!("{it}, then resume it")))?;
                 let execution = Execution {
                     plan: &plan,
                     subset: &Subset::all(&plan),
-                    threads: manager.0.threads,
+                    threads: memory.threads,
                     checkpoint_every: Some(CHECKPOINT_INTERVAL),
                 };
                 execute(execution, &mut folder, &controlled).map_err(|it| End::of_execution(&it))
@@ -124,9 +126,9 @@ impl End {
         Self { phase, reason }
     }
 
-    /// A full disk pauses an experiment, anything else is a failure.
-    fn of(is_disk_full: bool, reason: String) -> Self {
-        let phase = match is_disk_full {
+    /// A lack of disk space or memory pauses an experiment, anything else is a failure.
+    fn of(lacks_room: bool, reason: String) -> Self {
+        let phase = match lacks_room {
             true => Phase::Paused,
             false => Phase::Failed,
         };

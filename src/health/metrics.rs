@@ -27,8 +27,10 @@ pub struct DaemonMetrics {
     pub cores: usize,
     /// Resident memory.
     pub resident_bytes: u64,
-    /// Memory reserved for swarms.
+    /// Memory reserved for swarms and the running experiment.
     pub reserved_bytes: u64,
+    /// Memory reserved for the running experiment.
+    pub experiments_reserved_bytes: u64,
     /// Its threads.
     pub threads: u64,
     /// Connected clients.
@@ -105,6 +107,7 @@ impl HealthMonitor {
             cores: thread::available_parallelism().map_or(1, usize::from),
             resident_bytes,
             reserved_bytes: self.watched.registry.memory_bytes(),
+            experiments_reserved_bytes: self.watched.registry.experiments_memory_bytes(),
             threads,
             sessions,
             probe_secs,

@@ -43,7 +43,7 @@ pub struct Limits {
     pub max_individuals: usize,
     /// Swarms at once.
     pub max_swarms: usize,
-    /// Memory of all swarms together, in bytes.
+    /// Memory of all swarms and of the running experiment together, in bytes.
     pub max_memory_bytes: u64,
     /// States published per second and swarm.
     pub max_hz: u32,
@@ -103,7 +103,9 @@ pub struct SwarmRegistry {
 #[derive(Default)]
 struct State {
     swarms: BTreeMap<String, Entry>,
+    /// Of the swarms and the experiments.
     memory_bytes: u64,
+    experiments_bytes: u64,
     is_stopping: bool,
     ended: Totals,
 }
@@ -280,9 +282,54 @@ impl SwarmRegistry {
         (handles.collect(), state.ended)
     }
 
-    /// Memory reserved for the swarms, in bytes.
+    /// Memory reserved for the swarms and experiments, in bytes.
     pub fn memory_bytes(&self) -> u64 {
         self.state.lock().memory_bytes
+    }
+
+    /// Memory reserved for experiments, in bytes.
+    pub fn experiments_memory_bytes(&self) -> u64 {
+        self.state.lock().experiments_bytes
+    }
+
+    /// Memory reserved for the swarms, in bytes.
+    pub fn swarms_memory_bytes(&self) -> u64 {
+        let state = self.state.lock();
+        state.memory_bytes - state.experiments_bytes
+    }
+
+    /// Reserves `shared` bytes for experiments, and `each` for as many as fit of `most` runs at a time.
+    /// Returns the bytes and the number of runs.
+    ///
+    /// # Errors
+    ///
+    /// How many bytes are free, if not even one run fits.
+    pub fn reserve_for_experiments(
+        &self,
+        shared: u64,
+        each: u64,
+        most: usize,
+    ) -> Result<(u64, usize), u64> {
+        let mut state = self.state.lock();
+        let limit = self.limits.max_memory_bytes;
+        let free = limit.saturating_sub(state.memory_bytes);
+        let of_runs = free.checked_sub(shared).ok_or(free)?;
+        let fit = usize::try_from(of_runs / each.max(1)).unwrap_or(usize::MAX);
+        let runs = fit.min(most);
+        if runs == 0 {
+            return Err(free);
+        }
+        let bytes = shared + each * runs as u64;
+        state.memory_bytes += bytes;
+        state.experiments_bytes += bytes;
+        Ok((bytes, runs))
+    }
+
+    /// Releases bytes that were reserved for experiments.
+    pub fn release_of_experiments(&self, bytes: u64) {
+        let mut state = self.state.lock();
+        state.memory_bytes -= bytes;
+        state.experiments_bytes -= bytes;
     }
 
     /// Releases the name of a swarm that has ended.

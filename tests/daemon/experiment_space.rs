@@ -3,13 +3,13 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use jostle_proto::ErrorCode;
+use jostle_proto::{ErrorCode, keys};
 use serde_json::{Value, json};
 
 use crate::experiments::{error_of, ok, progress, submit, wait_for_phase};
 use crate::support::daemon_process::{DaemonProcess, daemon};
 use crate::support::small_disk::SmallDisk;
-use crate::support::{Client, until};
+use crate::support::{Client, NODE, PREFIX, until};
 
 /// Three runs that record 29 MB each, of which none stops earlier.
 const FILMS: &str = "name = 'films'\nreplicates = 3\nduration = 200\n[measure]\nrecord_every = \
@@ -257,4 +257,150 @@ fn bytes_in(folder: &Path) -> u64 {
         it => it.len(),
     });
     sizes.sum()
+}
+
+/// A run that takes 4 MB of memory, and another long one.
+fn large(name: &str, n: usize, replicates: usize, duration: f64) -> String {
+    format!("name = '{name}'\nreplicates = {replicates}\nduration = {duration}\n[spec]\nn = {n}\n")
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_experiment_without_memory_for_a_run_is_refused_and_fewer_runs_are_executed_at_a_time() {
+    let data = tempfile::tempdir().unwrap();
+    let limits = ["--max-memory-mb", "16", "--experiment-threads", "8"];
+    let (_process, client) = start(data.path(), &limits).await;
+    let args = json!({"submit": {"toml": large("huge", 5000, 1, 1.0)}});
+    let (code, message) = error_of(&client, args).await;
+    assert_eq!(code, ErrorCode::ResourceExhausted, "{message}");
+    assert!(message.contains("raise max_memory_mb"), "{message}");
+    assert!(!folder(data.path(), "huge").exists());
+
+    // Each run takes 1 MiB and 3 MB.
+    submit(&client, &large("some", 500, 12, 0.5)).await;
+    let (mut most, mut reserved) = (0, 0);
+    until("it is finished", async || {
+        let progress = progress(&client, "some").await;
+        most = usize::max(most, progress["running"].as_array().unwrap().len());
+        let status = client.node("status").await;
+        reserved = u64::max(
+            reserved,
+            status["experiments_memory_bytes"].as_u64().unwrap(),
+        );
+        progress["phase"] == "finished"
+    })
+    .await;
+    assert!((1..=4).contains(&most), "{most} runs at a time");
+    assert!((4 << 20..=16 << 20).contains(&reserved), "{reserved}");
+    let status = client.node("status").await;
+    assert_eq!(status["experiments_memory_bytes"], 0, "{status}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn swarms_and_an_experiment_share_the_memory() {
+    let data = tempfile::tempdir().unwrap();
+    let limits = ["--max-memory-mb", "16", "--experiment-threads", "1"];
+    let (_process, client) = start(data.path(), &limits).await;
+    submit(&client, &large("long", 500, 1, 1e6)).await;
+    submit(&client, &large("next", 1500, 1, 0.5)).await;
+    wait_for_phase(&client, "long", "running").await;
+    until("its memory is reserved", async || {
+        let status = client.node("status").await;
+        status["experiments_memory_bytes"].as_u64() > Some(4_000_000)
+    })
+    .await;
+    let create = async |n: usize| {
+        let request = json!({"name": "school", "spec": {"n": n}}).to_string();
+        let key = keys::node_cmd(PREFIX, NODE, "create");
+        client.query(&key, Some(request.as_bytes())).await
+    };
+    let error = create(1700).await.unwrap_err();
+    assert_eq!(error.code, ErrorCode::ResourceExhausted, "{error:?}");
+    create(1000).await.unwrap();
+    // The swarm leaves 7 MiB: the next experiment needs 10.
+    ok(&client, json!({"cancel": {"name": "long"}})).await;
+    let paused = wait_for_phase(&client, "next", "paused").await;
+    assert!(
+        message(&paused).contains("delete swarms, or raise max_memory_mb"),
+        "{paused}"
+    );
+    client.ok("school", "delete", json!({})).await;
+    ok(&client, json!({"resume": {"name": "next"}})).await;
+    wait_for_phase(&client, "next", "finished").await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_experiment_is_accepted_if_it_fits_once_the_running_one_is_over() {
+    let data = tempfile::tempdir().unwrap();
+    let limits = ["--max-memory-mb", "16", "--experiment-threads", "1"];
+    let (_process, client) = start(data.path(), &limits).await;
+    // Each takes 10 MiB, and they run one after the other.
+    submit(&client, &large("long", 1500, 1, 1e6)).await;
+    until("its memory is reserved", async || {
+        let status = client.node("status").await;
+        status["experiments_memory_bytes"].as_u64() > Some(8 << 20)
+    })
+    .await;
+    submit(&client, &large("next", 1500, 1, 0.5)).await;
+    ok(&client, json!({"cancel": {"name": "long"}})).await;
+    wait_for_phase(&client, "next", "finished").await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn after_a_restart_an_experiment_gets_the_memory_that_the_recovered_swarms_leave() {
+    let data = tempfile::tempdir().unwrap();
+    let limits = ["--max-memory-mb", "16", "--experiment-threads", "8"];
+    let (mut process, client) = start(data.path(), &limits).await;
+    // Its checkpoint has 5 individuals: that it takes 9 MiB is known once its journal is replayed.
+    client.create("school", json!({"n": 5})).await;
+    client.ok("school", "inject", json!({"count": 995})).await;
+    submit(&client, &large("long", 500, 12, 1e6)).await;
+    let reserved = async |client: &Client| {
+        let mut status = Value::Null;
+        until("memory is reserved for runs", async || {
+            status = client.node("status").await;
+            status["experiments_memory_bytes"].as_u64() > Some(0)
+        })
+        .await;
+        status["memory_bytes"].as_u64().unwrap()
+    };
+    let most = 16 << 20;
+    assert!((12 << 20..=most).contains(&reserved(&client).await));
+    process.kill();
+
+    let mut command = daemon(data.path());
+    command
+        .args(limits)
+        .env("FAILPOINTS", "command=sleep(1000)");
+    let process = DaemonProcess::start(&mut command).unwrap();
+    let client = Client::open(&process.endpoint).await;
+    assert!((12 << 20..=most).contains(&reserved(&client).await));
+    drop(process);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_a_paused_experiment_has_stored_counts_once() {
+    let data = tempfile::tempdir().unwrap();
+    let limits = ["--experiments-quota-mb", "50", "--experiment-threads", "1"];
+    let (mut process, client) = start(data.path(), &limits).await;
+    // 15 MB of each run, and as much for the one that is executed: 45 MB, of which a third is stored.
+    submit(&client, &films("films", 2)).await;
+    until("a run is finished", async || {
+        progress(&client, "films").await["finished"] == 1
+    })
+    .await;
+    ok(&client, json!({"pause": {"name": "films"}})).await;
+    let short = |name: &str| films(name, 1).replace("duration = 100", "duration = 5");
+    submit(&client, &short("second")).await;
+    wait_for_phase(&client, "second", "finished").await;
+    process.stop();
+    assert_eq!(process.end(), Some(0));
+
+    let (_process, client) = start(data.path(), &limits).await;
+    let stored = bytes_in(&data.path().join("experiments"));
+    until("the size is known", async || {
+        client.node("metrics").await["experiments_bytes"].as_u64() == Some(stored)
+    })
+    .await;
+    submit(&client, &short("third")).await;
+    wait_for_phase(&client, "third", "finished").await;
 }

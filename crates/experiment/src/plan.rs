@@ -25,6 +25,7 @@ use jostle_convert::value::count;
 
 use self::settings::{check_sizes, columns, seeds};
 
+mod memory;
 mod settings;
 
 /// Bytes of the file of a trajectory, and in addition of each of its frames and rows.

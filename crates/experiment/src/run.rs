@@ -146,7 +146,7 @@ impl<'a> CurrentRun<'a> {
             run,
             measures: Measures::new(plan),
             meter: plan.touch.then(|| ContactMeter::new(&simulation.state)),
-            past: Past::new(lag(plan, run)),
+            past: Past::new(plan.lag(run)),
             protocol: protocol.map(|protocol| ProtocolRun::new(protocol, next_draw)),
             recorded: None,
             simulation,
@@ -189,7 +189,7 @@ impl<'a> CurrentRun<'a> {
             Some((protocol, progress)) => Some(ProtocolRun::resume(protocol, progress)?),
             None => None,
         };
-        let past = past::from_proto(lag(plan, run), checkpoint.past).ok()?;
+        let past = past::from_proto(plan.lag(run), checkpoint.past).ok()?;
         is_of_run.then(|| Self {
             plan,
             run,
@@ -317,15 +317,6 @@ pub fn reserve() -> ReserveMemory {
         }),
         Reservation::Grow(_) | Reservation::Return(_) => Ok(()),
     })
-}
-
-/// Returns the number of earlier steps whose states the measures of a run need.
-fn lag(plan: &Plan, run: &PlannedRun) -> u64 {
-    let point = plan.point(run);
-    let dt = point.spec.parameters.dt;
-    let columns = plan.columns.measures.iter().map(|measure| measure.lag(dt));
-    let protocol = point.protocol.iter().map(|protocol| protocol.lag);
-    columns.chain(protocol).max().unwrap_or(0)
 }
 
 /// Returns the initial state of a run, with its informed individuals.

@@ -135,6 +135,7 @@ impl Context {
             faulted: count(Phase::Faulted),
             individuals: swarms.iter().map(|swarm| swarm.n).sum(),
             memory_bytes: self.registry.memory_bytes(),
+            experiments_memory_bytes: self.registry.experiments_memory_bytes(),
             clients: self.peers.clients() as u64,
         }
     }

@@ -24,6 +24,7 @@ impl WireCode for ExperimentError {
             | ExperimentError::MissingFile { .. } => ErrorCode::IncorrectState,
             ExperimentError::TooMany(_)
             | ExperimentError::TooLong(_)
+            | ExperimentError::NoMemory { .. }
             | ExperimentError::OverQuota { .. } => ErrorCode::ResourceExhausted,
             ExperimentError::NoRoom { .. } | ExperimentError::NotStored(_) => {
                 ErrorCode::StorageFull
@@ -43,6 +44,9 @@ impl WireCode for ExperimentError {
             ExperimentError::TooMany(limit) => json!({"limit": limit}),
             ExperimentError::TooLong(_) => json!({"field": "expand.toml"}),
             ExperimentError::NoRoom { needed, free, .. } => json!({"bytes": needed, "free": free}),
+            ExperimentError::NoMemory { needed, limit, .. } => {
+                json!({"bytes": needed, "limit": limit})
+            }
             ExperimentError::OverQuota { needed, quota, .. } => {
                 json!({"bytes": needed, "limit": quota})
             }

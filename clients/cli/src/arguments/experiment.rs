@@ -32,7 +32,7 @@ pub enum Experiment {
     Attach(ExperimentNameArguments),
     /// Pauses the runs of an experiment; the next experiment starts
     Pause(ChangeExperimentArguments),
-    /// Resumes an experiment that was paused, was cancelled or has failed
+    /// Resumes an experiment that was paused, was cancelled, has failed, or is finished and lacks files
     Resume(ChangeExperimentArguments),
     /// Cancels an experiment and keeps the finished runs
     Cancel(ChangeExperimentArguments),

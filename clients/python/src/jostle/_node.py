@@ -63,7 +63,8 @@ class NodeStatus(HtmlStruct, frozen=True, kw_only=True):
         running: Number of running swarms.
         faulted: Number of faulted swarms.
         individuals: Number of individuals in all swarms.
-        memory_bytes: Memory reserved for the swarms.
+        memory_bytes: Memory reserved for the swarms and the running experiment.
+        experiments_memory_bytes: Of it, memory reserved for the running experiment.
         clients: Number of connected clients.
     """
 
@@ -74,6 +75,7 @@ class NodeStatus(HtmlStruct, frozen=True, kw_only=True):
     faulted: int
     individuals: int
     memory_bytes: int
+    experiments_memory_bytes: int = 0
     clients: int
 
 

@@ -46,6 +46,10 @@ pub struct Estimate {
     pub cpu_secs: f64,
     /// Bytes of the folder of results.
     pub disk_bytes: f64,
+    /// Bytes of memory of the plan and of the rows of all runs of the experiment, at most.
+    pub memory_bytes: u64,
+    /// Bytes of memory of the largest run, at most, in addition for each that is executed at a time.
+    pub run_memory_bytes: u64,
     /// Whether the runs may take less, since `[stop]` may end one before its duration, or since a
     /// recorded group grows to its size only later.
     pub is_at_most: bool,
@@ -128,9 +132,12 @@ impl Estimate {
             let cost = cost(run);
             plan.point(run).steps as f64 * cost * factor(&factors, cost)
         };
+        let memory = runs.iter().map(|run| plan.run_memory_bytes(run));
         Self {
             cpu_secs: runs.iter().map(of_run).sum::<f64>() + start * runs.len() as f64,
             disk_bytes: disk_bytes(plan, &runs),
+            memory_bytes: plan.memory_bytes(),
+            run_memory_bytes: memory.max().unwrap_or(0),
             is_at_most: runs.iter().any(|run| may_take_less(plan, plan.point(run))),
             measured,
         }
@@ -209,9 +216,12 @@ impl Display for Estimate {
     fn fmt(&self, to: &mut fmt::Formatter<'_>) -> fmt::Result {
         let about = if self.is_at_most { "at most" } else { "about" };
         let (secs, bytes) = (self.cpu_secs, size(self.disk_bytes));
+        let memory = size(self.memory_bytes as f64);
+        let of_run = size(self.run_memory_bytes as f64);
         write!(
             to,
-            "{about} {} of processor time, {about} {bytes} on disk",
+            "{about} {} of processor time, {about} {bytes} on disk\nat most {memory} of memory, and \
+             {of_run} for each run at a time",
             rounded(secs)
         )?;
         for (index, it) in self.measured.iter().enumerate() {
