@@ -7,7 +7,7 @@ use std::path::Path;
 use jostle_experiment::{Files, Folder, Plan};
 use serde::Serialize;
 
-use crate::recording;
+use crate::{experiments, recording};
 
 /// The number of runs that a reason names.
 const MAX_NAMED: usize = 5;
@@ -44,11 +44,16 @@ pub fn incomplete(folder: &Path) -> Vec<Incomplete> {
     found
 }
 
-/// Which finished runs of an experiment lack files. None if it cannot be read, which the daemon reports.
+/// Which finished runs of an experiment lack files, or that its list of runs cannot be read. None if it
+/// has no plan, which the daemon reports.
 fn lost_runs(experiment: &Path) -> Option<String> {
     let mut plan = Plan::of(Files::stored(experiment).ok()?).ok()?;
     plan.name = experiment.file_name()?.to_str()?.to_owned();
-    let missing = Folder::missing_files(experiment, &plan).ok()?;
+    let missing = match Folder::missing_files(experiment, &plan) {
+        Ok(missing) if experiments::is_finished(experiment) => missing.of_finished(),
+        Ok(missing) => missing,
+        Err(error) => return Some(format!("its list of runs cannot be read: {error}")),
+    };
     let lost = missing.runs.indices();
     let named = lost
         .iter()

@@ -160,10 +160,11 @@ fn has_room(shared: &Weak<Shared>, bytes: u64) -> Result<(), String> {
         && used.saturating_add(bytes) > quota.saturating_sub(shared.min_left())
     {
         return Err(format!(
-            "the experiments take {} of {} MiB (experiments_quota_mb){}: delete one that is over, or \
-             raise the setting, {REMEDY}",
+            "the experiments take {} of {} MiB (experiments_quota_mb), of which {} stay free{}: delete \
+             one that is over, or raise the setting, {REMEDY}",
             used >> 20,
             quota >> 20,
+            shared.min_left() >> 20,
             also(bytes),
         ));
     }
@@ -172,11 +173,11 @@ fn has_room(shared: &Weak<Shared>, bytes: u64) -> Result<(), String> {
     match free.saturating_sub(bytes) >= MIN_FREE_BYTES {
         true => Ok(()),
         false => Err(format!(
-            "the disk of the data folder has {} MiB left{}, of which {} stay free for the swarms: free \
+            "the disk of the data folder has {} MiB left, of which {} stay free for the swarms{}: free \
              disk space, {REMEDY}",
             free >> 20,
-            also(bytes),
             MIN_FREE_BYTES >> 20,
+            also(bytes),
         )),
     }
 }
@@ -185,7 +186,7 @@ fn has_room(shared: &Weak<Shared>, bytes: u64) -> Result<(), String> {
 fn also(bytes: u64) -> String {
     match bytes >> 20 {
         0 => String::new(),
-        mebibytes => format!(" and a file of the experiment needs {mebibytes} MiB"),
+        mebibytes => format!(", and what the experiment writes next needs {mebibytes} MiB"),
     }
 }
 

@@ -36,6 +36,15 @@ pub enum ExperimentError {
     )]
     MissingFile { name: String, run: String },
     #[error(
+        "{reason}: delete the file, then `jostle experiment resume {name}` executes the run again"
+    )]
+    DamagedFile {
+        name: String,
+        run: String,
+        /// Which file, and how it is damaged.
+        reason: String,
+    },
+    #[error(
         "experiment {0:?} does not measure the order over time: submit it under another name with \
          order_every in [measure]"
     )]

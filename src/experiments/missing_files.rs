@@ -5,12 +5,13 @@
 use std::io;
 use std::thread;
 
-use jostle_experiment::{Folder, MODEL_VERSION, MissingFiles};
+use jostle_experiment::{Folder, FolderError, MODEL_VERSION, MissingFiles, Plan};
 use jostle_physics::plural::counted;
 use jostle_proto::ExperimentPhase as Phase;
 use tracing::warn;
 
 use super::error::ExperimentError;
+use super::results::Results;
 use super::{ExperimentManager, read_plan, wrong_phase};
 
 /// The niceness of the thread, which reads the lists of all finished experiments.
@@ -38,7 +39,7 @@ impl ExperimentManager {
                 match manager.missing_files(&name) {
                     Ok(missing) if missing.runs.indices().is_empty() => {}
                     Ok(missing) => manager.report_missing(&name, &missing),
-                    Err(error) => warn!(experiment = name, %error, "cannot check its files"),
+                    Err(error) => manager.report_unreadable(&name, &error),
                 }
             }
         };
@@ -64,7 +65,41 @@ impl ExperimentManager {
         let folder = self.0.jobs.folder(name);
         // Not kept: an experiment that is over needs its plan only if its results are read.
         let plan = read_plan(name, &folder)?;
-        Folder::missing_files(&folder, &plan).map_err(ExperimentError::unreadable)
+        let missing = Folder::missing_files(&folder, &plan);
+        let missing = missing.map_err(ExperimentError::unreadable)?;
+        Ok(missing.of_finished())
+    }
+
+    /// Why a file of a finished run cannot be read.
+    pub(super) fn unreadable_file(
+        &self,
+        (name, plan, index): (&str, &Plan, usize),
+        results: &Results,
+        error: &FolderError,
+    ) -> ExperimentError {
+        let folder = self.0.jobs.folder(name);
+        let run = plan.runs()[index].name.clone();
+        let name = name.to_owned();
+        if Folder::lacks_files(&folder, plan, &results.finished, index) {
+            ExperimentError::MissingFile { name, run }
+        } else if error.is_damage() {
+            let reason = error.to_string();
+            ExperimentError::DamagedFile { name, run, reason }
+        } else {
+            ExperimentError::unreadable(error)
+        }
+    }
+
+    fn report_unreadable(&self, name: &str, error: &ExperimentError) {
+        warn!(experiment = name, %error, "cannot check its files");
+        let mut state = self.lock();
+        if let Some(entry) = state.entries.get_mut(name)
+            && entry.status.phase == Phase::Finished
+        {
+            entry.status.message = Some(error.to_string());
+            state.version += 1;
+            self.0.changed.notify_all();
+        }
     }
 
     fn report_missing(&self, name: &str, missing: &MissingFiles) {

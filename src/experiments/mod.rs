@@ -28,8 +28,8 @@ use tracing::{info, warn};
 pub use self::disk::DiskUsage;
 pub use self::error::ExperimentError;
 use self::results::{Results, ResultsCache, Rows, SeriesCache};
-pub use self::status::Report;
 use self::status::{Entry, Status};
+pub use self::status::{Report, is_finished};
 use crate::jobs::JobDirectory;
 use crate::swarm::registry::SwarmRegistry;
 
@@ -275,12 +275,8 @@ impl ExperimentManager {
         if plan.record_every.is_none() {
             return Err(ExperimentError::NoTrajectory(name.to_owned()));
         }
-        let (index, _) = self.finished_run(name, &plan, run)?;
+        let (index, results) = self.finished_run(name, &plan, run)?;
         let path = Folder::trajectory_path(&self.0.jobs.folder(name), index);
-        if !path.is_file() {
-            let (name, run) = (name.to_owned(), run.to_owned());
-            return Err(ExperimentError::MissingFile { name, run });
-        }
         let read = || {
             let about = (after == 0).then(|| trajectory::read_about(&path));
             let (rows, total) = trajectory::read_page(&path, after, limit)?;
@@ -290,7 +286,8 @@ impl ExperimentManager {
                 about: about.transpose()?,
             })
         };
-        read().map_err(ExperimentError::unreadable)
+        let of_run = (name, plan.as_ref(), index);
+        read().map_err(|error| self.unreadable_file(of_run, &results, &error.into()))
     }
 
     /// Returns the index of a finished run in the plan, and the finished runs.

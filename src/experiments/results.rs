@@ -83,26 +83,23 @@ impl SeriesCache {
         results: &Results,
         of: (usize, SeriesKind),
         (after, limit): (u64, usize),
-    ) -> Result<SeriesPart, ExperimentError> {
+    ) -> Result<SeriesPart, FolderError> {
         let finished = &results.finished;
-        let read = || {
-            let source = Folder::find_series(folder, plan, finished, of)?;
-            if let Some(part) = Folder::read_series_part(&source, after, limit)? {
-                return Ok(part);
-            }
-            let series = self.cached(finished, of);
-            let series = match series {
-                Some(series) => series,
-                None => Arc::new(Folder::read_series(folder, plan, finished, of)?),
-            };
-            *self.0.lock() = Some(CachedSeries {
-                finished: finished.clone(),
-                of,
-                series: series.clone(),
-            });
-            Ok(SeriesPart::of(&series, after, limit))
+        let source = Folder::find_series(folder, plan, finished, of)?;
+        if let Some(part) = Folder::read_series_part(&source, after, limit)? {
+            return Ok(part);
+        }
+        let series = self.cached(finished, of);
+        let series = match series {
+            Some(series) => series,
+            None => Arc::new(Folder::read_series(folder, plan, finished, of)?),
         };
-        read().map_err(|error: FolderError| ExperimentError::unreadable(error))
+        *self.0.lock() = Some(CachedSeries {
+            finished: finished.clone(),
+            of,
+            series: series.clone(),
+        });
+        Ok(SeriesPart::of(&series, after, limit))
     }
 
     fn cached(&self, finished: &Arc<FinishedRuns>, of: (usize, SeriesKind)) -> Option<Arc<Series>> {
@@ -139,7 +136,9 @@ impl ExperimentManager {
             results = self.results(name, &plan)?;
         }
         let series = &self.0.series;
-        series.read(&folder, &plan, &results, of, (after, limit))
+        let part = series.read(&folder, &plan, &results, of, (after, limit));
+        let of_run = (name, plan.as_ref(), index);
+        part.map_err(|error| self.unreadable_file(of_run, &results, &error))
     }
 
     /// Moves long series that an earlier version wrote to files, as opening the folder does.

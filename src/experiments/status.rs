@@ -1,5 +1,7 @@
 //! The status of an experiment: in memory, and in its folder.
 
+use std::fs;
+use std::path::Path;
 use std::sync::Arc;
 
 use jostle_experiment::{DiskNeed, DiskWatch, ExecutionControl, Plan, Progress};
@@ -46,6 +48,13 @@ impl StatusFile for Status {
     const NAME: &'static str = "standing.json";
 }
 
+/// Returns whether the status in the folder of an experiment says that all its runs are finished.
+pub fn is_finished(folder: &Path) -> bool {
+    let status = fs::read(folder.join(Status::NAME)).ok();
+    let status = status.and_then(|status| serde_json::from_slice::<Status>(&status).ok());
+    status.is_some_and(|status| status.phase == Phase::Finished)
+}
+
 impl Status {
     pub(super) fn queued(number: u64) -> Self {
         Status {
@@ -60,6 +69,10 @@ impl Status {
     /// Sets the plan's number of runs, and how many of them are finished.
     pub(super) fn count(&mut self, runs: usize, finished: usize) {
         self.progress.runs = runs;
+        if finished < self.progress.finished {
+            // Files of runs are missing.
+            self.progress.share = finished as f64 / runs.max(1) as f64;
+        }
         self.progress.finished = finished;
     }
 

@@ -603,3 +603,73 @@ async fn a_finished_experiment_that_lacks_files_says_so_and_waits_for_a_client()
     );
     drop(process);
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_is_missing_or_damaged_is_an_incorrect_state_until_a_client_resumes() {
+    let toml = "name = \"a\"\nreplicates = 3\nduration = 100\nspec = { n = 2 }\n\
+                measure = { record_every = 100, order_every = 1 }\n";
+    let folder = tempfile::tempdir().unwrap();
+    let (process, client) = start_daemon(folder.path()).await;
+    submit(&client, toml).await;
+    wait_for_phase(&client, "a", "finished").await;
+    let experiment = folder.path().join("experiments/a");
+    let files = [
+        "trajectories/run-000001.parquet",
+        "orders/run-000002.parquet",
+        "orders/run-000003.parquet",
+    ]
+    .map(|path| experiment.join(path));
+    let read = |path: &Path| fs::read(path).unwrap();
+    let whole = files.each_ref().map(|path| read(path));
+    let table = read(&experiment.join("order.parquet"));
+    let finish_again = async |client: &Client| {
+        ok(client, json!({"resume": {"name": "a"}})).await;
+        until("all runs are finished", async || {
+            let progress = progress(client, "a").await;
+            progress["phase"] == "finished" && progress["finished"] == 3
+        })
+        .await;
+        for (path, whole) in files.iter().zip(&whole) {
+            assert!(read(path) == *whole, "{path:?}");
+        }
+        assert!(read(&experiment.join("order.parquet")) == table);
+    };
+
+    fs::remove_file(&files[0]).unwrap();
+    fs::write(&files[1], &whole[1][..1000]).unwrap();
+    let mut flipped = whole[2].clone();
+    flipped[whole[2].len() / 3] ^= 1;
+    fs::write(&files[2], flipped).unwrap();
+    for (noun, remedy) in [
+        (
+            "series?of=individuals;run=#0",
+            "is missing: `jostle experiment resume`",
+        ),
+        ("order?run=#1", "is missing: `jostle experiment resume`"),
+        (
+            "order?run=#2",
+            "delete the file, then `jostle experiment resume a`",
+        ),
+    ] {
+        let error = get(&client, "a", noun).await.unwrap_err();
+        assert_eq!(error.code, ErrorCode::IncorrectState, "{noun}: {error:?}");
+        assert!(error.message.contains(remedy), "{noun}: {error:?}");
+    }
+    fs::remove_file(&files[2]).unwrap();
+    finish_again(&client).await;
+
+    // Without its list of runs all of them lack it.
+    let without_list =
+        |experiments: &Path| fs::remove_file(experiments.join("a/runs.jsonl")).unwrap();
+    let (process, client) = restart_after((process, client), folder.path(), without_list).await;
+    until("it says so", async || {
+        let progress = progress(&client, "a").await;
+        progress["finished"] == 0
+            && progress["message"]
+                .as_str()
+                .is_some_and(|it| it.starts_with("3 runs lack files"))
+    })
+    .await;
+    finish_again(&client).await;
+    drop(process);
+}

@@ -13,7 +13,7 @@ use thiserror::Error;
 use crate::folder::{Checkpoints, Folder, FolderError};
 use crate::plan::Plan;
 use crate::progress::{ExecutionControl, RunHandle};
-use crate::run::{FinishedRun, Recorder, execute_run_from};
+use crate::run::{FinishedRun, RecordedHashes, Recorder, execute_run_from};
 use crate::series::{SeriesKind, SeriesRecording};
 use crate::subset::Subset;
 use crate::trajectory::{Recording, Trajectories, trajectory_file};
@@ -274,6 +274,10 @@ fn execute_with_checkpoints(
             let mut checkpoint = current.checkpoint();
             // Without its frames a checkpoint is of no use.
             checkpoint.recorded = recording.as_ref().and_then(Recording::sync);
+            checkpoint.hashes = RecordedHashes {
+                frames: recording.as_ref().map(Recording::hash),
+                rows: series.hashes(),
+            };
             if !has_failed()
                 && let Err(error) = checkpoints.write(index, &checkpoint)
             {

@@ -76,8 +76,24 @@ pub struct MissingFiles {
     pub finished: usize,
     /// The runs that lack files.
     pub runs: Subset,
+    /// The runs that the list does not have.
+    pub unlisted: Subset,
     /// The version of the model that executed them.
     pub model_version: u32,
+}
+
+impl MissingFiles {
+    /// Returns those of an experiment all of whose runs were finished: what the list does not have was
+    /// there, too.
+    #[must_use]
+    pub fn of_finished(self) -> Self {
+        let (runs, unlisted) = (self.runs.indices(), self.unlisted.indices());
+        Self {
+            runs: Subset::of([runs, unlisted].concat()),
+            unlisted: Subset::of(Vec::new()),
+            ..self
+        }
+    }
 }
 
 /// The folder of an experiment, locked for writing.
@@ -172,11 +188,22 @@ impl Folder {
     pub fn missing_files(path: &Path, plan: &Plan) -> Result<MissingFiles, FolderError> {
         let list = read_runs(path, plan)?;
         let lacking = lacking(path, plan, &list.finished);
+        let runs = 0..plan.runs().len();
+        let unlisted = runs.filter(|index| !list.finished.contains_key(index));
         Ok(MissingFiles {
+            unlisted: Subset::of(unlisted.collect()),
             finished: list.finished.len() - lacking.len(),
             runs: Subset::of(lacking.into_iter().collect()),
             model_version: list.model_version,
         })
+    }
+
+    /// Returns whether a finished run lacks files, by its index in the plan.
+    #[must_use]
+    pub fn lacks_files(path: &Path, plan: &Plan, finished: &FinishedRuns, index: usize) -> bool {
+        let entry = finished.entries.get(&index).cloned();
+        let of_run = entry.into_iter().map(|entry| (index, entry)).collect();
+        !lacking(path, plan, &of_run).is_empty()
     }
 
     /// Returns the path of the trajectory of a run, by its index in the plan.

@@ -28,6 +28,7 @@ mod run;
 mod series;
 mod set_points;
 pub mod shell;
+mod spool_hash;
 mod start;
 pub mod stdout;
 mod subset;

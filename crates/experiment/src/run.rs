@@ -19,7 +19,7 @@ use crate::limits::MAX_INDIVIDUALS;
 use crate::plan::{Plan, PlannedRun};
 use crate::protocol::{Boundary, ProtocolRun};
 
-pub use self::checkpoint::RunCheckpoint;
+pub use self::checkpoint::{RecordedHashes, RunCheckpoint};
 use self::measures::Measures;
 pub use self::recorder::Recorder;
 
@@ -172,6 +172,7 @@ impl<'a> CurrentRun<'a> {
             past: past::to_proto(&self.past),
             protocol: self.protocol.as_ref().map(|it| it.progress.clone()),
             recorded: None,
+            hashes: RecordedHashes::default(),
         }
     }
 

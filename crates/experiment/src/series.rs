@@ -2,7 +2,7 @@
 //!
 //! A run that is executed has the rows of a series in memory until they take more than 64 KiB. A short
 //! series is then in the run's line of the list of runs. The rows of a longer one are appended to a
-//! spool, as those of a trajectory are; a checkpoint of the run has the length of the spool, to which a
+//! spool, as those of a trajectory are; a checkpoint of the run has its length and hash, to which a
 //! resumed run truncates it. At the end of the run the spool is converted to a Parquet file,
 //! `orders/run-NNNNNN.parquet` or `series/run-NNNNNN.parquet`. Where a series is depends on its length
 //! alone, not on when checkpoints were written.

@@ -1,8 +1,8 @@
 //! The trajectories of runs, in `trajectories/` of the folder: a Parquet file for each run.
 //!
 //! While a run is executed its frames are appended to a file without a format of its own, the spool: a
-//! Parquet file has no end from which it could be continued. A checkpoint of the run has the length of
-//! the spool, to which a resumed run truncates it. At the end of the run the spool is converted. It is
+//! Parquet file has no end from which it could be continued. A checkpoint of the run has the length and
+//! the hash of the spool, to which a resumed run truncates it. At the end of the run the spool is converted. It is
 //! removed once the run counts as finished.
 
 use std::cell::RefCell;
@@ -72,7 +72,7 @@ impl Trajectories {
     }
 
     /// Begins to record a run, or continues after a checkpoint, which is dropped if the spool lacks
-    /// frames before it. None if the plan records no trajectories.
+    /// frames before it or is damaged. None if the plan records no trajectories.
     ///
     /// # Errors
     ///
@@ -89,11 +89,19 @@ impl Trajectories {
         fs::create_dir_all(&self.0).map_err(|source| io_error(&self.0, source))?;
         let path = self.spool(index);
         let fail = |source| io_error(&path, source);
-        let recorded = checkpoint.as_ref().and_then(|it| it.recorded);
         let mut spool = Spool::open(&path).map_err(fail)?;
-        match recorded {
-            Some(length) if spool.truncate(length).map_err(fail)? => {}
-            _ => *checkpoint = None,
+        let is_kept = match checkpoint {
+            Some(RunCheckpoint {
+                recorded: Some(length),
+                hashes,
+                ..
+            }) => spool
+                .keep(&path, *length, hashes.frames.as_ref())
+                .map_err(fail)?,
+            _ => false,
+        };
+        if !is_kept {
+            *checkpoint = None;
         }
         Ok(Some(Recording {
             spool: RefCell::new((spool, Ok(()))),
@@ -166,6 +174,11 @@ impl Recording {
         self.spool.borrow().0.length()
     }
 
+    /// Returns the hash of the spool.
+    pub fn hash(&self) -> String {
+        self.spool.borrow().0.hash().hex()
+    }
+
     /// Ends the recording of a run that is finished: writes its file and returns its length in bytes,
     /// or none for a run that has no row. Returns none in place of both if the disk space ended before:
     /// there is no file then.
@@ -187,6 +200,7 @@ impl Recording {
         let (mut spool, _) = self.spool.into_inner();
         spool
             .flush()
+            .and_then(|()| spool.hash().check(&self.path))
             .map_err(|source| io_error(&self.path, source))?;
         let removed = jostle_atomic_file::remove_unfinished(&self.target);
         removed.map_err(|source| io_error(&self.target, source))?;

@@ -21,7 +21,8 @@ impl WireCode for ExperimentError {
             ExperimentError::Exists(_) => ErrorCode::AlreadyExists,
             ExperimentError::Phase { .. }
             | ExperimentError::Unfinished { .. }
-            | ExperimentError::MissingFile { .. } => ErrorCode::IncorrectState,
+            | ExperimentError::MissingFile { .. }
+            | ExperimentError::DamagedFile { .. } => ErrorCode::IncorrectState,
             ExperimentError::TooMany(_)
             | ExperimentError::TooLong(_)
             | ExperimentError::NoMemory { .. }
@@ -40,7 +41,8 @@ impl WireCode for ExperimentError {
             ExperimentError::Name(name) => json!({"field": "submit.toml", "value": name}),
             ExperimentError::UnknownRun { run, .. }
             | ExperimentError::Unfinished { run, .. }
-            | ExperimentError::MissingFile { run, .. } => json!({"field": "run", "value": run}),
+            | ExperimentError::MissingFile { run, .. }
+            | ExperimentError::DamagedFile { run, .. } => json!({"field": "run", "value": run}),
             ExperimentError::TooMany(limit) => json!({"limit": limit}),
             ExperimentError::TooLong(_) => json!({"field": "expand.toml"}),
             ExperimentError::NoRoom { needed, free, .. } => json!({"bytes": needed, "free": free}),

@@ -244,6 +244,27 @@ async fn what_a_backup_lacks_is_named_and_the_rest_is_restored() {
         .unwrap();
     assert_eq!(output.status.code(), Some(0), "{output:?}");
     assert_named(&output);
+
+    // The list of runs: without it, and with a line that cannot be read.
+    let list = data.join("experiments/earlier/runs.jsonl");
+    let lines = fs::read_to_string(&list).unwrap();
+    for (number, text, reason) in [
+        (3, None, "files of 6 of its 6 finished runs"),
+        (
+            4,
+            Some(lines.replacen("\n{", "\n", 1)),
+            "its list of runs cannot be read",
+        ),
+    ] {
+        match text {
+            None => fs::remove_file(&list).unwrap(),
+            Some(text) => fs::write(&list, text).unwrap(),
+        }
+        let output = arguments("backup", &path(&number.to_string()), &data).output();
+        let summary = outcome(&output.unwrap()).unwrap();
+        let reasons = summary["incomplete"][0]["reason"].as_str().unwrap();
+        assert!(reasons.contains(reason), "{summary}");
+    }
     process.stop();
     assert_eq!(process.end(), Some(0));
 }

@@ -220,7 +220,7 @@ impl Display for Estimate {
         let of_run = size(self.run_memory_bytes as f64);
         write!(
             to,
-            "{about} {} of processor time, {about} {bytes} on disk\nat most {memory} of memory, and \
+            "{about} {} of processor time, {about} {bytes} on disk\nup to {memory} of memory, and \
              {of_run} for each run at a time",
             rounded(secs)
         )?;

@@ -98,6 +98,12 @@ pub enum FolderError {
 }
 
 impl FolderError {
+    /// Returns whether a file has other content than was written.
+    #[must_use]
+    pub fn is_damage(&self) -> bool {
+        matches!(self, Self::Table(TableError::Malformed { .. }))
+    }
+
     /// Returns whether a file could not be written since the disk is full.
     #[must_use]
     pub fn is_disk_full(&self) -> bool {

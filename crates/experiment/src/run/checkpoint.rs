@@ -23,6 +23,18 @@ pub struct RunCheckpoint {
     /// The bytes of the frames of the trajectory before this step, if one is recorded.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) recorded: Option<u64>,
+    /// The hashes of what is recorded before this step.
+    #[serde(default)]
+    pub(crate) hashes: RecordedHashes,
+}
+
+/// The hashes of the spools of a run, in hexadecimal digits; checkpoints of earlier versions have none.
+#[derive(Default, Deserialize, Serialize)]
+pub struct RecordedHashes {
+    /// Of the frames of the trajectory.
+    pub(crate) frames: Option<String>,
+    /// Of the rows of each long series, by [`SeriesKind`].
+    pub(crate) rows: [Option<String>; 2],
 }
 
 impl RunCheckpoint {

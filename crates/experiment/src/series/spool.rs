@@ -14,6 +14,7 @@ use crate::folder::FolderError;
 use crate::folder::error::io_error;
 use crate::plan::{Plan, PlannedRun};
 use crate::run::RunCheckpoint;
+use crate::spool_hash::SpoolHash;
 use crate::trajectory::remove_spools_in;
 
 /// Held while a spool is converted, which takes the memory of a row group: that of one run at a time.
@@ -30,25 +31,35 @@ struct Spools {
     files: [Option<File>; 2],
     /// The bytes of the rows in each.
     lengths: [u64; 2],
+    hashes: [SpoolHash; 2],
     /// The first error of writing one.
     written: io::Result<()>,
 }
 
 impl SeriesRecording {
     /// Begins to record a run in a folder of results, by its index in the plan, or continues after a
-    /// checkpoint, which is dropped if a spool lacks rows before it.
+    /// checkpoint, which is dropped if a spool lacks rows before it or is damaged.
     pub fn of(folder: &Path, index: usize, checkpoint: &mut Option<RunCheckpoint>) -> Self {
-        let mut lengths = [0; 2];
-        let mut has_rows = |(kind, log): (SeriesKind, &SeriesLog)| {
-            lengths[kind as usize] = log.passed();
-            let spool = fs::metadata(kind.spool(folder, index));
-            log.passed() == 0 || spool.is_ok_and(|spool| spool.len() >= log.passed())
-        };
-        if let Some(read) = checkpoint
-            && !read.logs().all(&mut has_rows)
-        {
-            *checkpoint = None;
-            lengths = [0; 2];
+        let (mut lengths, mut hashes) = <([u64; 2], [SpoolHash; 2])>::default();
+        if let Some(read) = checkpoint {
+            let stored = &read.hashes.rows;
+            let mut has_rows = |(kind, log): (SeriesKind, &SeriesLog)| {
+                if log.passed() == 0 {
+                    return true;
+                }
+                let hash = SpoolHash::of(&kind.spool(folder, index), log.passed());
+                let stored = stored[kind as usize].as_ref();
+                let Some(hash) = hash.ok().flatten().filter(|hash| hash.is(stored)) else {
+                    return false;
+                };
+                lengths[kind as usize] = log.passed();
+                hashes[kind as usize] = hash;
+                true
+            };
+            if !read.logs().all(&mut has_rows) {
+                *checkpoint = None;
+                (lengths, hashes) = Default::default();
+            }
         }
         Self {
             folder: folder.to_owned(),
@@ -56,6 +67,7 @@ impl SeriesRecording {
             spools: RefCell::new(Spools {
                 files: [None, None],
                 lengths,
+                hashes,
                 written: Ok(()),
             }),
         }
@@ -72,11 +84,18 @@ impl SeriesRecording {
         let Spools {
             files,
             lengths,
+            hashes,
             written,
         } = &mut *self.spools.borrow_mut();
         if written.is_ok() {
             *written = self.append(&mut files[kind as usize], kind, rows, earlier);
             lengths[kind as usize] = earlier + rows.len() as u64;
+            let hash = &mut hashes[kind as usize];
+            if earlier == 0 {
+                // The run has started again.
+                *hash = SpoolHash::default();
+            }
+            hash.add(rows);
         }
     }
 
@@ -100,6 +119,12 @@ impl SeriesRecording {
             }
         };
         file.write_all(rows)
+    }
+
+    /// Returns the hashes of the rows in the spools.
+    pub fn hashes(&self) -> [Option<String>; 2] {
+        let Spools { hashes, .. } = &*self.spools.borrow();
+        hashes.each_ref().map(|hash| Some(hash.hex()))
     }
 
     /// Returns whether rows could not be written.
@@ -133,14 +158,22 @@ impl SeriesRecording {
     ) -> Result<Option<BTreeMap<String, u64>>, FolderError> {
         self.check()?;
         let mut written = BTreeMap::new();
-        let Spools { files, lengths, .. } = self.spools.into_inner();
-        for ((kind, file), length) in SeriesKind::ALL.into_iter().zip(files).zip(lengths) {
+        let Spools {
+            files,
+            lengths,
+            hashes,
+            ..
+        } = self.spools.into_inner();
+        for (kind, file) in SeriesKind::ALL.into_iter().zip(files) {
             if file.is_none() || !has_row {
                 continue;
             }
+            let length = lengths[kind as usize];
             let name = kind.file(self.index);
             let target = self.folder.join(&name);
             let spool = kind.spool(&self.folder, self.index);
+            let is_whole = hashes[kind as usize].check(&spool);
+            is_whole.map_err(|source| io_error(&spool, source))?;
             let mut copied = 0;
             let has_room = |bytes| {
                 copied += bytes;

@@ -143,10 +143,12 @@ fn a_long_series_is_in_a_file_and_a_short_one_in_the_line() {
 fn killed(
     plan: &Plan,
     path: &Path,
-    checkpoint: Option<RunCheckpoint>,
+    mut checkpoint: Option<RunCheckpoint>,
     [checkpoint_at, killed_at]: [u64; 2],
 ) -> Option<Vec<u8>> {
-    let recording = SeriesRecording::of(path, 0, &mut None);
+    let is_resumed = checkpoint.is_some();
+    let recording = SeriesRecording::of(path, 0, &mut checkpoint);
+    assert_eq!(checkpoint.is_some(), is_resumed);
     let recorder = RunRecorder {
         trajectory: None,
         series: &recording,
@@ -161,7 +163,9 @@ fn killed(
             if current.steps() == checkpoint_at {
                 current.pass_rows(&recorder);
                 recording.sync();
-                last = Some(current.checkpoint().to_bytes());
+                let mut checkpoint = current.checkpoint();
+                checkpoint.hashes.rows = recording.hashes();
+                last = Some(checkpoint.to_bytes());
             }
             current.steps() < killed_at
         },
@@ -227,7 +231,7 @@ fn a_checkpoint_without_its_rows_is_dropped() {
     let directory = tempfile::tempdir().unwrap();
     let whole = directory.path().join("whole");
     drop(execute_in(&plan, &whole, "1"));
-    for damage in ["removed", "cut"] {
+    for damage in ["removed", "cut", "flipped"] {
         let path = directory.path().join(damage);
         let folder = Folder::open(&path, &plan).unwrap();
         let bytes = killed(&plan, &path, None, [2900, 2950]).unwrap();
@@ -235,7 +239,8 @@ fn a_checkpoint_without_its_rows_is_dropped() {
         assert!(spool.metadata().unwrap().len() >= 2900 * 24);
         match damage {
             "removed" => fs::remove_file(&spool).unwrap(),
-            _ => fs::write(&spool, "short").unwrap(),
+            "cut" => fs::write(&spool, "short").unwrap(),
+            _ => flip(&spool),
         }
         let checkpoint = RunCheckpoint::from_bytes(&bytes).unwrap();
         folder.checkpoints().write(0, &checkpoint).unwrap();
@@ -243,6 +248,28 @@ fn a_checkpoint_without_its_rows_is_dropped() {
         drop(execute_in(&plan, &path, "1"));
         assert_same_files(&path, &whole);
     }
+}
+
+/// Flips a bit in the middle of a file.
+fn flip(path: &Path) {
+    let mut bytes = fs::read(path).unwrap();
+    let middle = bytes.len() / 2;
+    bytes[middle] ^= 4;
+    fs::write(path, bytes).unwrap();
+}
+
+#[test]
+fn a_spool_that_is_damaged_before_its_run_ends_is_an_error_that_names_it() {
+    let plan = plan(FILE);
+    let directory = tempfile::tempdir().unwrap();
+    let recording = SeriesRecording::of(directory.path(), 0, &mut None);
+    recording.add(SeriesKind::Order, &[0; 24 * 3000], 0);
+    let spool = directory.path().join("orders/run-000001.partial");
+    flip(&spool);
+    let finished = recording.finish(&plan, &plan.runs()[0], true, None);
+    let error = finished.unwrap_err().to_string();
+    assert!(error.contains(spool.to_str().unwrap()), "{error}");
+    assert!(error.contains("it is damaged"), "{error}");
 }
 
 /// Rewrites the results of a folder as an earlier version stored them: all series in the lines.

@@ -11,6 +11,7 @@ use jostle_results::table::{Trajectory, TrajectoryWriter};
 
 use crate::folder::FolderError;
 use crate::folder::error::io_error;
+use crate::spool_hash::SpoolHash;
 
 /// The bytes that are written at once.
 const BUFFER: usize = 1 << 16;
@@ -19,29 +20,39 @@ const BUFFER: usize = 1 << 16;
 pub struct Spool {
     file: BufWriter<File>,
     length: u64,
+    hash: SpoolHash,
 }
 
 impl Spool {
-    /// Opens a spool, or creates it. It has no frames until [`Self::truncate`] keeps some.
+    /// Opens a spool, or creates it. It has no frames until [`Self::keep`] keeps some.
     pub fn open(path: &Path) -> io::Result<Self> {
         let mut options = OpenOptions::new();
         let options = options.create(true).truncate(false).write(true);
         Ok(Self {
             file: BufWriter::with_capacity(BUFFER, options.open(path)?),
             length: 0,
+            hash: SpoolHash::default(),
         })
     }
 
-    /// Keeps the first `length` bytes; returns whether there are so many.
-    pub fn truncate(&mut self, length: u64) -> io::Result<bool> {
-        let file = self.file.get_mut();
-        if file.metadata()?.len() < length {
-            return Ok(false);
+    /// Keeps the first `length` bytes; returns whether there are so many, with the hash of a checkpoint.
+    pub fn keep(&mut self, path: &Path, length: u64, hash: Option<&String>) -> io::Result<bool> {
+        match SpoolHash::of(path, length)? {
+            Some(read) if read.is(hash) => {
+                self.truncate(length)?;
+                self.hash = read;
+                Ok(true)
+            }
+            _ => Ok(false),
         }
+    }
+
+    fn truncate(&mut self, length: u64) -> io::Result<()> {
+        let file = self.file.get_mut();
         file.set_len(length)?;
         file.seek(SeekFrom::Start(length))?;
         self.length = length;
-        Ok(true)
+        Ok(())
     }
 
     /// Appends the frame of a state. That of step 0 replaces all others: the run starts again.
@@ -49,10 +60,17 @@ impl Spool {
         if state.step == 0 {
             self.file.flush()?;
             self.truncate(0)?;
+            self.hash = SpoolHash::default();
         }
         let bytes = encode(state);
+        self.hash.add(&bytes);
         self.length += bytes.len() as u64;
         self.file.write_all(&bytes)
+    }
+
+    /// Returns the hash of its frames.
+    pub fn hash(&self) -> &SpoolHash {
+        &self.hash
     }
 
     /// Returns the bytes of its frames.

@@ -146,6 +146,7 @@ fn killed(
         if current.steps() == checkpoint_at {
             let mut checkpoint = current.checkpoint();
             checkpoint.recorded = recording.sync();
+            checkpoint.hashes.frames = Some(recording.hash());
             last = RunCheckpoint::from_bytes(&checkpoint.to_bytes());
         }
         current.steps() < killed_at
@@ -203,12 +204,17 @@ fn a_checkpoint_without_its_frames_is_dropped() {
     let plan = plan(FILE);
     let directory = tempfile::tempdir().unwrap();
     let files = Trajectories::of(directory.path());
-    for damage in ["remove", "cut"] {
+    for damage in ["remove", "cut", "flip"] {
         let checkpoint = killed(&plan, &files, None, [30, 30]);
         assert!(checkpoint.as_ref().is_some_and(|it| it.recorded > Some(0)));
         match damage {
             "remove" => files.remove_spool(0),
-            _ => fs::write(files.spool(0), "short").unwrap(),
+            "cut" => fs::write(files.spool(0), "short").unwrap(),
+            _ => {
+                let mut bytes = fs::read(files.spool(0)).unwrap();
+                bytes[100] ^= 4;
+                fs::write(files.spool(0), bytes).unwrap();
+            }
         }
         let mut checkpoint = checkpoint;
         files.record(&plan, 0, &mut checkpoint).unwrap().unwrap();

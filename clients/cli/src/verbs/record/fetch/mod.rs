@@ -360,7 +360,10 @@ impl Fetching<'_> {
         let _ = fs::remove_dir_all(self.folder());
         Failure::argument(
             &self.recording.recording,
-            format!("a part of it is damaged ({reason}): fetch it again"),
+            format!(
+                "a part of it is damaged ({reason}): fetch it again; if that fails, too, the part is \
+                 damaged on the daemon's disk, and a backup of the daemon may have it whole"
+            ),
         )
     }
 
