@@ -13,7 +13,7 @@ const BYTES_PER_POSE: u64 = 28;
 const POSES_PER_STEP: u64 = 8;
 
 /// Memory of an individual of a packed group: its columns, its contacts and its share of the factor. In
-/// a sparse group it takes a third.
+/// a sparse group it takes a tenth.
 const BYTES_PER_INDIVIDUAL: u64 = 6144;
 
 /// Memory of a value of the rows of a time series that are written at once, at most so many rows.
@@ -29,8 +29,8 @@ const BYTES_PER_RECORDING: u64 = 8 << 20;
 /// Memory of a run in the plan, and of its row and its place in the list of finished runs, beside its
 /// name, which is there three times, and its columns.
 const BYTES_PER_PLANNED: u64 = 200;
-const BYTES_PER_ROW: u64 = 2800;
-const BYTES_PER_COLUMN: u64 = 64;
+const BYTES_PER_ROW: u64 = 3200;
+const BYTES_PER_COLUMN: u64 = 100;
 
 impl Plan {
     /// Returns the memory of the plan and of the rows of all its runs, in bytes, at most.
