@@ -83,7 +83,7 @@ fn an_experiment_takes_at_most_its_estimated_memory() {
         let bytes = measured(&text(case)).saturating_sub(base);
         let ratio = bytes as f64 / estimated as f64;
         println!("{case:?}: {ratio:.2} of {} kB", estimated / 1024);
-        // A sparse group takes a tenth.
-        assert!((0.05..=1.0).contains(&ratio), "{case}: {ratio}");
+        // Groups that are sparse, or grow, take much less.
+        assert!((0.01..=1.0).contains(&ratio), "{case}: {ratio}");
     }
 }
