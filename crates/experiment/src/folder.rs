@@ -33,6 +33,7 @@ use rustix::fs::{FlockOperation, flock};
 use rustix::io::Errno;
 
 pub use self::checkpoints::Checkpoints;
+use self::copy::parent;
 pub use self::error::FolderError;
 use self::error::io_error;
 use self::lacking::lacking;
@@ -48,11 +49,13 @@ use crate::subset::Subset;
 use crate::trajectory::Trajectories;
 
 mod checkpoints;
+pub(crate) mod copy;
 pub(crate) mod error;
 mod lacking;
 mod list;
 mod part;
 pub(crate) mod series;
+mod stored;
 mod tables;
 
 const LOCK: &str = "lock";
@@ -406,16 +409,6 @@ impl Folder {
     }
 }
 
-/// Copies a file of a run from another folder. The copy is durable on return.
-pub(crate) fn copy(from: &Path, to: &Path) -> Result<(), FolderError> {
-    let mut source = File::open(from).map_err(|error| io_error(from, error))?;
-    let fail = |error| io_error(to, error);
-    fs::create_dir_all(parent(to)).map_err(fail)?;
-    let mut file = jostle_atomic_file::begin(to).map_err(fail)?;
-    std::io::copy(&mut source, &mut file).map_err(fail)?;
-    jostle_atomic_file::publish(file, to).map_err(fail)
-}
-
 fn remove_unused(folder: &Path) {
     let checkpoints = Checkpoints::of(folder);
     let is_unused = |index| !checkpoints.has(index);
@@ -483,14 +476,6 @@ pub fn unfinished(path: &Path, label: &str) -> PathBuf {
     name.push(path.file_name().unwrap_or(OsStr::new("results")));
     name.push(format!(".{label}"));
     parent(path).join(name)
-}
-
-/// Returns the folder that contains `path`.
-fn parent(path: &Path) -> &Path {
-    match path.parent() {
-        Some(parent) if !parent.as_os_str().is_empty() => parent,
-        _ => Path::new("."),
-    }
 }
 
 #[cfg(test)]

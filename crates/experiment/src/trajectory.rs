@@ -17,8 +17,9 @@ use self::about::about;
 use self::spool::Spool;
 pub use self::spool::frame;
 use crate::disk::DiskWatch;
+use crate::folder::FolderError;
+use crate::folder::copy::copy;
 use crate::folder::error::io_error;
-use crate::folder::{FolderError, copy};
 use crate::plan::{Plan, PlannedRun};
 use crate::run::RunCheckpoint;
 

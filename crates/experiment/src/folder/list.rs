@@ -13,7 +13,7 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use super::error::{FolderError, io_error};
-use super::series::{StoredOrder, StoredSeries, order_bytes, series_bytes};
+use super::stored::{StoredOrder, StoredSeries, order_bytes, series_bytes};
 use crate::plan::Plan;
 
 /// The name of the list in its folder.
