@@ -85,6 +85,12 @@ async fn a_backup_under_load_is_restored_with_every_swarm_at_a_state_that_it_had
         let last = after.len() - 1;
         assert_eq!(after[..last], before[..last], "{swarm}");
         assert_eq!(without_time(&after[last]), without_time(&before[last]));
+        if swarm == "fastest" {
+            // Otherwise the replays below compete with it for the processor, and `verify` follows it.
+            for client in [&client, &again] {
+                client.ok(swarm, "pause", json!({})).await;
+            }
+        }
         // Later commands may have been applied at the step of the last one.
         let step = after.last().unwrap()["step"].as_u64().unwrap() - 1;
         let hash = hash_at(&again, swarm, step).await;
