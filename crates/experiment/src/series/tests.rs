@@ -77,7 +77,7 @@ fn a_long_series_is_in_a_file_and_a_short_one_in_the_line() {
     let directory = tempfile::tempdir().unwrap();
     // An order takes 24 bytes, and a row of the measures as much: 2730 fit 64 KiB.
     for (steps, is_long) in [
-        (2728, [false, false]),
+        (2728_u64, [false, false]),
         (2730, [true, true]),
         (2729, [false, false]),
     ] {
@@ -114,12 +114,12 @@ fn a_long_series_is_in_a_file_and_a_short_one_in_the_line() {
             panic!("one run");
         };
         assert!(table.measures[0].values == orders, "{steps}");
-        assert!(table.steps.iter().copied().eq(0..=steps as u64));
+        assert!(table.steps.iter().copied().eq(0..=steps));
         assert_eq!(table.measures[1].values, vec![None; orders.len()]);
         let [table] = &read(&path.join("series.parquet")).unwrap()[..] else {
             panic!("one run");
         };
-        assert!(table.steps.iter().copied().eq(0..=steps as u64));
+        assert!(table.steps.iter().copied().eq(0..=steps));
         assert_eq!(table.measures[1].values[9], None, "no earlier state");
         assert!(table.measures[1].values[10..].iter().all(Option::is_some));
         // A page of each is what the table has.
@@ -430,7 +430,8 @@ fn verify_finds_other_values_in_files_of_series_and_of_trajectories() {
     let verified = || parts().verify(&Subset::all(&plan), 1, |_| ());
     drop(execute_in(&plan, directory.path(), "1-4"));
     verified().unwrap();
-    let changes: [(&str, &dyn Fn(&Path)); 3] = [
+    type Change<'a> = (&'a str, &'a dyn Fn(&Path));
+    let changes: [Change<'_>; 3] = [
         ("orders/run-000001.parquet", &|file| {
             let mut series = read(file).unwrap().pop().unwrap();
             series.measures[0].values[2999] = Some(0.5);
