@@ -135,7 +135,7 @@ def test_a_flipped_bit_of_each_row_group_is_found(
         column = metadata.row_group(index).column(metadata.schema.names.index("x"))
         place = column.data_page_offset + column.total_compressed_size // 2
         flipped.write_bytes(whole[:place] + bytes([whole[place] ^ 1]) + whole[place + 1 :])
-        # Nobody else would notice it.
+        # pandas does not check it, and returns other data.
         assert not pd.read_parquet(flipped).equals(pd.read_parquet(path))
         for read in (rows, recorded):
             with pytest.raises(jostle.InvalidArgument, match=r"flipped\.parquet"):

@@ -75,7 +75,7 @@ class NodeStatus(HtmlStruct, frozen=True, kw_only=True):
     faulted: int
     individuals: int
     memory_bytes: int
-    experiments_memory_bytes: int = 0
+    experiments_memory_bytes: int
     clients: int
 
 

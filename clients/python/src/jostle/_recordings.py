@@ -81,9 +81,9 @@ class RecordingStatus(HtmlStruct, frozen=True, kw_only=True):
     reason: str | None = None
     frames: int
     missed: int
-    lost: int = 0
+    lost: int
     gap: RecordingGap | None = None
-    lost_parts: int = 0
+    lost_parts: int
     parts: int
     bytes: int
     began_unix_secs: int

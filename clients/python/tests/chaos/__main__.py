@@ -55,7 +55,8 @@ def run(options: argparse.Namespace, work: Path) -> bool:
     seconds = 60.0 * options.minutes
     drawn = plan.draw(seed, seconds, options.swarms, options.viewers)
     print(f"a chaos test of {options.minutes:g} minutes, --seed {seed}", flush=True)
-    disk = Disk(work / "disk", round(48 + 8 * options.minutes))
+    # Experiments leave 64 MiB to the swarms.
+    disk = Disk(work / "disk", round(64 + 48 + 8 * options.minutes))
     node = Node(options.jostled.resolve(), disk.path / "data", work)
     context: Context | None = None
     try:

@@ -48,8 +48,9 @@ def read_final_state(context: Context) -> None:
             client.swarm(name).wait(step=context.plan.twin_end, timeout=_TIMEOUT_SECS)
         for experiment in client.experiments():
             one = client.experiment(experiment.name)
-            if experiment.phase == "failed":
-                context.log(f"{experiment.name} failed and is resumed: {experiment.message}")
+            # The disk was full while it was executed.
+            if experiment.phase in ("failed", "paused"):
+                context.log(f"{experiment.name} is resumed: {experiment.message}")
                 one.resume()
             one.wait(_TIMEOUT_SECS, show=False)
             context.log(f"{experiment.name} is finished")
