@@ -83,7 +83,8 @@ fn an_experiment_takes_at_most_its_estimated_memory() {
         let bytes = measured(&text(case)).saturating_sub(base);
         let ratio = bytes as f64 / estimated as f64;
         println!("{case:?}: {ratio:.2} of {} kB", estimated / 1024);
-        // Groups that are sparse, or grow, take much less.
-        assert!((0.01..=1.0).contains(&ratio), "{case}: {ratio}");
+        // A group that grows has no contacts at first, and takes much less.
+        let least = if case.contains("inject") { 0.0 } else { 0.25 };
+        assert!((least..=1.0).contains(&ratio), "{case}: {ratio}");
     }
 }
