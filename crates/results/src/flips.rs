@@ -1,5 +1,5 @@
-//! Each flipped bit of a file of each kind is an error that names the file, or the data are equal. The
-//! files have some 4 kB; with `JOSTLE_LONG=1`, 20 kB.
+//! Each flipped bit of a file of 20 kB of each kind is an error that names the file, or the data are
+//! equal.
 
 #![expect(clippy::unwrap_used, reason = "tests")]
 
@@ -8,6 +8,8 @@ use std::io::{Seek as _, SeekFrom, Write as _};
 use std::path::{Path, PathBuf};
 use std::thread;
 use std::time::SystemTime;
+
+use jostle_proto::ResultRow;
 
 use crate::recording::extent::Extent;
 use crate::recording::{self, About, Frame, Moment, Recorder, RecordingError};
@@ -21,12 +23,6 @@ fn number(index: u64) -> f64 {
     libm::sin(index as f64)
 }
 
-/// Returns a number of rows, larger with `JOSTLE_LONG=1`.
-fn scaled(rows: u64) -> u64 {
-    let is_long = std::env::var_os("JOSTLE_LONG").is_some();
-    rows * if is_long { 8 } else { 1 }
-}
-
 /// Flips each bit of `path` from a byte on, reads the file, and flips the bit back. The two halves of the file are done
 /// at the same time.
 fn each_flip<T: PartialEq>(
@@ -35,7 +31,7 @@ fn each_flip<T: PartialEq>(
     read: impl Fn(&Path) -> Result<T, PathBuf> + Sync,
 ) {
     let whole = fs::read(path).unwrap();
-    assert!(whole.len() > 2000, "{}", whole.len());
+    assert!((18_000..24_000).contains(&whole.len()), "{}", whole.len());
     let middle = (from + whole.len()) / 2;
     let halves = [(from..middle, "first"), (middle..whole.len(), "second")];
     thread::scope(|scope| {
@@ -91,22 +87,31 @@ fn named_by_recording(error: RecordingError) -> PathBuf {
 fn of_results_are_found() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join(table::PARQUET_NAME);
-    let rows = samples().into_iter().cycle();
-    let rows: Vec<_> = (0..scaled(3)).zip(rows).map(|(_, row)| row).collect();
+    let rows = (0..400).zip(samples().into_iter().cycle());
+    let rows: Vec<_> = rows
+        .map(|(index, row)| ResultRow {
+            run: format!("{} of {index}", row.run),
+            time: number(index),
+            state_hash: number(index).to_bits().to_string(),
+            ..row
+        })
+        .collect();
     table::write_parquet(&path, &rows).unwrap();
     each_flip(&path, 0, |path| table::read(path).map_err(named));
 }
 
 #[test]
 fn of_series_and_orders_are_found() {
+    const SERIES_STEPS: u64 = 800;
+    const ORDER_STEPS: u64 = 560;
     let folder = tempfile::tempdir().unwrap();
     let series = |run: u64| Series {
         run: format!("n=3 #{run}"),
-        steps: (0..scaled(60)).collect(),
-        times: (0..scaled(60)).map(number).collect(),
+        steps: (0..SERIES_STEPS).collect(),
+        times: (0..SERIES_STEPS).map(number).collect(),
         measures: vec![MeasureSeries {
             name: "msd(5)".to_owned(),
-            values: (0..scaled(60))
+            values: (0..SERIES_STEPS)
                 .map(|it| (it > 3).then(|| number(it)))
                 .collect(),
         }],
@@ -122,12 +127,12 @@ fn of_series_and_orders_are_found() {
     let mut writer = table::order::begin(&path).unwrap();
     let order = Series {
         run: "led".to_owned(),
-        steps: (0..scaled(60)).collect(),
-        times: (0..scaled(60)).map(number).collect(),
+        steps: (0..ORDER_STEPS).collect(),
+        times: (0..ORDER_STEPS).map(number).collect(),
         measures: table::order::MEASURES
             .map(|name| MeasureSeries {
                 name: name.to_owned(),
-                values: (0..scaled(60)).map(|it| Some(number(it))).collect(),
+                values: (0..ORDER_STEPS).map(|it| Some(number(it))).collect(),
             })
             .into(),
     };
@@ -149,7 +154,7 @@ fn of_trajectories_are_found() {
     ];
     let about = about.map(|(key, value)| (key.to_owned(), value.to_owned()));
     let mut writer = TrajectoryWriter::begin(&path, &about.into()).unwrap();
-    for step in 0..scaled(20) {
+    for step in 0..150 {
         let column = |factor: u64| (0..5).map(|id| number(factor * step + id)).collect();
         let rows = Trajectory {
             step: vec![step; 5],
@@ -221,11 +226,11 @@ fn a_file_that_another_program_wrote_with_the_same_metadata_is_read() {
 }
 
 /// Records states of four individuals.
-fn record(path: &Path) {
+fn record(path: &Path, frames: u64) {
     let about = [("swarm", "school"), ("spec", "{\"n\":4}")];
     let about = about.map(|(key, value)| (key.to_owned(), value.to_owned()));
     let mut recorder = Recorder::to_file(path, false, about.into(), decode).unwrap();
-    for number in 0..scaled(8) {
+    for number in 0..frames {
         let published: Vec<u8> = number.to_le_bytes().repeat(8);
         decode(&published, &mut |frame| recorder.frame(frame).unwrap()).unwrap();
         recorder
@@ -277,7 +282,7 @@ fn decode(published: &[u8], take: &mut dyn FnMut(&Frame<'_>)) -> Result<(), Stri
 fn of_parquet_recordings_are_found() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("take.parquet");
-    record(&path);
+    record(&path, 85);
     each_flip(&path, 0, |path| {
         let extent = Extent::of(path).map_err(named_by_recording)?;
         table::parquet::check(path).map_err(named)?;
@@ -289,7 +294,7 @@ fn of_parquet_recordings_are_found() {
 fn of_mcap_recordings_are_found() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("take.mcap");
-    record(&path);
+    record(&path, 90);
     each_flip(&path, 0, |path| {
         let mut messages = Vec::new();
         let about = recording::read(path, |message| {
