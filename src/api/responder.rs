@@ -10,6 +10,7 @@ use std::sync::mpsc::{Sender, channel};
 use std::thread;
 use std::time::Duration;
 
+use fail::fail_point;
 use parking_lot::Mutex;
 use tokio::runtime::Handle as Runtime;
 use tokio::task::AbortHandle;
@@ -81,6 +82,7 @@ impl Replies {
             .spawn(move || {
                 while let Ok(Some(reply)) = receiver.recv() {
                     sending.begin();
+                    fail_point!("reply");
                     reply.send();
                     sending.end();
                 }

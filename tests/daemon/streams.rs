@@ -1,9 +1,13 @@
 //! What is published: states, orders, events and tokens.
 
+use std::collections::BTreeMap;
+
 use jostle_proto::{Event, EventKind, OrderSample, Phase, keys};
 use serde_json::json;
 use zenoh::sample::SampleKind;
 
+use crate::support::playback;
+use crate::support::recording::start_daemon;
 use crate::support::streams::{next_event, next_state, subscribe};
 use crate::support::{Client, Daemon, NODE, PREFIX, TIMEOUT};
 
@@ -37,6 +41,39 @@ async fn a_running_swarm_is_published_every_so_many_steps_and_frames_count_up() 
     let order: OrderSample = serde_json::from_slice(&order.payload().to_bytes()).unwrap();
     assert!(order.order.order > 0.0 && order.n == 5);
     daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn states_published_after_a_queried_one_have_greater_numbers() {
+    let folder = tempfile::tempdir().unwrap();
+    // More than the 20 ms between two publications.
+    let (mut daemon, client) = start_daemon(folder.path(), "reply=sleep(30)").await;
+    let spec = json!({"n": 5, "rate": 4, "publish_every": 1});
+    client.create("a", spec).await;
+    let states = subscribe(&client, keys::state(PREFIX, "a")).await;
+    client.ok("a", "run", json!({})).await;
+    let mut queried = Vec::new();
+    for _ in 0..30 {
+        let state = playback::state(&client, "a").await;
+        queried.push((state.frame, state.step));
+    }
+    client.ok("a", "pause", json!({})).await;
+    let (last, _) = queried[queried.len() - 1];
+    let mut published = BTreeMap::new();
+    while published.last_key_value().is_none_or(|(it, _)| *it < last) {
+        let state = next_state(&states).await;
+        published.insert(state.frame, state.step);
+    }
+    assert!(published.len() > 50, "{}", published.len());
+    for (frame, step) in queried {
+        let newest = published.range(..=frame).next_back();
+        let newest = newest.map_or(0, |(_, step)| *step);
+        assert!(
+            newest <= step,
+            "step {step} has the number {frame} of step {newest}"
+        );
+    }
+    daemon.kill();
 }
 
 #[tokio::test(flavor = "multi_thread")]

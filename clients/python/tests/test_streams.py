@@ -9,12 +9,14 @@ import threading
 import weakref
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from typing import Any
 
 import pytest
 
 import jostle
 from conftest import MAX_WAIT_SECS, Daemon, eventually
+from jostle._state import FrameReader
 
 Create = Callable[..., jostle.Swarm]
 
@@ -49,6 +51,15 @@ def test_a_slow_reader_gets_the_newest_and_the_number_skipped(create: Create) ->
     assert sum(state.skipped + 1 for state in seen) == seen[-1].frame - first.frame
     assert len(seen) < 10
     assert sum(state.skipped for state in seen) > 0
+
+
+def test_states_older_than_the_first_one_are_not_skipped(create: Create) -> None:
+    present = create(n=3).state()
+    # Positions (step, frame): queried, published before that state, published after it.
+    states = [replace(present, step=step, frame=frame) for step, frame in [(5, 7), (3, 8), (6, 9)]]
+    reader = FrameReader(lambda payload: states[int(payload)], lambda: states[0])
+    read = reader.first() + reader.read(b"1") + reader.read(b"2")
+    assert [(state.step, state.skipped) for state in read] == [(5, 0), (6, 0)]
 
 
 def test_a_command_shows_in_a_paused_swarm(create: Create) -> None:

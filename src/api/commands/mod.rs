@@ -160,6 +160,8 @@ fn send(
     returns_state: bool,
 ) {
     let output = swarm.output.clone();
+    // Counted before the state is taken: later states have greater numbers.
+    let published = returns_state.then(|| output.published());
     responder.send_to_swarm(
         swarm,
         (timeout, CommandError::deadline),
@@ -169,10 +171,7 @@ fn send(
                 ..message
             })
         },
-        move |stamp, outcome| {
-            let frame = returns_state.then(|| output.published());
-            convert::outcome(&output.name, &stamp, outcome, frame)
-        },
+        move |stamp, outcome| convert::outcome(&output.name, &stamp, outcome, published),
     );
 }
 

@@ -32,8 +32,10 @@ impl Context {
             Err(error) => return responder.reject(&error, None),
         };
         let output = handle.output.clone();
+        // Counted before the state is taken: later states have greater numbers.
+        let published = output.published();
         query_frame(&handle, &responder, move |_, frame| {
-            let state = convert::state(&output.name, frame, output.published());
+            let state = convert::state(&output.name, frame, published);
             if is_json {
                 Payload::json(&state)
             } else {

@@ -229,6 +229,8 @@ class FrameReader(Generic[S]):
     def _admit(self, frame: S) -> list[S]:
         position = (frame.epoch, frame.step, frame.frame)
         if self._position is not None and position <= self._position:
+            # Published before the first queried state was taken: received, thus not skipped.
+            self._position = (*self._position[:2], max(frame.frame, self._position[2]))
             return []
         skipped = 0 if self._position is None else frame.frame - self._position[2] - 1
         self._position = position

@@ -29,8 +29,9 @@ impl FrameFilter {
     pub fn accepts(&mut self, state: &State) -> bool {
         let position = (state.epoch, state.step, state.frame);
         if let Some((epoch, step, frame)) = self.newest {
-            // Published before the first queried state.
+            // Published before the first queried state was taken.
             if position <= (epoch, step, frame) {
+                self.newest = Some((epoch, step, state.frame.max(frame)));
                 return false;
             }
             // A restarted daemon counts from 0.
@@ -74,7 +75,8 @@ mod tests {
         assert!(filter.accepts(&state(0, 12, 2)));
         assert!(!filter.accepts(&state(0, 5, 1)));
         assert!(!filter.accepts(&state(0, 10, 2)));
-        assert!(filter.accepts(&state(0, 15, 3)));
+        assert!(!filter.accepts(&state(0, 11, 3)));
+        assert!(filter.accepts(&state(0, 15, 4)));
         assert_eq!((filter.missed, filter.steps), (0, 3));
     }
 
