@@ -27,6 +27,7 @@ pub mod convert;
 mod experiments;
 pub mod health;
 mod jobs;
+pub mod lanes;
 pub mod metrics;
 pub mod persistence;
 pub mod playback;

@@ -1,21 +1,15 @@
 //! The state that all request handlers share, and the entry point of requests.
 
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::AtomicBool;
-use std::sync::mpsc::{Sender, channel};
 use std::sync::{Arc, OnceLock};
-use std::thread;
 use std::time::{Duration, Instant};
 
 use fail::fail_point;
-use jostle_proto::{Arguments, Claimant, Request, Schemas, keys};
+use jostle_proto::{Arguments, Claimant, Request, Role, Schemas, keys};
 use serde_json::Value;
-use tracing::warn;
 
 use crate::api::idempotency::IdempotencyCache;
 use crate::api::incoming::{Incoming, Target};
-use crate::api::queries::export::Export;
-use crate::api::queries::verify::Verify;
 use crate::api::responder::{Replies, Responder};
 use crate::api::verifications::Verifications;
 use crate::auth::live::LiveRights;
@@ -24,6 +18,7 @@ use crate::convert::commands::{self, CommandError};
 use crate::convert::digest::RequestIdentity;
 use crate::experiments::ExperimentManager;
 use crate::health::HealthMonitor;
+use crate::lanes::{Full, Lane, Lanes, Task, Ticket};
 use crate::playback::Uploads;
 use crate::recording::Recordings;
 use crate::store::Store;
@@ -46,42 +41,14 @@ pub trait Peers: Send + Sync {
     fn contests(&self) -> Vec<(Option<String>, [Claimant; 2])>;
 }
 
-/// Work on the files `T`, or without files, `()`.
-type Job<T> = Box<dyn FnOnce(&T) + Send>;
-
-/// A thread that executes work, mostly on files, which may take long, in order. Clones share the
-/// thread.
-#[derive(Clone)]
-pub struct Executor<T>(Sender<Job<T>>);
-
-impl<T: Send + 'static> Executor<T> {
-    /// Starts the thread; it ends when the last clone is dropped.
-    pub(crate) fn start(name: &str, files: T) -> std::io::Result<Self> {
-        let (jobs, receiver) = channel::<Job<T>>();
-        let thread = thread::Builder::new().name(name.to_owned());
-        thread.spawn(move || {
-            while let Ok(job) = receiver.recv() {
-                if catch_unwind(AssertUnwindSafe(|| job(&files))).is_err() {
-                    warn!("a defect: a job panicked");
-                }
-            }
-        })?;
-        Ok(Executor(jobs))
-    }
-
-    /// Queues a job.
-    pub fn submit(&self, job: impl FnOnce(&T) + Send + 'static) {
-        // An error means that the daemon is stopping.
-        let _ = self.0.send(Box::new(job));
-    }
-}
-
 /// A parsed command.
 pub(super) struct Parsed<'a> {
     /// The key that it was sent to.
     pub(super) key: &'a str,
     pub(super) request: &'a Request,
     pub(super) responder: &'a Responder,
+    /// Whose turn it takes in a lane.
+    pub(super) turn: Arc<str>,
 }
 
 impl Parsed<'_> {
@@ -121,24 +88,18 @@ pub struct Context {
     pub schemas: Schemas,
     /// The experiments.
     pub experiments: ExperimentManager,
-    /// Executes work on the files of the experiments.
-    pub experiment_files: Executor<ExperimentManager>,
     /// Recordings that clients upload.
     pub uploads: Arc<Uploads>,
     /// Recordings that the daemon writes.
     pub recordings: Recordings,
-    /// Executes work on the files of the recordings.
-    pub recording_files: Executor<Recordings>,
     /// The checks and metrics; set once they run.
     pub watch: Arc<OnceLock<Arc<HealthMonitor>>>,
     /// Whether the swarms of the previous run are being recovered.
     pub is_recovering: AtomicBool,
-    /// Evaluates measures.
-    pub evaluations: Executor<()>,
+    /// Execute work that may take long.
+    pub lanes: Lanes,
     /// The verifications that run or are queued.
-    pub verifications: Arc<Verifications<Verify>>,
-    /// The exports of swarms that run or are queued.
-    pub exports: Arc<Verifications<Export>>,
+    pub verifications: Arc<Verifications>,
 }
 
 impl Context {
@@ -251,6 +212,67 @@ impl Context {
         identity.map_or(Ok(true), |it| self.idempotency.begin(it, responder))
     }
 
+    /// The client whose turn a request takes in a lane: a user, or without users the swarm or
+    /// experiment that it is about.
+    pub(crate) fn turn(&self, incoming: &Incoming, about: &str) -> Arc<str> {
+        match (&*self.rights.current(), about) {
+            (Rights::Open, about) => about.into(),
+            (rights, _) => {
+                let user = rights.owner(&incoming.token);
+                user.map_or("", |user| user.name.as_str()).into()
+            }
+        }
+    }
+
+    /// Whether a request is of an operator; without users everyone is one.
+    pub(crate) fn is_operator(&self, incoming: &Incoming) -> bool {
+        match &*self.rights.current() {
+            Rights::Open => true,
+            rights => {
+                let user = rights.owner(&incoming.token);
+                user.is_some_and(|user| user.role == Role::Operator)
+            }
+        }
+    }
+
+    /// Queues a read, which is dropped once it has a reply or its client is gone.
+    pub(crate) fn queue_read(
+        &self,
+        lane: Lane,
+        turn: &Arc<str>,
+        responder: &Responder,
+        work: impl FnOnce() + Send + 'static,
+    ) -> Result<(), CommandError> {
+        let task = Task::new(turn, |_| work()).while_wanted(responder.is_wanted());
+        Ok(self.lanes.submit(lane, task)?)
+    }
+
+    /// Queues a command that was accepted: it is executed even if its client is gone.
+    pub(crate) fn queue_command(
+        &self,
+        lane: Lane,
+        turn: &Arc<str>,
+        work: impl FnOnce() + Send + 'static,
+    ) -> Result<(), CommandError> {
+        Ok(self.lanes.submit(lane, Task::new(turn, |_| work()))?)
+    }
+
+    /// A task that creates a swarm, for which `work` prepares the state and then calls
+    /// [`Responder::commits`]. Without an id of its request it is dropped like a read; with one, the reply
+    /// is stored, and it goes on.
+    pub(crate) fn creation(
+        turn: &Arc<str>,
+        identity: Option<&RequestIdentity>,
+        responder: &Responder,
+        work: impl FnOnce(Ticket) + Send + 'static,
+    ) -> Task {
+        let task = Task::new(turn, work);
+        match identity {
+            Some(_) => task,
+            None => task.while_wanted(responder.is_wanted()),
+        }
+    }
+
     /// The swarm of this name.
     pub(crate) fn find(&self, swarm: &str) -> Result<Handle, CommandError> {
         let handle = self.registry.find(swarm);
@@ -263,6 +285,12 @@ impl Context {
         let all = BYTES_PER_INDIVIDUAL.saturating_mul(self.registry.limits().max_individuals);
         all.saturating_add(REQUEST_BYTES)
             .min(self.max_message_bytes)
+    }
+}
+
+impl From<Full> for CommandError {
+    fn from(_: Full) -> Self {
+        CommandError::Busy
     }
 }
 

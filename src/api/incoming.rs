@@ -71,6 +71,11 @@ pub trait Peer: Send + Sync {
     /// Sends a reply under `key`. It may block while the client accepts nothing.
     fn reply(&self, key: &str, reply: Result<Payload, Payload>);
 
+    /// Whether the client is known to wait no longer.
+    fn is_gone(&self) -> bool {
+        false
+    }
+
     /// Whether the key expression of the request matches `key`.
     fn matches(&self, key: &str) -> bool;
 }

@@ -45,6 +45,8 @@ struct Pending {
     /// Where the reply is cached, if the request has an id.
     slot: Mutex<Option<Box<dyn ReplySlot>>>,
     deadlines: Mutex<Vec<AbortHandle>>,
+    /// Whether the reply no longer depends on the deadline; only changed while `incoming` is locked.
+    is_committed: AtomicBool,
     key: String,
     replies: Replies,
 }
@@ -117,6 +119,7 @@ impl Replies {
             incoming: Mutex::new(Some(incoming.clone())),
             slot: Mutex::default(),
             deadlines: Mutex::default(),
+            is_committed: AtomicBool::new(false),
             key,
             replies: self.clone(),
         }))
@@ -225,7 +228,7 @@ impl Responder {
         let pending = Arc::downgrade(&self.0);
         let expire = move || {
             if let Some(pending) = pending.upgrade() {
-                Responder(pending).send(move || {
+                pending.expire(move || {
                     let error = error(timeout.as_secs_f64());
                     let step = step.and_then(|step| step.get());
                     Err(Payload::json(&error.to_wire(step)))
@@ -250,12 +253,26 @@ impl Responder {
         drop(incoming);
     }
 
+    /// Whether there is no reply yet: then none follows at the deadline, so that the client learns what
+    /// is done now.
+    pub fn commits(&self) -> bool {
+        let incoming = self.0.incoming.lock();
+        self.0.is_committed.store(true, Ordering::Relaxed);
+        incoming.is_some()
+    }
+
+    /// Returns a check of whether the request has no reply yet and its client still waits.
+    pub fn is_wanted(&self) -> impl Fn() -> bool + Send + use<> {
+        let responder = self.clone();
+        move || responder.0.is_wanted()
+    }
+
     /// Returns a weak check of whether the request has a reply or was dropped.
     pub fn is_abandoned(&self) -> impl Fn() -> bool + Send + use<> {
         let pending = Arc::downgrade(&self.0);
         move || {
             let pending = pending.upgrade();
-            pending.is_none_or(|it| it.incoming.lock().is_none())
+            pending.is_none_or(|it| !it.is_wanted())
         }
     }
 
@@ -266,8 +283,34 @@ impl Responder {
 }
 
 impl Pending {
+    /// Whether there is no reply yet and the client may still wait.
+    fn is_wanted(&self) -> bool {
+        let incoming = self.incoming.lock();
+        incoming.as_ref().is_some_and(|it| !it.peer.is_gone())
+    }
+
+    /// Replies because the deadline has passed, unless the request is committed.
+    fn expire(&self, encode: impl FnOnce() -> Result<Payload, Payload> + Send + 'static) {
+        let mut incoming = self.incoming.lock();
+        if self.is_committed.load(Ordering::Relaxed) {
+            return;
+        }
+        let taken = incoming.take();
+        drop(incoming);
+        self.send_to(taken, None, Box::new(encode));
+    }
+
     fn send(&self, slot: Option<Box<dyn ReplySlot>>, encode: Encode) {
         let incoming = self.incoming.lock().take();
+        self.send_to(incoming, slot, encode);
+    }
+
+    fn send_to(
+        &self,
+        incoming: Option<Incoming>,
+        slot: Option<Box<dyn ReplySlot>>,
+        encode: Encode,
+    ) {
         let incoming = incoming.map(|incoming| (incoming, self.key.clone()));
         if incoming.is_some() {
             for deadline in std::mem::take(&mut *self.deadlines.lock()) {
@@ -291,10 +334,11 @@ impl Drop for Pending {
     /// and a retry must not execute it again.
     fn drop(&mut self) {
         let slot = self.slot.lock().take();
+        let is_wanted = self.is_wanted();
         let has_reply = self.incoming.lock().is_none();
         // After the restart the journal is replayed, which produces the reply.
         let is_closing = self.replies.is_closing.load(Ordering::Acquire);
-        if is_closing || (has_reply && slot.is_none()) {
+        if is_closing || (!is_wanted && slot.is_none()) {
             return;
         }
         if !has_reply {

@@ -15,7 +15,7 @@ use tokio_rustls::TlsAcceptor;
 use tracing::{error, info, warn};
 use zenoh::{Session, Wait};
 
-use crate::api::context::{Context, Executor};
+use crate::api::context::Context;
 use crate::api::idempotency::IdempotencyCache;
 use crate::api::incoming::Admission;
 use crate::api::responder::Replies;
@@ -30,6 +30,7 @@ use crate::config::Config;
 use crate::convert::commands::check_name;
 use crate::experiments::ExperimentManager;
 use crate::health::{HealthMonitor, HealthSources};
+use crate::lanes::Lanes;
 use crate::metrics::Activity;
 use crate::persistence::recovery::{self, OnRecovered};
 use crate::playback::Uploads;
@@ -37,6 +38,7 @@ use crate::recording::{Position, Recordings};
 use crate::store::{self, Store, StoreError, StoreFault};
 use crate::swarm::registry::SwarmRegistry;
 use crate::transport::http::{self, Bus, Credentials, Gateway, GatewayError, Token};
+use crate::transport::open_requests::OpenRequests;
 use crate::transport::zenoh::bus_watch::BusWatch;
 use crate::transport::zenoh::claims::{ClaimSubscribers, Claims, Contest};
 use crate::transport::zenoh::dispatcher::Dispatcher;
@@ -205,15 +207,15 @@ impl HttpListener {
             pool: core.pool.clone(),
             prefix: config.prefix.clone(),
             node: config.node.clone(),
+            open: core.open.clone(),
         };
-        let evaluations = core.evaluations.clone();
         Gateway::serve(
             self.listener,
             self.acceptor,
             bus,
             credentials,
             watch,
-            evaluations,
+            core.lanes.clone(),
         )
     }
 }
@@ -250,7 +252,8 @@ struct Core {
     session: Session,
     pool: SessionPool,
     replies: Replies,
-    evaluations: Executor<()>,
+    lanes: Lanes,
+    open: OpenRequests,
     publisher: Arc<Publisher>,
     messages: SyncSender<DispatchMessage>,
     claims: Arc<Claims>,
@@ -269,7 +272,7 @@ impl Core {
         pool: SessionPool,
     ) -> Result<(Self, Receiver<DispatchMessage>, ClaimSubscribers), ServerError> {
         let replies = Replies::start()?;
-        let evaluations = queries::start_evaluations()?;
+        let lanes = Lanes::start()?;
         let (messages, received) = sync_channel(MAX_QUEUED);
         let publisher = Publisher::start(&config.prefix, messages.clone())?;
         let wake = messages.clone();
@@ -289,7 +292,8 @@ impl Core {
             session,
             pool,
             replies,
-            evaluations,
+            lanes,
+            open: OpenRequests::default(),
             publisher,
             messages,
             claims,
@@ -302,9 +306,7 @@ impl Core {
 /// The experiments and recordings, which have folders beside the store.
 struct Files {
     experiments: ExperimentManager,
-    experiment_files: Executor<ExperimentManager>,
     recordings: Recordings,
-    recording_files: Executor<Recordings>,
     uploads: Arc<Uploads>,
 }
 
@@ -326,9 +328,7 @@ impl Files {
         let recordings = opened.map_err(folder_error(&recordings))?;
         let uploads = Uploads::open(&replays).map_err(folder_error(&replays))?;
         Ok(Files {
-            experiment_files: Executor::start("experiments", experiments.clone())?,
             experiments,
-            recording_files: Executor::start("recordings", recordings.clone())?,
             recordings,
             uploads: Arc::new(uploads),
         })
@@ -368,15 +368,12 @@ fn context(
         idempotency: core.idempotency.clone(),
         schemas: queries::schemas(),
         experiments: files.experiments.clone(),
-        experiment_files: files.experiment_files.clone(),
         uploads: files.uploads.clone(),
         recordings: files.recordings.clone(),
-        recording_files: files.recording_files.clone(),
         watch,
         is_recovering: AtomicBool::new(true),
-        evaluations: core.evaluations.clone(),
+        lanes: core.lanes.clone(),
         verifications: Arc::default(),
-        exports: Arc::default(),
     })
 }
 
@@ -393,6 +390,7 @@ fn start_dispatcher(
         messages: core.messages.clone(),
         admission: Admission::default(),
         queued: AtomicUsize::new(0),
+        open: core.open.clone(),
     });
     let activity = Arc::new(Activity::default());
     let dispatcher = Dispatcher {
@@ -432,6 +430,7 @@ fn start_watch(
         rights: core.rights.clone(),
         recordings: files.recordings.clone(),
         experiments: files.experiments.clone(),
+        lanes: core.lanes.clone(),
         threads: vec![
             ("dispatch", dispatch),
             ("publish", core.publisher.activity.clone()),

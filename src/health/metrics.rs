@@ -8,6 +8,7 @@ use rustix::time::{ClockId, clock_gettime};
 
 use crate::experiments::DiskUsage;
 use crate::health::{Bus, HealthMonitor, Reason, RecordingCounts};
+use crate::lanes;
 use crate::store;
 use crate::swarm::frame::{Frame, Summary};
 use crate::swarm::metrics::{LastStep, Totals};
@@ -51,6 +52,8 @@ pub struct DaemonMetrics {
     pub recordings_bytes: (u64, u64),
     /// The size of all experiments and its limit.
     pub experiments: DiskUsage,
+    /// Its lanes.
+    pub lanes: Vec<lanes::Status>,
     /// Requests that a defect dropped without a reply.
     pub dropped_requests: u64,
     /// Each swarm that is built, ordered by name.
@@ -118,6 +121,7 @@ impl HealthMonitor {
             recordings: (self.watched.count)(recordings),
             recordings_bytes: recordings.usage(),
             experiments: self.watched.experiments.disk_usage(),
+            lanes: self.watched.lanes.status().to_vec(),
             dropped_requests: (self.watched.dropped_requests)(),
             swarms,
         }

@@ -23,6 +23,7 @@ use crate::auth::live::LiveRights;
 use crate::experiments::ExperimentManager;
 use crate::health::probe::{Probe, ProbeStatus};
 use crate::health::watchdog::{Watchdog, Worker};
+use crate::lanes::Lanes;
 use crate::metrics::Activity;
 use crate::recording::Recordings;
 use crate::store::Store;
@@ -55,6 +56,8 @@ pub struct HealthSources {
     pub recordings: Recordings,
     /// The experiments.
     pub experiments: ExperimentManager,
+    /// The lanes.
+    pub lanes: Lanes,
     /// The other threads of the daemon.
     pub threads: Vec<(&'static str, Arc<Activity>)>,
     /// The endpoints to probe.
@@ -132,6 +135,13 @@ impl HealthMonitor {
         let failed = last.probes.iter().filter(|it| it.failures >= MIN_FAILURES);
         reasons.extend(failed.filter_map(|it| it.problem.clone()));
         drop(last);
+        let lanes = self.watched.lanes.status().into_iter();
+        reasons.extend(lanes.filter_map(|it| {
+            Some(Reason::ThreadStuck {
+                thread: it.lane.name(),
+                secs: it.stuck?.as_secs_f64(),
+            })
+        }));
         let bus = (self.watched.bus)();
         reasons.extend(bus.blocked.map(|age| Reason::BusBlocked {
             secs: age.as_secs_f64(),
@@ -165,6 +175,9 @@ impl HealthMonitor {
         if !paused.is_empty() {
             warnings.push(("experiment_paused", reason::experiments_paused(&paused)));
         }
+        let lanes = self.watched.lanes.status().into_iter();
+        let behind = lanes.filter(|it| it.is_behind());
+        warnings.extend(behind.map(|it| ("lane_behind", reason::lane_behind(&it))));
         let damaged = self.watched.store.health().damaged;
         if damaged > 0 {
             warnings.push(("journal_damaged", reason::journal_damaged(damaged)));

@@ -4,6 +4,8 @@ use std::time::Duration;
 
 use thiserror::Error;
 
+use crate::lanes;
+
 /// Why the daemon is unhealthy.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum Reason {
@@ -164,6 +166,22 @@ fn named(all: &[(String, String)]) -> String {
         others => format!(" and {others} more"),
     };
     format!("{}{others}", first.join(", "))
+}
+
+/// The warning about a lane whose tasks wait too long.
+pub(super) fn lane_behind(lane: &lanes::Status) -> String {
+    let lanes::Status {
+        lane,
+        queued,
+        waiting,
+        ..
+    } = lane;
+    format!(
+        "requests in the lane {} wait for {:.0} s ({queued} are queued): clients send more than the \
+         daemon can execute; `jostle_lane_` in /metrics shows what of each lane",
+        lane.name(),
+        waiting.as_secs_f64()
+    )
 }
 
 /// The warning about damaged records of the journal.

@@ -136,6 +136,7 @@ fn load(
         reply_for: Box::new(move |sender| rebuild_reply(&replies, &swarm, sender)),
         to: ReplayTarget::LastInput,
         on_progress: None,
+        goes_on: None,
     };
     Ok((spec, source, resets))
 }

@@ -7,8 +7,9 @@ use crate::persistence::journal_reader::JournalReader;
 use crate::store::{CheckpointInfo, Store};
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::command::Command;
+use crate::swarm::error::SwarmError;
 use crate::swarm::handle::ReplyTo;
-use crate::swarm::journal::{OnProgress, Replayed};
+use crate::swarm::journal::{GoesOn, OnProgress, Replayed};
 use crate::swarm::phase::Phase;
 use crate::swarm::worker::replay::{ReplaySource, ReplayTarget};
 
@@ -18,12 +19,14 @@ use crate::swarm::worker::replay::{ReplaySource, ReplayTarget};
 ///
 /// # Errors
 ///
-/// [`CommandError::History`] if the checkpoint or the journal is damaged or no longer stored.
+/// [`CommandError::History`] if the checkpoint or the journal is damaged or no longer stored, and
+/// [`SwarmError::Gone`] if it was not to go on.
 pub fn replay_all(
     store: &Store,
     swarm: &str,
     present: &Checkpoint,
     on_progress: impl Fn(f64) + Send + 'static,
+    goes_on: GoesOn,
 ) -> Result<(u64, Checkpoint, Replayed), CommandError> {
     let mut checkpoints = stored_checkpoints(store, swarm)?;
     checkpoints.reverse();
@@ -38,7 +41,7 @@ pub fn replay_all(
     let all = present.lines.saturating_sub(after) as f64;
     let on_progress: OnProgress =
         Box::new(move |line| on_progress((line - after - 1) as f64 / all));
-    let (end, replayed) = replay(checkpoint, lines, to, Some(on_progress))?;
+    let (end, replayed) = replay(checkpoint, lines, to, Some(on_progress), goes_on)?;
     let is_there = present.phase.is_moving() || position(&end) == (epoch, step);
     if replayed.differs_at.is_none() && !is_there {
         return Err(not_on_disk(step, &end));
@@ -51,8 +54,14 @@ pub fn replay_all(
 ///
 /// # Errors
 ///
-/// [`CommandError::History`] if the checkpoint or the journal is damaged or no longer stored.
-pub fn replay_to(store: &Store, swarm: &str, step: u64) -> Result<Checkpoint, CommandError> {
+/// [`CommandError::History`] if the checkpoint or the journal is damaged or no longer stored, and
+/// [`SwarmError::Gone`] if it was not to go on.
+pub fn replay_to(
+    store: &Store,
+    swarm: &str,
+    step: u64,
+    goes_on: GoesOn,
+) -> Result<Checkpoint, CommandError> {
     let mut checkpoints = stored_checkpoints(store, swarm)?;
     checkpoints.retain(|it| it.step <= step);
     // One at `step` itself may contain commands that were executed there, but the oldest does not: it
@@ -72,7 +81,7 @@ pub fn replay_to(store: &Store, swarm: &str, step: u64) -> Result<Checkpoint, Co
         }
     }
     let (lines, to) = (lines(), ReplayTarget::Step(step, last_reset));
-    let (end, replayed) = replay(checkpoint, lines, to, None)?;
+    let (end, replayed) = replay(checkpoint, lines, to, None, goes_on)?;
     match &end.phase {
         Phase::Faulted(reason) if replayed.differs_at.is_some() => {
             Err(CommandError::History(reason.clone()))
@@ -116,6 +125,7 @@ fn replay(
     lines: JournalReader,
     to: ReplayTarget,
     on_progress: Option<OnProgress>,
+    goes_on: GoesOn,
 ) -> Result<(Checkpoint, Replayed), CommandError> {
     let source = ReplaySource {
         checkpoint,
@@ -124,8 +134,12 @@ fn replay(
         reply_for: Box::new(|_| ReplyTo::ignored()),
         to,
         on_progress,
+        goes_on: Some(goes_on),
     };
     let (end, mut replayed) = source.replay();
+    if replayed.is_cancelled {
+        return Err(SwarmError::Gone.into());
+    }
     match replayed.problem.take() {
         Some(problem) => Err(CommandError::History(problem)),
         None => Ok((end, replayed)),

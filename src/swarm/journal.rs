@@ -114,6 +114,9 @@ pub struct Journal {
 /// Called with the line that a replay has reached.
 pub type OnProgress = Box<dyn Fn(u64) + Send>;
 
+/// Called before each step of a replay; returns whether to go on.
+pub type GoesOn = Box<dyn Fn() -> bool + Send>;
+
 /// What a replay has read of a journal, and what it found.
 #[derive(Default)]
 pub struct Replayed {
@@ -124,6 +127,7 @@ pub struct Replayed {
     /// The commands `fired` by epoch and step.
     fired: BTreeMap<(u64, u64), Vec<Scheduled>>,
     on_progress: Option<OnProgress>,
+    goes_on: Option<GoesOn>,
     /// Outcomes that the replay produced before it read them, each with its epoch and step.
     unsettled: Vec<((u64, u64), Record)>,
     /// How many hashes are the same.
@@ -132,6 +136,8 @@ pub struct Replayed {
     pub differs_at: Option<(u64, u64)>,
     /// Why the journal ended before the target.
     pub problem: Option<String>,
+    /// Whether it was not to go on.
+    pub is_cancelled: bool,
 }
 
 impl Replayed {
@@ -205,9 +211,10 @@ impl Journal {
     }
 
     /// Begins a replay.
-    pub fn begin_replay(&mut self, on_progress: Option<OnProgress>) {
+    pub fn begin_replay(&mut self, on_progress: Option<OnProgress>, goes_on: Option<GoesOn>) {
         self.replay = Some(Replayed {
             on_progress,
+            goes_on,
             ..Replayed::default()
         });
     }
@@ -216,6 +223,22 @@ impl Journal {
     pub fn report(&self, line: u64) {
         let on_progress = self.replay.as_ref().and_then(|it| it.on_progress.as_ref());
         on_progress.inspect(|it| it(line));
+    }
+
+    /// Whether a replay is to go on; true without one.
+    pub fn goes_on(&mut self) -> bool {
+        if let Some(replay) = &mut self.replay
+            && let Some(goes_on) = &replay.goes_on
+        {
+            replay.is_cancelled = replay.is_cancelled || !goes_on();
+            return !replay.is_cancelled;
+        }
+        true
+    }
+
+    /// Whether a replay was not to go on.
+    pub fn is_cancelled(&self) -> bool {
+        self.replay.as_ref().is_some_and(|it| it.is_cancelled)
     }
 
     /// Stores the outcome or the hash that a replayed line records. Returns whether it records one.
@@ -287,7 +310,7 @@ impl Journal {
     pub fn resume(&mut self, lines: u64, step: u64) -> Replayed {
         let mut replay = self.replay.take().unwrap_or_default();
         let unsettled = std::mem::take(&mut replay.unsettled).into_iter();
-        replay.on_progress = None;
+        (replay.on_progress, replay.goes_on) = (None, None);
         self.lines = lines;
         self.progress.lock().step = step;
         self.queued_step = step;

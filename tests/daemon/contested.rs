@@ -376,10 +376,23 @@ async fn after_a_cut_both_reject_everything_until_one_ends() {
 
     second.stop();
     second.end();
+    // Until it serves, queries and commands are rejected as a hand-over, for 400 ms.
+    let mut handed_over = 0;
     until("the first serves by itself", async || {
+        let status = client.query_all(&keys::get(PREFIX, "school", "status"), None);
+        for answer in status.await {
+            if let Err(error) = answer
+                && error.code == ErrorCode::Busy
+            {
+                assert_eq!(error.details["reason"], "handover", "{error:?}");
+                assert!(error.message.contains("half a second"), "{error:?}");
+                handed_over += 1;
+            }
+        }
         matches!(set(&client, "school", "healed", 3.0).await[..], [Ok(_)])
     })
     .await;
+    assert!(handed_over > 0, "no query was rejected");
     assert_eq!(node(&client, "a", "metrics").await["contested"], 0);
     first.stop();
     first.end();

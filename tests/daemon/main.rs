@@ -22,6 +22,7 @@ mod harness;
 mod health;
 mod history;
 mod idle_http;
+mod lanes;
 mod limits;
 mod load;
 mod measures;

@@ -60,6 +60,12 @@ impl DaemonProcess {
         self.child.wait().unwrap();
     }
 
+    /// The number of its threads.
+    pub fn threads(&self) -> usize {
+        let tasks = format!("/proc/{}/task", self.child.id());
+        fs::read_dir(tasks).unwrap().count()
+    }
+
     /// Sends SIGTERM.
     pub fn stop(&self) {
         let pid = self.child.id().to_string();

@@ -9,6 +9,7 @@ use crate::api::context::{Context, Parsed};
 use crate::convert::commands::{CommandError, check_name};
 use crate::convert::{self, Payload};
 use crate::experiments::ExperimentError;
+use crate::lanes::Lane;
 
 /// The most bytes of a reply around its result.
 const ENVELOPE_BYTES: usize = 1024;
@@ -33,7 +34,25 @@ impl Context {
         }
         let (node, responder) = (self.node.clone(), command.responder.clone());
         let max_bytes = self.max_message_bytes;
-        self.experiment_files.submit(move |experiments| {
+        let args = match args {
+            ExperimentArgs::Expand(args) => {
+                // It changes nothing.
+                return self.queue_read(
+                    Lane::Files,
+                    &command.turn,
+                    &responder.clone(),
+                    move || {
+                        let expanded = expand(args, max_bytes);
+                        responder.finish(expanded, move |result| {
+                            Payload::json(&NodeReply { node, result })
+                        });
+                    },
+                );
+            }
+            args => args,
+        };
+        let experiments = self.experiments.clone();
+        self.queue_command(Lane::Experiments, &command.turn, move || {
             let done = match &args {
                 ExperimentArgs::Submit(args) => {
                     let SubmitArgs {
@@ -56,12 +75,8 @@ impl Context {
                 ExperimentArgs::Delete(args) => {
                     experiments.delete(&args.name).map(|it| (false, it))
                 }
-                ExperimentArgs::Expand(args) => {
-                    let expanded = expand(args.clone(), max_bytes);
-                    return responder.finish(expanded, move |result| {
-                        Payload::json(&NodeReply { node, result })
-                    });
-                }
+                // Queued above.
+                ExperimentArgs::Expand(_) => return,
             };
             responder.finish(done, move |(created, report)| {
                 let result = ExperimentResult {
@@ -71,8 +86,7 @@ impl Context {
                 };
                 Payload::json(&NodeReply { node, result })
             });
-        });
-        Ok(())
+        })
     }
 }
 

@@ -1,7 +1,6 @@
 //! `fork`: a new swarm with the state of another one, now or on arrival at an earlier step.
 
 use std::sync::Arc;
-use std::thread;
 
 use jostle_proto::verbs::ForkArgs;
 
@@ -11,6 +10,7 @@ use crate::api::incoming::Incoming;
 use crate::api::responder::Responder;
 use crate::convert::commands::{CommandError, DEFAULT_TIMEOUT, check_name};
 use crate::convert::digest::RequestIdentity;
+use crate::lanes::{Lane, Rank};
 use crate::persistence::replay;
 use crate::persistence::writer::NewSwarm;
 use crate::store::Store;
@@ -30,6 +30,7 @@ impl Context {
             key: &incoming.key,
             request: &self.request(incoming)?,
             responder,
+            turn: self.turn(incoming, swarm),
         };
         let begun = self.begin("fork", &command, DEFAULT_TIMEOUT)?;
         let Some(ForkArgs { name, step }) = begun else {
@@ -46,13 +47,19 @@ impl Context {
         let fork = self.swarm_from_checkpoint(name, PauseReason::Forked, &command);
         match step {
             Some(step) => {
-                let (store, swarm) = (self.store.clone(), swarm.clone());
-                let replay = move || match replay::replay_to(&store, &swarm, step) {
-                    Ok(checkpoint) => fork.create(checkpoint),
-                    Err(error) => fork.responder.reject(&error, None),
-                };
-                let thread = thread::Builder::new().name("fork".into());
-                thread.spawn(replay).map_err(|_| CommandError::Busy)?;
+                let (store, of) = (self.store.clone(), swarm.clone());
+                let identity = command.identity();
+                let task =
+                    Self::creation(&command.turn, identity.as_ref(), responder, move |ticket| {
+                        let goes_on = Box::new(move || ticket.goes_on());
+                        match replay::replay_to(&store, &of, step, goes_on) {
+                            Ok(checkpoint) if fork.is_to_be_created() => fork.create(checkpoint),
+                            Ok(_) => {}
+                            Err(error) => fork.responder.reject(&error, None),
+                        }
+                    });
+                let task = task.alone_on(swarm, Rank::First);
+                self.lanes.submit(Lane::Replays, task)?;
             }
             None => handle.send(Message::TakeCheckpoint(ReplyTo::new(
                 move |answered| match answered {
@@ -94,6 +101,11 @@ pub(super) struct SwarmFromCheckpoint {
 }
 
 impl SwarmFromCheckpoint {
+    /// Whether the client learns of it: in the reply, or by sending the request again under its id.
+    fn is_to_be_created(&self) -> bool {
+        self.responder.commits() || self.identity.is_some()
+    }
+
     /// Creates it, and replies.
     pub(super) fn create(self, checkpoint: Checkpoint) {
         let (name, responder) = (self.name, self.responder);

@@ -126,6 +126,7 @@ impl Context {
             key: &incoming.key,
             request: &self.request(incoming)?,
             responder,
+            turn: self.turn(incoming, ""),
         };
         match verb {
             "create" => self.execute(verb, &command, Self::create),

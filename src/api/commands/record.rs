@@ -8,6 +8,7 @@ use crate::api::responder::Responder;
 use crate::convert::commands::{CommandError, check_name};
 use crate::convert::{self, Payload};
 use crate::health::RecordingCounts;
+use crate::lanes::{Lane, Task};
 use crate::recording::{Phase, RecordError, Recordings, Source, Status};
 use crate::swarm::handle::{Message, Outcome, Rejection, ReplyTo};
 
@@ -19,7 +20,7 @@ impl Context {
     ) -> Result<(), CommandError> {
         check(&args)?;
         let (node, responder) = (self.node.clone(), command.responder.clone());
-        let files = self.recording_files.clone();
+        let recordings = self.recordings.clone();
         match args {
             RecordArgs::Begin(args) => {
                 let is_same = |name: &String| *name == args.swarm;
@@ -38,29 +39,37 @@ impl Context {
                     temporary: args.temporary,
                     ..Status::new(args.swarm)
                 };
+                let (lanes, turn) = (self.lanes.clone(), command.turn.clone());
                 handle.send(Message::Query(ReplyTo::new(
                     move |answered| match answered {
                         Ok((_, Outcome::State(now))) => {
                             let source = Source::subscribe(&tapped, &now, &status);
-                            files.submit(move |recordings| {
+                            let begun = responder.clone();
+                            let task = Task::new(&turn, move |_| {
                                 let name = args.recording.as_deref();
-                                let begun = recordings.begin(name, status, source);
-                                reply(&responder, node, begun);
+                                reply(&begun, node, recordings.begin(name, status, source));
                             });
+                            if lanes.submit(Lane::Recordings, task).is_err() {
+                                responder.reject(&CommandError::Busy, None);
+                            }
                         }
                         Ok(_) => responder.reject(&CommandError::Internal, None),
                         Err(Rejection { step, error }) => responder.reject(&error.into(), step),
                     },
                 )));
             }
-            RecordArgs::Stop(args) => files.submit(move |recordings| {
-                let stopped = recordings.stop(&args.recording);
-                reply(&responder, node, stopped.map(|it| (args.recording, it)));
-            }),
-            RecordArgs::Delete(args) => files.submit(move |recordings| {
-                let deleted = recordings.delete(&args.recording);
-                reply(&responder, node, deleted.map(|it| (args.recording, it)));
-            }),
+            RecordArgs::Stop(args) => {
+                return self.queue_command(Lane::Recordings, &command.turn, move || {
+                    let stopped = recordings.stop(&args.recording);
+                    reply(&responder, node, stopped.map(|it| (args.recording, it)));
+                });
+            }
+            RecordArgs::Delete(args) => {
+                return self.queue_command(Lane::Recordings, &command.turn, move || {
+                    let deleted = recordings.delete(&args.recording);
+                    reply(&responder, node, deleted.map(|it| (args.recording, it)));
+                });
+            }
         }
         Ok(())
     }

@@ -2,7 +2,6 @@
 
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::thread;
 use std::time::Duration;
 
 use base64::Engine as _;
@@ -13,6 +12,7 @@ use crate::api::context::{Context, Parsed, reject_preconditions};
 use crate::api::responder::Responder;
 use crate::convert::commands::{self, CommandError, check_name};
 use crate::convert::{self, Payload};
+use crate::lanes::Lane;
 use crate::playback::{McapSource, ReplayError};
 use crate::swarm::command::Command;
 use crate::swarm::handle::{Outcome, ReplyTo};
@@ -51,7 +51,7 @@ impl Context {
         responder.set_deadline(commands::timeout(request)?, CommandError::deadline, None);
         let (node, responder) = (self.node.clone(), responder.clone());
         let uploads = self.uploads.clone();
-        self.experiment_files.submit(move |_| {
+        self.queue_command(Lane::Recordings, &command.turn, move || {
             let received = uploads.receive(&piece.name, piece.offset, piece.length, &bytes);
             responder.finish(received, move |uploaded| {
                 let result = ReplayResult {
@@ -60,8 +60,7 @@ impl Context {
                 };
                 Payload::json(&NodeReply { node, result })
             });
-        });
-        Ok(())
+        })
     }
 
     fn open(&self, args: OpenArgs, command: &Parsed<'_>) -> Result<(), CommandError> {
@@ -77,24 +76,34 @@ impl Context {
         let (node, responder) = (self.node.clone(), command.responder.clone());
         let registry = self.registry.clone();
         let (uploads, recordings) = (self.uploads.clone(), self.recordings.clone());
-        let opened = thread::Builder::new().name("replay".into()).spawn(move || {
-            let source = match &args.recording {
-                Some(name) => {
-                    let parts = recordings.parts(name).into_iter();
-                    let is_mcap = |it: &PathBuf| it.extension().is_some_and(|it| it == "mcap");
-                    match parts.filter(is_mcap).collect::<Vec<_>>() {
-                        none if none.is_empty() => Err(ReplayError::Unknown(name.clone())),
-                        parts => McapSource::open(&parts, &read_command),
+        let identity = command.identity();
+        let has_identity = identity.is_some();
+        let task = Self::creation(
+            &command.turn,
+            identity.as_ref(),
+            command.responder,
+            move |_| {
+                let source = match &args.recording {
+                    Some(name) => {
+                        let parts = recordings.parts(name).into_iter();
+                        let is_mcap = |it: &PathBuf| it.extension().is_some_and(|it| it == "mcap");
+                        match parts.filter(is_mcap).collect::<Vec<_>>() {
+                            none if none.is_empty() => Err(ReplayError::Unknown(name.clone())),
+                            parts => McapSource::open(&parts, &read_command),
+                        }
                     }
+                    None => uploads.open_upload(&args.name, &read_command),
+                };
+                match source {
+                    Ok(source) if responder.commits() || has_identity => {
+                        play(&registry, node, &args.name, source, &responder);
+                    }
+                    Ok(_) => {}
+                    Err(error) => responder.reject(&error.into(), None),
                 }
-                None => uploads.open_upload(&args.name, &read_command),
-            };
-            match source {
-                Ok(source) => play(&registry, node, &args.name, source, &responder),
-                Err(error) => responder.reject(&error.into(), None),
-            }
-        });
-        opened.map(drop).map_err(|_| CommandError::Busy)
+            },
+        );
+        Ok(self.lanes.submit(Lane::Files, task)?)
     }
 }
 

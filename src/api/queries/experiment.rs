@@ -1,5 +1,7 @@
 //! `progress`, `results`, `order` and `series` of experiments.
 
+use std::time::Duration;
+
 use jostle_experiment::SeriesKind;
 use jostle_proto::{Experiments, keys};
 
@@ -8,7 +10,11 @@ use crate::api::incoming::{Incoming, page, page_of_run, page_of_series};
 use crate::api::responder::Responder;
 use crate::convert::commands::{CommandError, truncate};
 use crate::convert::{self, Payload};
-use crate::experiments::Report;
+use crate::experiments::{ExperimentManager, Report};
+use crate::lanes::Lane;
+
+/// The longest read that a client waits for.
+const READ_TIMEOUT: Duration = Duration::from_secs(60);
 
 /// The most bytes of the rows of a page, so that a reply fits one message.
 const MAX_PAGE_BYTES: usize = 768 * 1024;
@@ -69,6 +75,22 @@ impl Context {
         }
     }
 
+    /// Queues a read of an experiment's files.
+    fn read_experiment(
+        &self,
+        incoming: &Incoming,
+        responder: &Responder,
+        name: &str,
+        read: impl FnOnce(&ExperimentManager, &Responder) + Send + 'static,
+    ) -> Result<(), CommandError> {
+        responder.set_deadline(READ_TIMEOUT, CommandError::deadline, None);
+        let turn = self.turn(incoming, name);
+        let (experiments, reader) = (self.experiments.clone(), responder.clone());
+        self.queue_read(Lane::Files, &turn, responder, move || {
+            read(&experiments, &reader);
+        })
+    }
+
     fn results(
         &self,
         incoming: &Incoming,
@@ -76,20 +98,24 @@ impl Context {
         name: &str,
     ) -> Result<(), CommandError> {
         let (after, limit) = page(incoming.parameters())?;
-        let (name, responder) = (name.to_owned(), responder.clone());
-        self.experiment_files.submit(move |experiments| {
-            let read = experiments
-                .report(&name)
-                .and_then(|report| Ok((report, experiments.rows(&name)?)));
-            responder.finish(read, move |(report, rows)| {
-                let finished = report.progress.finished as u64;
-                let begin = rows.partition_point(|(number, _)| *number <= after);
-                let rows = &rows[begin..];
-                let page = convert::results_page(name, rows, limit, MAX_PAGE_BYTES, finished);
-                Payload::json(&page)
-            });
-        });
-        Ok(())
+        let name = name.to_owned();
+        self.read_experiment(
+            incoming,
+            responder,
+            &name.clone(),
+            move |experiments, responder| {
+                let read = experiments
+                    .report(&name)
+                    .and_then(|report| Ok((report, experiments.rows(&name)?)));
+                responder.finish(read, move |(report, rows)| {
+                    let finished = report.progress.finished as u64;
+                    let begin = rows.partition_point(|(number, _)| *number <= after);
+                    let rows = &rows[begin..];
+                    let page = convert::results_page(name, rows, limit, MAX_PAGE_BYTES, finished);
+                    Payload::json(&page)
+                });
+            },
+        )
     }
 
     fn order(
@@ -99,15 +125,19 @@ impl Context {
         name: &str,
     ) -> Result<(), CommandError> {
         let (run, after, limit) = page_of_run(incoming.parameters(), MAX_ENTRIES)?;
-        let (name, run, responder) = (name.to_owned(), run.to_owned(), responder.clone());
-        self.experiment_files.submit(move |experiments| {
-            let page = (after, limit, usize::MAX);
-            let part = experiments.series(SeriesKind::Order, (&name, &run), page);
-            responder.finish(part, move |part| {
-                Payload::cbor(&convert::order_page(name, after, part))
-            });
-        });
-        Ok(())
+        let (name, run) = (name.to_owned(), run.to_owned());
+        self.read_experiment(
+            incoming,
+            responder,
+            &name.clone(),
+            move |experiments, responder| {
+                let page = (after, limit, usize::MAX);
+                let part = experiments.series(SeriesKind::Order, (&name, &run), page);
+                responder.finish(part, move |part| {
+                    Payload::cbor(&convert::order_page(name, after, part))
+                });
+            },
+        )
     }
 
     fn series(
@@ -118,22 +148,26 @@ impl Context {
     ) -> Result<(), CommandError> {
         let (page, is_trajectory) = page_of_series(incoming.parameters(), MAX_ENTRIES)?;
         let (run, after, limit) = page;
-        let (name, run, responder) = (name.to_owned(), run.to_owned(), responder.clone());
-        self.experiment_files.submit(move |experiments| {
-            if is_trajectory {
-                let limit = limit.min(MAX_VALUES / TRAJECTORY_COLUMNS);
-                let rows = experiments.trajectory(&name, &run, after, limit);
-                return responder.finish(rows, move |rows| {
-                    Payload::cbor(&convert::trajectory_page(name, run, after, rows))
+        let (name, run) = (name.to_owned(), run.to_owned());
+        self.read_experiment(
+            incoming,
+            responder,
+            &name.clone(),
+            move |experiments, responder| {
+                if is_trajectory {
+                    let limit = limit.min(MAX_VALUES / TRAJECTORY_COLUMNS);
+                    let rows = experiments.trajectory(&name, &run, after, limit);
+                    return responder.finish(rows, move |rows| {
+                        Payload::cbor(&convert::trajectory_page(name, run, after, rows))
+                    });
+                }
+                let page = (after, limit, MAX_VALUES);
+                let part = experiments.series(SeriesKind::Measures, (&name, &run), page);
+                responder.finish(part, move |part| {
+                    Payload::cbor(&convert::series_page(name, after, part))
                 });
-            }
-            let page = (after, limit, MAX_VALUES);
-            let part = experiments.series(SeriesKind::Measures, (&name, &run), page);
-            responder.finish(part, move |part| {
-                Payload::cbor(&convert::series_page(name, after, part))
-            });
-        });
-        Ok(())
+            },
+        )
     }
 }
 

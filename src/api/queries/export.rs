@@ -7,11 +7,12 @@ use jostle_experiment::{ExportOptions, MAX_RUNS, SwarmHistory, experiment_file};
 use jostle_proto::ExperimentFile;
 
 use super::verify::present;
+use crate::api::context::Context;
 use crate::api::incoming::Incoming;
 use crate::api::responder::Responder;
-use crate::api::verifications::{Verification, Verifications, Work};
 use crate::convert::commands::{CommandError, DEFAULT_TIMEOUT, selector};
 use crate::convert::{self, Payload};
+use crate::lanes::Lane;
 use crate::persistence::applied::changes_since_start;
 use crate::store::Store;
 use crate::swarm::error::SwarmError;
@@ -32,23 +33,6 @@ pub struct Export {
     pub(super) options: ExportOptions,
     /// The longest request of a client.
     pub(super) max_request_bytes: usize,
-}
-
-/// Begins an export, or queues it.
-///
-/// # Errors
-///
-/// [`SwarmError::Recorded`] for a playback, and [`CommandError::Busy`] if the queue is full.
-pub(super) fn begin(
-    exports: &Arc<Verifications<Export>>,
-    export: Export,
-) -> Result<(), CommandError> {
-    if export.handle.summary().is_some_and(|it| it.is_replay) {
-        return Err(SwarmError::Recorded.into());
-    }
-    let responder = &export.responder;
-    responder.set_deadline(DEFAULT_TIMEOUT, CommandError::deadline, None);
-    exports.begin(&export.swarm.clone(), export)
 }
 
 /// Reads the parameters of the query.
@@ -90,20 +74,26 @@ fn json_bytes(text: &str) -> usize {
     serde_json::Value::from(text).to_string().len()
 }
 
-impl Work for Export {
-    const THREAD: &'static str = "export";
-
-    fn run(self, _own: Verification<Self>) {
-        // The deadline may have passed while it was queued.
-        if !self.responder.is_done()
-            && let Err(error) = self.reply()
-        {
-            self.responder.reject(&error, self.handle.step());
-        }
-    }
-}
-
 impl Export {
+    /// Queues it.
+    ///
+    /// # Errors
+    ///
+    /// [`SwarmError::Recorded`] for a playback, and [`CommandError::Busy`] if the queue is full.
+    pub(super) fn begin(self, context: &Context, incoming: &Incoming) -> Result<(), CommandError> {
+        if self.handle.summary().is_some_and(|it| it.is_replay) {
+            return Err(SwarmError::Recorded.into());
+        }
+        let responder = self.responder.clone();
+        responder.set_deadline(DEFAULT_TIMEOUT, CommandError::deadline, None);
+        let turn = context.turn(incoming, &self.swarm);
+        context.queue_read(Lane::Exports, &turn, &responder, move || {
+            if let Err(error) = self.reply() {
+                self.responder.reject(&error, self.handle.step());
+            }
+        })
+    }
+
     /// Reads the journal and replies, unless that fails.
     fn reply(&self) -> Result<(), CommandError> {
         let present = present(&self.handle)?;

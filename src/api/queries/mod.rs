@@ -1,16 +1,15 @@
 //! Queries: one file for each noun, or for several that are alike.
 
 mod experiment;
-pub mod export;
+mod export;
 mod measures;
 mod node;
 mod recording;
 mod snapshot;
 mod swarm;
-pub mod verify;
+mod verify;
 mod wait;
 
-pub use measures::start_evaluations;
 pub use node::schemas;
 
 use crate::api::context::Context;

@@ -7,6 +7,7 @@ use crate::api::incoming::Incoming;
 use crate::api::responder::Responder;
 use crate::convert::commands::{CommandError, DEFAULT_TIMEOUT, check_name, selector};
 use crate::convert::{self, Payload};
+use crate::lanes::Lane;
 
 impl Context {
     /// Replies with all recordings, after a look at their folders.
@@ -17,13 +18,17 @@ impl Context {
     ) -> Result<(), CommandError> {
         incoming.no_parameters()?;
         responder.set_deadline(DEFAULT_TIMEOUT, CommandError::deadline, None);
-        let (node, responder) = (self.node.clone(), responder.clone());
-        self.recording_files.submit(move |recordings| {
+        let (node, recordings, reader) = (
+            self.node.clone(),
+            self.recordings.clone(),
+            responder.clone(),
+        );
+        let turn = self.turn(incoming, "");
+        self.queue_read(Lane::Files, &turn, responder, move || {
             recordings.check_all();
             let result = convert::recordings(recordings.list());
-            responder.complete(move || Ok(Payload::json(&NodeReply { node, result })));
-        });
-        Ok(())
+            reader.complete(move || Ok(Payload::json(&NodeReply { node, result })));
+        })
     }
 
     /// Replies with a piece of a recording, if the client may record.
@@ -54,13 +59,17 @@ impl Context {
         })?;
         check_name("name", &name)?;
         responder.set_deadline(DEFAULT_TIMEOUT, CommandError::deadline, None);
-        let (node, responder) = (self.node.clone(), responder.clone());
-        self.recording_files.submit(move |recordings| {
-            responder.finish(recordings.piece(&name, part, offset), move |piece| {
+        let (node, recordings, reader) = (
+            self.node.clone(),
+            self.recordings.clone(),
+            responder.clone(),
+        );
+        let turn = self.turn(incoming, &name);
+        self.queue_read(Lane::Files, &turn, responder, move || {
+            reader.finish(recordings.piece(&name, part, offset), move |piece| {
                 let result = convert::recording_piece(name, part, offset, &piece);
                 Payload::json(&NodeReply { node, result })
             });
-        });
-        Ok(())
+        })
     }
 }

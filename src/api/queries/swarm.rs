@@ -7,7 +7,6 @@ use jostle_proto::{HistoryFrom, Status, keys};
 use crate::api::context::Context;
 use crate::api::incoming::{Incoming, page};
 use crate::api::queries::export::{self, Export};
-use crate::api::queries::verify;
 use crate::api::responder::Responder;
 use crate::convert::commands::{CommandError, DEFAULT_TIMEOUT};
 use crate::convert::{self, Payload};
@@ -72,16 +71,12 @@ impl Context {
                         options,
                         max_request_bytes: self.max_request_bytes(),
                     };
-                    export::begin(&self.exports, export)
+                    export.begin(self, incoming)
                 }),
                 "verify" | "snapshot" => incoming.no_parameters().and_then(|()| {
-                    let handle = self.find(swarm)?;
                     match noun {
-                        "verify" => {
-                            let (all, store) = (&self.verifications, &self.store);
-                            verify::begin(all, store, swarm, handle, &responder);
-                        }
-                        _ => self.snapshot(swarm, &handle, &responder),
+                        "verify" => return self.verify(swarm, incoming, &responder),
+                        _ => self.snapshot(swarm, &self.find(swarm)?, &responder),
                     }
                     Ok(())
                 }),

@@ -6,10 +6,13 @@ use std::time::Duration;
 
 use jostle_proto::Verified;
 
+use crate::api::context::Context;
+use crate::api::incoming::Incoming;
 use crate::api::responder::Responder;
-use crate::api::verifications::{Verification, Verifications, Work};
+use crate::api::verifications::Verification;
 use crate::convert::commands::CommandError;
 use crate::convert::{self, Payload};
+use crate::lanes::{Lane, Rank, Task, Ticket};
 use crate::persistence::replay;
 use crate::store::Store;
 use crate::swarm::checkpoint::Checkpoint;
@@ -21,57 +24,60 @@ use crate::swarm::journal::Replayed;
 const TIMEOUT: Duration = Duration::from_secs(3600);
 
 /// A verification of a swarm.
-pub struct Verify {
+struct Verify {
     store: Store,
     swarm: Arc<str>,
     handle: Handle,
     responder: Responder,
 }
 
-/// Begins the verification of a swarm, or queues it.
-pub(super) fn begin(
-    verifications: &Arc<Verifications<Verify>>,
-    store: &Store,
-    swarm: &Arc<str>,
-    handle: Handle,
-    responder: &Responder,
-) {
-    if handle.summary().is_some_and(|it| it.is_replay) {
-        return responder.reject(&SwarmError::Recorded.into(), handle.step());
-    }
-    responder.set_deadline(TIMEOUT, CommandError::deadline, None);
-    let step = handle.step();
-    let verify = Verify {
-        store: store.clone(),
-        swarm: swarm.clone(),
-        handle,
-        responder: responder.clone(),
-    };
-    if let Err(error) = verifications.begin(swarm, verify) {
-        responder.reject(&error, step);
-    }
-}
-
-impl Work for Verify {
-    const THREAD: &'static str = "verify";
-
-    fn run(self, own: Verification<Self>) {
-        // The deadline may have passed while it was queued.
-        if !self.responder.is_done()
-            && let Err(error) = self.reply(own)
-        {
-            self.responder.reject(&error, self.handle.step());
+impl Context {
+    /// Queues the verification of a swarm. That of an operator has the CPU time that swarms leave, that of
+    /// another user a share of it.
+    pub(super) fn verify(
+        &self,
+        swarm: &Arc<str>,
+        incoming: &Incoming,
+        responder: &Responder,
+    ) -> Result<(), CommandError> {
+        let handle = self.find(swarm)?;
+        if handle.summary().is_some_and(|it| it.is_replay) {
+            responder.reject(&SwarmError::Recorded.into(), handle.step());
+            return Ok(());
         }
+        responder.set_deadline(TIMEOUT, CommandError::deadline, None);
+        let rank = match self.is_operator(incoming) {
+            true => Rank::Second,
+            false => Rank::Metered,
+        };
+        let verify = Verify {
+            store: self.store.clone(),
+            swarm: swarm.clone(),
+            handle,
+            responder: responder.clone(),
+        };
+        let own = self.verifications.begin(swarm);
+        let work = move |ticket| {
+            if let Err(error) = verify.reply(own, ticket) {
+                verify.responder.reject(&error, verify.handle.step());
+            }
+        };
+        let task = Task::new(&self.turn(incoming, swarm), work);
+        let task = task.while_wanted(responder.is_wanted());
+        Ok(self
+            .lanes
+            .submit(Lane::Replays, task.alone_on(swarm, rank))?)
     }
 }
 
 impl Verify {
     /// Replays the history, and replies unless that fails.
-    fn reply(&self, own: Verification<Self>) -> Result<(), CommandError> {
+    fn reply(&self, own: Verification, ticket: Ticket) -> Result<(), CommandError> {
         let present = present(&self.handle)?;
         let on_progress = move |share| own.advance(share);
+        let goes_on = Box::new(move || ticket.goes_on());
         let (from, end, replayed) =
-            replay::replay_all(&self.store, &self.swarm, &present, on_progress)?;
+            replay::replay_all(&self.store, &self.swarm, &present, on_progress, goes_on)?;
         let verified = verified(from, &end, &replayed, &present);
         let (swarm, responder) = (self.swarm.clone(), self.responder.clone());
         self.handle

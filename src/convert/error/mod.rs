@@ -134,6 +134,11 @@ pub enum CommandError {
     #[error("too much at once for this daemon: try again in a moment")]
     Busy,
     #[error(
+        "this daemon checks with others which of them serves the name, after a router closed or \
+         the machine was suspended: try again in half a second"
+    )]
+    HandingOver,
+    #[error(
         "not done within {after_secs} s: the work goes on; get/wait replies when it is done, \
          timeout_secs waits longer"
     )]
@@ -259,7 +264,7 @@ impl WireCode for CommandError {
             | CommandError::SnapshotTooLong { .. }
             | CommandError::ExportTooLong { .. }
             | CommandError::TooManyClients { .. } => ErrorCode::ResourceExhausted,
-            CommandError::Busy => ErrorCode::Busy,
+            CommandError::Busy | CommandError::HandingOver => ErrorCode::Busy,
             CommandError::Deadline { .. } | CommandError::NotYet { .. } => {
                 ErrorCode::DeadlineExceeded
             }
@@ -306,6 +311,7 @@ impl WireCode for CommandError {
             CommandError::Deadline { after_secs } | CommandError::NotYet { after_secs } => {
                 object(json!({"after_secs": after_secs}))
             }
+            CommandError::HandingOver => object(json!({"reason": "handover"})),
             CommandError::TooManyClients { limit } => object(json!({"limit": limit})),
             CommandError::OtherRequest(id) => object(json!({"field": "request_id", "value": id})),
             _ => Map::new(),

@@ -25,7 +25,7 @@ use crate::swarm::failpoint;
 use crate::swarm::frame::EventKind;
 use crate::swarm::handle::{CommandMessage, Handle, ReplyTo};
 use crate::swarm::history::Entry;
-use crate::swarm::journal::{JournalWriter, Line, NoWriter, OnProgress, Record, Replayed};
+use crate::swarm::journal::{GoesOn, JournalWriter, Line, NoWriter, OnProgress, Record, Replayed};
 use crate::swarm::phase::Phase;
 use crate::swarm::schedule::Scheduled;
 use crate::swarm::sender::Sender;
@@ -34,9 +34,6 @@ use crate::swarm::worker::{End, Worker};
 /// A replay does not reproduce all events that were published between the checkpoint and the crash.
 /// Event numbers therefore skip to the next multiple of this, so that no number is reused.
 const EVENT_NUMBER_BLOCK: u64 = 1 << 20;
-
-/// Niceness of a thread that only replays: lower priority than the hosted swarms.
-const REPLAY_NICENESS: i32 = 15;
 
 /// Maximum number of lines that wait for an outcome. A batch of commands is shorter, so an outcome that
 /// does not follow by then was not written, because of a full disk or a crash.
@@ -59,6 +56,8 @@ pub struct ReplaySource {
     pub to: ReplayTarget,
     /// Called with each line that is reached.
     pub on_progress: Option<OnProgress>,
+    /// Called before each step.
+    pub goes_on: Option<GoesOn>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -76,7 +75,6 @@ impl ReplaySource {
     /// Replays it outside the registry, for verification and forks. Returns the final state and what
     /// the replay found.
     pub fn replay(self) -> (Checkpoint, Replayed) {
-        let _ = rustix::process::setpriority_process(None, REPLAY_NICENESS);
         let handle = Handle::alone(self.checkpoint.simulation.spec.clone());
         let (worker, replayed, _) = self.fold(&handle, Duration::ZERO, Arc::new(NoWriter));
         (worker.checkpoint(), replayed)
@@ -100,7 +98,7 @@ impl ReplaySource {
         let mut worker = Worker::restore(checkpoint, handle, min_frame_interval, writer, reply_for);
         // The time of its creation is not stored.
         worker.applied_at(None, Worker::publish_created);
-        worker.journal.begin_replay(self.on_progress);
+        worker.journal.begin_replay(self.on_progress, self.goes_on);
         let mut fold = Fold {
             worker,
             reply_for: self.reply_for,
@@ -113,6 +111,9 @@ impl ReplaySource {
             .map_while(|line| line.map_err(|it| problem = Some(it)).ok());
         let mut stop = lines.try_for_each(|entry| {
             failpoint::kill("swarm-replayed");
+            if fold.worker.journal.is_cancelled() {
+                return Break(None);
+            }
             last = entry.0.number;
             fold.read(entry)
         });
@@ -272,7 +273,7 @@ impl Worker {
 
     /// Steps until `step` of `epoch`, or until the swarm stops moving.
     fn step_on(&mut self, epoch: u64, step: u64) -> Option<End> {
-        while self.phase.is_moving() && self.at() < (epoch, step) {
+        while self.phase.is_moving() && self.at() < (epoch, step) && self.journal.goes_on() {
             if let Some(end) = self.step() {
                 return Some(end);
             }
@@ -285,7 +286,7 @@ impl Worker {
         if let Some(end) = self.step_on(epoch, step) {
             return Some(end);
         }
-        if self.at() != (epoch, step) && !self.is_faulted() {
+        if self.at() != (epoch, step) && !self.is_faulted() && !self.journal.is_cancelled() {
             let (epoch_now, step_now) = self.at();
             self.fault(format!(
                 "the journal continues at step {step} of epoch {epoch}, which cannot be reached from \

@@ -13,10 +13,11 @@ use zenoh::bytes::Encoding;
 use zenoh::key_expr::KeyExpr;
 use zenoh::{Session, Wait};
 
+use crate::transport::open_requests::{OpenRequests, PARAMETER};
 use crate::transport::zenoh::session_pool::SessionPool;
 
-/// Longer than any `timeout_secs` of the page, so that the daemon replies first.
-const QUERY_TIMEOUT: Duration = Duration::from_secs(70);
+/// Longer than any deadline of a request, so that the daemon replies first.
+const QUERY_TIMEOUT: Duration = Duration::from_secs(3660);
 
 /// The daemon's own session and the prefix of its keys.
 #[derive(Clone)]
@@ -29,6 +30,8 @@ pub struct Bus {
     pub prefix: String,
     /// The daemon's name.
     pub node: String,
+    /// The requests that wait for a reply.
+    pub open: OpenRequests,
 }
 
 /// A reply.
@@ -64,9 +67,11 @@ impl Bus {
             let message = format!("{rest:?} is not a single key");
             return Err(reject(ErrorCode::InvalidArgument, message));
         }
+        let open = self.open.begin();
+        let own = format!("{PARAMETER}={}", open.number);
         let selector = match parameters {
-            "" => key,
-            parameters => format!("{key}?{parameters}"),
+            "" => format!("{key}?{own}"),
+            parameters => format!("{key}?{parameters};{own}"),
         };
         let (session, token) = (self.session.clone(), token.map(str::to_owned));
         let sending = move || {
@@ -92,7 +97,14 @@ impl Bus {
         })?;
         let (is_ok, payload, encoding) = match reply.result() {
             Ok(sample) => (true, sample.payload(), sample.encoding()),
-            Err(error) => (false, error.payload(), error.encoding()),
+            Err(error) if error.payload().to_bytes().starts_with(b"{") => {
+                (false, error.payload(), error.encoding())
+            }
+            // It is zenoh's own: a daemon behind a router has not replied.
+            Err(_) => {
+                let message = format!("no reply to {rest:?} in time: retry");
+                return Err(reject(ErrorCode::DeadlineExceeded, message));
+            }
         };
         let encoding = match *encoding == Encoding::APPLICATION_CBOR {
             true => jostle_proto::CBOR,

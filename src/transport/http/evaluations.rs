@@ -1,4 +1,4 @@
-//! Evaluates the measures in `/metrics` on the thread of `get/measures`, which has a low priority.
+//! Evaluates the measures in `/metrics` in the lane of `get/measures`, which has a low priority.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -7,23 +7,26 @@ use tokio::sync::{Semaphore, oneshot};
 use tokio::time::timeout;
 
 use super::openmetrics::MAX_LABELLED;
-use crate::api::context::Executor;
 use crate::health::metrics::DaemonMetrics;
+use crate::lanes::{Lane, Lanes, Task};
 use crate::swarm::frame::Frame;
+
+/// Whose turn it takes in the lane; no user has this name.
+const TURN: &str = "/metrics";
 
 /// How long a request waits for the measures.
 const MAX_WAIT: Duration = Duration::from_secs(2);
 
 /// Evaluates measures for one request at a time.
 pub struct Evaluations {
-    executor: Executor<()>,
+    lanes: Lanes,
     free: Arc<Semaphore>,
 }
 
 impl Evaluations {
-    pub fn new(executor: Executor<()>) -> Self {
+    pub fn new(lanes: Lanes) -> Self {
         let free = Arc::new(Semaphore::new(1));
-        Evaluations { executor, free }
+        Evaluations { lanes, free }
     }
 
     /// Evaluates the measures of the swarms that `/metrics` lists. It returns at once while those of
@@ -47,7 +50,7 @@ impl Evaluations {
             return;
         };
         let (done, executed) = oneshot::channel();
-        self.executor.submit(move |()| {
+        let task = Task::new(&TURN.into(), move |_| {
             let _permit = permit;
             for item in items {
                 // The request waits no longer, or its connection is closed.
@@ -58,6 +61,10 @@ impl Evaluations {
             }
             let _ = done.send(());
         });
+        // What is not evaluated remains so.
+        if self.lanes.submit(Lane::Measures, task).is_err() {
+            return;
+        }
         let _ = timeout(MAX_WAIT, executed).await;
     }
 }
@@ -79,10 +86,11 @@ mod tests {
 
     #[tokio::test]
     async fn one_request_at_a_time_waits_and_its_work_ends_with_it() {
-        let executor = Executor::start("test", ()).unwrap();
+        let lanes = Lanes::start().unwrap();
         let (release, blocked): (_, Receiver<()>) = channel();
-        executor.submit(move |()| blocked.recv().unwrap());
-        let evaluations = Evaluations::new(executor);
+        let task = Task::new(&"other".into(), move |_| blocked.recv().unwrap());
+        lanes.submit(Lane::Measures, task).unwrap();
+        let evaluations = Evaluations::new(lanes.clone());
         let (sender, executed) = channel();
         let items = |number: u32| vec![(sender.clone(), number)];
         let began = Instant::now();
@@ -101,5 +109,6 @@ mod tests {
         }
         evaluations.execute(items(3), report).await;
         assert_eq!(executed.try_iter().collect::<Vec<_>>(), [3]);
+        lanes.stop();
     }
 }

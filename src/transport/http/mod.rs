@@ -43,8 +43,8 @@ use tokio::net::TcpListener;
 use tokio::task::JoinHandle;
 use tokio_rustls::TlsAcceptor;
 
-use crate::api::context::Executor;
 use crate::health::HealthMonitor;
+use crate::lanes::Lanes;
 use crate::transport::http::accept::{accept, read_body, record_completion};
 use crate::transport::http::bus::{Reply, reject};
 use crate::transport::http::connections::{Connections, Slot, max_connections};
@@ -143,7 +143,7 @@ impl Gateway {
         listener.map_err(|source| GatewayError::Listen { address, source })
     }
 
-    /// Serves in a new task, over TLS with an `acceptor`. `evaluations` evaluates the measures in
+    /// Serves in a new task, over TLS with an `acceptor`. `lanes` evaluate the measures in
     /// `/metrics`.
     pub fn serve(
         listener: TcpListener,
@@ -151,7 +151,7 @@ impl Gateway {
         bus: Bus,
         credentials: Credentials,
         watch: Arc<HealthMonitor>,
-        evaluations: Executor<()>,
+        lanes: Lanes,
     ) -> std::io::Result<Self> {
         let address = listener.local_addr()?;
         let is_secure = acceptor.is_some();
@@ -161,7 +161,7 @@ impl Gateway {
             feeds: Feeds::start(bus.clone()),
             bus,
             watch,
-            evaluations: Evaluations::new(evaluations),
+            evaluations: Evaluations::new(lanes),
             credentials,
         };
         let router = Router::new()

@@ -5,6 +5,7 @@
 use std::fmt::Write as _;
 
 use crate::health::metrics::{DaemonMetrics, PerSwarmMetrics};
+use crate::lanes::Status;
 use crate::metrics::Durations;
 use crate::swarm::phase::Phase;
 use crate::transport::http::connections::HttpMetrics;
@@ -58,6 +59,14 @@ const METRICS: &[(&str, &str, Value)] = &[
     ("bus_blocked_seconds", "Time for which commands and queries have been blocked; 0 if they are not", Gauge(|it| it.daemon.bus.blocked.map_or(0.0, |age| age.as_secs_f64()))),
     ("bus_blocks", "Times that commands and queries were blocked for at least 2 s", Counter(|it| it.daemon.bus.blocks as f64)),
     ("dropped_requests", "Requests that a defect dropped without a reply", Counter(|it| it.daemon.dropped_requests as f64)),
+    ("lane_executed", "Requests that a lane executed", Counters("lane", |it| lanes(it, |lane| lane.counts.executed as f64))),
+    ("lane_dropped", "Requests that a lane dropped, because their clients no longer waited", Counters("lane", |it| lanes(it, |lane| lane.counts.dropped as f64))),
+    ("lane_rejected", "Requests that a lane rejected, because its queue was full", Counters("lane", |it| lanes(it, |lane| lane.counts.rejected as f64))),
+    ("lane_queued", "Requests in the queue of a lane", Gauges("lane", |it| lanes(it, |lane| lane.queued as f64))),
+    ("lane_running", "Requests that a lane executes", Gauges("lane", |it| lanes(it, |lane| lane.running as f64))),
+    ("lane_waiting_seconds", "Time for which the oldest request in the queue of a lane has waited", Gauges("lane", |it| lanes(it, |lane| lane.waiting.as_secs_f64()))),
+    ("lane_queued_seconds", "Total time for which executed requests were queued", Counters("lane", |it| lanes(it, |lane| lane.counts.queued_secs))),
+    ("lane_executed_seconds", "Total duration of the execution of requests", Counters("lane", |it| lanes(it, |lane| lane.counts.executed_secs))),
     ("probe_seconds", "Response time of the slowest of the daemon's own listeners at the last probe", OptionalGauge(|it| it.daemon.probe_secs)),
     ("http_connections", "Open HTTP connections, including WebSockets", Gauge(|it| it.http.open as f64)),
     ("http_accept_failures", "HTTP connections that could not be accepted", Counter(|it| it.http.accept_failures as f64)),
@@ -103,6 +112,11 @@ const METRICS: &[(&str, &str, Value)] = &[
     ("swarm_measure", "Value of a measure that the swarm publishes, in the unit of the measure, of a recent state", SwarmMeasures),
     ("swarm_residual", "Residual of its last step, in body sizes", SwarmGauge(|swarm| Some(swarm.last.residual))),
 ];
+
+fn lanes(input: &Input, value: fn(&Status) -> f64) -> Vec<(&'static str, f64)> {
+    let lanes = input.daemon.lanes.iter();
+    lanes.map(|it| (it.lane.name(), value(it))).collect()
+}
 
 fn number(flag: bool) -> f64 {
     f64::from(u8::from(flag))

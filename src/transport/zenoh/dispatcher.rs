@@ -67,8 +67,7 @@ impl Dispatcher {
                 }
                 Err(RecvTimeoutError::Timeout) => {}
                 Ok(DispatchMessage::Stop) | Err(RecvTimeoutError::Disconnected) => {
-                    self.gateway.context.verifications.stop();
-                    self.gateway.context.exports.stop();
+                    self.gateway.context.lanes.stop();
                     return self.activity.end();
                 }
             }
@@ -131,7 +130,7 @@ impl Dispatcher {
             }
             Gate::Hold(until) => return Some(until),
             Gate::Drop => return None,
-            Gate::Busy => Some(CommandError::Busy),
+            Gate::Busy => Some(CommandError::HandingOver),
             Gate::Reject(contest) => Some((*contest).into()),
         };
         match error {

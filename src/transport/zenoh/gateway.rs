@@ -2,7 +2,7 @@
 //! how swarms notify it.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU32, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU32, AtomicUsize, Ordering};
 use std::sync::mpsc::{SyncSender, TrySendError};
 
 use jostle_proto::{Claimant, keys};
@@ -18,6 +18,7 @@ use crate::convert::Payload;
 use crate::convert::error::CommandError;
 use crate::swarm::handle::DeferredReply;
 use crate::swarm::runner::SwarmObserver;
+use crate::transport::open_requests::{OpenRequests, PARAMETER};
 use crate::transport::zenoh::claims::{Claims, Gate, Name};
 use crate::transport::zenoh::messages::DispatchMessage;
 use crate::transport::zenoh::session_pool::LeaseGuard;
@@ -67,6 +68,8 @@ pub struct Gateway {
     pub admission: Admission,
     /// The requests that are queued for the dispatcher, held, or being dispatched.
     pub queued: AtomicUsize,
+    /// The HTTP requests that wait for a reply.
+    pub open: OpenRequests,
 }
 
 impl Gateway {
@@ -92,6 +95,8 @@ struct Connection {
     query: Query,
     /// Keeps the session that received the query open until the reply is sent.
     _guard: Option<LeaseGuard>,
+    /// Set when the HTTP connection of the client is closed.
+    is_gone: Option<Arc<AtomicBool>>,
 }
 
 impl Peer for Connection {
@@ -107,6 +112,11 @@ impl Peer for Connection {
         if let Err(error) = sent {
             debug!(%error, "failed to send a reply");
         }
+    }
+
+    fn is_gone(&self) -> bool {
+        let is_gone = self.is_gone.as_ref();
+        is_gone.is_some_and(|it| it.load(Ordering::Relaxed))
     }
 
     fn matches(&self, key: &str) -> bool {
@@ -141,7 +151,7 @@ pub(super) fn queryable(
             let bytes = query.payload().map_or(0, ZBytes::len);
             let permit = gateway.admission.admit(bytes, &unanswered);
             let is_admitted = permit.is_some_and(|permit| {
-                let received = received(&target, query.clone(), guard.clone());
+                let received = received(&target, query.clone(), guard.clone(), &gateway.open);
                 let incoming = Incoming::new(received, permit);
                 if gateway.handles_inline(&incoming, bytes) {
                     gateway.context.handle(&incoming);
@@ -165,9 +175,16 @@ pub(super) fn queryable(
         .wait()
 }
 
-fn received(target: &Target, query: Query, guard: Option<LeaseGuard>) -> Received {
+fn received(
+    target: &Target,
+    query: Query,
+    guard: Option<LeaseGuard>,
+    open: &OpenRequests,
+) -> Received {
     let bytes = |bytes: &ZBytes| bytes.to_bytes().into_owned();
     let parameters = query.parameters().iter();
+    let number = query.parameters().get(PARAMETER);
+    let number = number.and_then(|it| it.parse().ok());
     Received {
         target: target.clone(),
         key: query.key_expr().as_str().to_owned(),
@@ -179,6 +196,7 @@ fn received(target: &Target, query: Query, guard: Option<LeaseGuard>) -> Receive
         encoding: query.encoding().map(ToString::to_string),
         token: query.attachment().map(bytes).unwrap_or_default(),
         peer: Box::new(Connection {
+            is_gone: number.and_then(|it| open.is_gone(it)),
             query,
             _guard: guard,
         }),
