@@ -21,6 +21,10 @@ pub struct Status {
     pub rate: Option<f64>,
     /// The rate that was reached lately; `null` while it does not run.
     pub real_time_factor: Option<f64>,
+    /// Whether it lately omitted steps that were due, since they take longer than `rate` allows on the
+    /// cores that it gets; left out if it did not.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub behind_rate: bool,
     /// The number of individuals.
     pub n: u64,
     /// How many individuals are informed.

@@ -57,6 +57,7 @@ pub fn status(seen: &Frame, history_from: Option<proto::HistoryFrom>) -> proto::
         until_step: seen.stamp.phase.until(),
         rate: seen.rate,
         real_time_factor: seen.real_time_factor,
+        behind_rate: seen.is_behind,
         n: seen.configuration.n() as u64,
         informed: informed(seen),
         seed: seen.seed,

@@ -175,6 +175,13 @@ impl HealthMonitor {
         if !paused.is_empty() {
             warnings.push(("experiment_paused", reason::experiments_paused(&paused)));
         }
+        let (swarms, _) = self.watched.registry.handles();
+        let swarms = swarms.into_iter();
+        let behind = swarms.filter_map(|(name, it)| reason::shortfall(name, &it.summary()?));
+        let behind: Vec<_> = behind.collect();
+        if !behind.is_empty() {
+            warnings.push(("behind_rate", reason::swarms_behind(&behind)));
+        }
         let lanes = self.watched.lanes.status().into_iter();
         let behind = lanes.filter(|it| it.is_behind());
         warnings.extend(behind.map(|it| ("lane_behind", reason::lane_behind(&it))));

@@ -5,6 +5,7 @@ use std::time::Duration;
 use thiserror::Error;
 
 use crate::lanes;
+use crate::swarm::frame::Summary;
 
 /// Why the daemon is unhealthy.
 #[derive(Clone, Debug, Error, PartialEq)]
@@ -135,7 +136,7 @@ fn contested(it: &Contested) -> String {
     format!("contested: {what}; {outcome}, {end}")
 }
 
-/// How many recordings or experiments a warning names.
+/// How many recordings, experiments or swarms a warning names.
 const MAX_NAMED: usize = 5;
 
 /// The warning about failed recordings, by their names and reasons.
@@ -152,6 +153,21 @@ pub(super) fn experiments_paused(paused: &[(String, String)]) -> String {
     format!(
         "experiments are paused: {}; `jostle experiment resume NAME` continues one",
         named(paused)
+    )
+}
+
+/// The name of a swarm that is behind its rate, and by how much.
+pub(super) fn shortfall(name: String, summary: &Summary) -> Option<(String, String)> {
+    let reached = summary.real_time_factor.filter(|_| summary.is_behind)?;
+    Some((name, format!("{reached:.2} of {}", summary.rate?)))
+}
+
+/// The warning about swarms that are behind their rates, by their names and what they reach.
+pub(super) fn swarms_behind(behind: &[(String, String)]) -> String {
+    format!(
+        "swarms are behind their rates: {}; `jostle run NAME --rate RATE` sets a lower one, \
+         `jostle pause NAME` pauses others",
+        named(behind)
     )
 }
 

@@ -333,6 +333,7 @@ impl Player {
             exactness: recorded.exactness,
             rate: self.rate,
             real_time_factor: self.real_time_factor.filter(|_| self.phase.is_moving()),
+            is_behind: false,
             controllers: Vec::new(),
             hash: None,
             gaps: OnceLock::from(recorded.gaps),
@@ -381,6 +382,7 @@ impl Player {
             order: self.frame.order.order,
             rate: self.rate,
             real_time_factor: self.real_time_factor.filter(|_| self.phase.is_moving()),
+            is_behind: false,
             is_replay: true,
         };
         *self.summary.lock() = Some(summary);

@@ -61,6 +61,8 @@ pub struct Frame {
     pub rate: Rate,
     /// The measured rate.
     pub real_time_factor: Option<f64>,
+    /// Whether it is behind its rate.
+    pub is_behind: bool,
     /// The position in the recording, of a playback.
     pub replay: Option<Replay>,
     /// The controllers that have joined, if requested.
@@ -142,6 +144,8 @@ pub struct Summary {
     pub rate: Rate,
     /// The measured rate.
     pub real_time_factor: Option<f64>,
+    /// Whether it is behind its rate.
+    pub is_behind: bool,
     /// Whether it is a playback.
     pub is_replay: bool,
 }

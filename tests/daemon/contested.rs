@@ -379,8 +379,8 @@ async fn after_a_cut_both_reject_everything_until_one_ends() {
     // Until it serves, queries and commands are rejected as a hand-over, for 400 ms.
     let mut handed_over = 0;
     until("the first serves by itself", async || {
-        let status = client.query_all(&keys::get(PREFIX, "school", "status"), None);
-        for answer in status.await {
+        let key = keys::get(PREFIX, "school", "status");
+        for answer in client.query_all(&key, None).await {
             if let Err(error) = answer
                 && error.code == ErrorCode::Busy
             {

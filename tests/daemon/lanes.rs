@@ -11,6 +11,7 @@ use zenoh::bytes::Encoding;
 use crate::experiments::{ok, submit};
 use crate::support::daemon_process::DaemonProcess;
 use crate::support::http::{get, of_daemon};
+use crate::support::limited_daemon::LimitedDaemon;
 use crate::support::recording::start_daemon;
 use crate::support::{Client, Daemon, NODE, PREFIX, result_of, until, until_within};
 
@@ -155,20 +156,11 @@ async fn a_verify_ends_when_its_http_connection_does() {
 #[tokio::test(flavor = "multi_thread")]
 async fn an_http_request_waits_for_its_own_deadline() {
     const SECS: u64 = 100;
-    let daemon = Daemon::start().await;
-    let (client, address) = (&daemon.client, of_daemon(&daemon));
-    client.create("a", json!({"n": 5})).await;
-    for (controller, id) in [("ada", 0), ("bob", 1)] {
-        let args =
-            json!({"controller": controller, "select": {"ids": [id]}, "deadline_secs": 3600});
-        client.ok("a", "join", args).await;
-    }
-    let link = daemon.server.page().unwrap();
-    let (_, token) = link.split_once("/#token=").unwrap();
-    let body =
-        json!({"expect_step": 0, "timeout_secs": SECS, "args": {"controller": "ada"}}).to_string();
+    let daemon = LimitedDaemon::serve("http", "command=sleep(120000)");
+    let (address, token) = (daemon.address, daemon.token.clone());
+    let body = json!({"timeout_secs": SECS, "args": {"pi3": 2}}).to_string();
     let request = format!(
-        "POST /api/cmd/a/advance HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\nAuthorization: \
+        "POST /api/cmd/a/set HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\nAuthorization: \
          Bearer {token}\r\nContent-Length: {}\r\n\r\n{body}",
         body.len()
     );
@@ -186,5 +178,4 @@ async fn an_http_request_waits_for_its_own_deadline() {
     let error: Value = serde_json::from_str(body).unwrap();
     assert_eq!(error["code"], "deadline_exceeded", "{error}");
     assert_eq!(error["details"]["after_secs"], 100.0, "{error}");
-    daemon.stop().await;
 }

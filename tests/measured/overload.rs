@@ -12,7 +12,7 @@ use zenoh_ext::{AdvancedSubscriberBuilderExt, HistoryConfig};
 use crate::support::needs;
 use crate::support::process::{Process, jostled};
 use crate::support::reference_model::ReferenceModel;
-use crate::support::{Client, PREFIX, TIMEOUT};
+use crate::support::{Client, NODE, PREFIX, TIMEOUT};
 
 const SWARMS: u64 = 40;
 
@@ -71,6 +71,58 @@ async fn overloaded_cores_are_shared_and_no_hash_changes() {
         alone.run_to(status["step"].as_u64().unwrap());
         assert_eq!(status["result"]["state_hash"], alone.hash());
     }
+}
+
+/// The steps of a swarm of 500 in ten seconds at rate 5, as a share of those that are due.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_swarm_keeps_its_rate_beside_ten_without_one_and_an_experiment() {
+    const RATE: f64 = 5.0;
+    let (_daemon, endpoint) = Process::serve();
+    let client = Client::open(&endpoint).await;
+    client
+        .create("paced", json!({"n": 500, "rate": RATE}))
+        .await;
+    client.ok("paced", "run", json!({})).await;
+    let share = async || {
+        let step = async || {
+            client.get("paced", "status").await["step"]
+                .as_u64()
+                .unwrap()
+        };
+        let (before, began) = (step().await, Instant::now());
+        tokio::time::sleep(Duration::from_secs(10)).await;
+        let due = RATE / DT * began.elapsed().as_secs_f64();
+        (step().await - before) as f64 / due
+    };
+    let alone = share().await;
+    for k in 0..10 {
+        let name = format!("max{k}");
+        client.create(&name, json!({"n": 100, "rate": null})).await;
+        client.ok(&name, "run", json!({})).await;
+    }
+    let key = keys::node_cmd(PREFIX, NODE, "experiment");
+    let toml = "name = 'beside'\nreplicates = 4\nduration = 1e6\n[spec]\nn = 100\n";
+    let submit = json!({"submit": {"toml": toml}}).to_string();
+    client.query(&key, Some(submit.as_bytes())).await.unwrap();
+    let beside = share().await;
+    println!("{alone:.3} of the steps alone, {beside:.3} beside the others");
+    assert!(alone > 0.98, "it does not fit on the cores: {alone}");
+    assert!(beside >= 0.98, "{beside}");
+    for k in 0..10 {
+        let status = client.get(&format!("max{k}"), "status").await;
+        assert!(status["step"].as_u64().unwrap() > 100, "{status}");
+    }
+
+    // One that cannot reach its rate says so.
+    client.ok("paced", "run", json!({"rate": 1000})).await;
+    let mut status = client.get("paced", "status").await;
+    let deadline = Instant::now() + TIMEOUT;
+    while status["result"]["behind_rate"] != true {
+        assert!(Instant::now() < deadline, "{status}");
+        tokio::time::sleep(Duration::from_millis(100)).await;
+        status = client.get("paced", "status").await;
+    }
+    assert_eq!(status["result"]["rate"], 1000.0);
 }
 
 /// The path of libfaketime, of the Debian package faketime.

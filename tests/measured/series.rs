@@ -109,7 +109,7 @@ fn processor_ticks(daemon: &Process) -> u64 {
 async fn pages_of_a_series_twice_as_long_take_twice_as_long() {
     let (daemon, endpoint) = Process::serve();
     let client = Client::open(&endpoint).await;
-    let steps = [400_000, 800_000];
+    let steps = [400_000_u32, 800_000];
     for steps in steps {
         let toml = format!(
             "name = \"of{steps}\"\nduration = {}\nspec = {{ n = 1, dt = 0.02 }}\n[measure]\n\

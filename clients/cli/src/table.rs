@@ -97,6 +97,7 @@ pub fn status(reply: &Reply<Status>) -> String {
         until_step,
         rate,
         real_time_factor,
+        behind_rate,
         n,
         informed,
         seed,
@@ -135,9 +136,14 @@ pub fn status(reply: &Reply<Status>) -> String {
             "rate",
             match real_time_factor {
                 Some(_) => format!(
-                    "{}, actual {}",
+                    "{}, actual {}{}",
                     format::rate(*rate),
-                    format::factor(*real_time_factor)
+                    format::factor(*real_time_factor),
+                    if *behind_rate {
+                        ", behind its rate"
+                    } else {
+                        ""
+                    }
                 ),
                 None => format::rate(*rate),
             },

@@ -18,8 +18,8 @@ use crate::series::{SeriesKind, SeriesRecording};
 use crate::subset::Subset;
 use crate::trajectory::{Recording, Trajectories, trajectory_file};
 
-/// Nice value of an experiment's threads, so that live swarms have priority.
-const NICENESS: i32 = 10;
+/// Nice value of an experiment's threads, so that live swarms have priority, also those without a rate.
+const NICENESS: i32 = 17;
 
 /// Why an experiment failed.
 #[derive(Debug, Error)]

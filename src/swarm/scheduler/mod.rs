@@ -6,11 +6,12 @@
 //!    the threads of the others sleep in a queue. So shares do not depend on how the kernel orders
 //!    many runnable threads, and a command to a waiting swarm wakes a sleeping thread. The queue is
 //!    ordered by virtual time, the processor time that a swarm took while others waited (start-time
-//!    fair queueing). The virtual time of a swarm that was idle is raised to that of the queue, so it
+//!    fair queueing), of which a swarm with a rate is charged a part ([`PACED_WEIGHT`]). The virtual time of a swarm that was idle is raised to that of the queue, so it
 //!    gains nothing by it. A swarm that keeps its rate needs no turn while its virtual time is below
 //!    that of the first in the queue. Turns in plain FIFO order would give a swarm with long steps a
 //!    larger share, since a turn ends between two steps.
-//! 3. The kernel runs the thread: [`lower_priority`], so that stepping delays no command.
+//! 3. The kernel runs the thread: [`set_niceness`], so that stepping delays no command, and swarms
+//!    without a rate delay none with one.
 
 mod pace;
 
@@ -31,8 +32,16 @@ const TURN: Duration = Duration::from_millis(2);
 /// Swarms that compute at once, for each core: while the kernel wakes one, another computes.
 const TURNS_PER_CORE: usize = 2;
 
-/// Added niceness of a swarm's thread, so that stepping delays no command and no reader.
-const NICENESS: i32 = 5;
+/// Added niceness of the thread of a swarm with a rate, so that stepping delays no command and no
+/// reader.
+const PACED_NICENESS: i32 = 5;
+
+/// Added niceness of the thread of a swarm without a rate: the kernel then gives a thread of a swarm with
+/// a rate five times the share of a core.
+const UNPACED_NICENESS: i32 = 12;
+
+/// The virtual time of a swarm with a rate grows so many times more slowly than that of one without.
+const PACED_WEIGHT: u32 = 16;
 
 /// Requested slice in nanoseconds: the minimum that Linux accepts; the default is some
 /// milliseconds. From Linux 6.12 on, EEVDF runs a thread with a shorter slice sooner.
@@ -75,6 +84,19 @@ pub struct Share {
     virtual_time: Duration,
     /// Processor time of its thread when `virtual_time` was last updated.
     charged: Option<Duration>,
+    /// Whether it has a rate, and its thread the niceness of one that has.
+    is_paced: bool,
+}
+
+/// How much a swarm needs a turn.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Need {
+    /// It has no rate.
+    Unpaced,
+    /// It is behind its rate.
+    Behind,
+    /// It keeps its rate.
+    OnTime,
 }
 
 enum Turn {
@@ -115,6 +137,7 @@ impl CpuScheduler {
             turn: Turn::None,
             virtual_time: Duration::ZERO,
             charged: None,
+            is_paced: true,
         }
     }
 
@@ -152,7 +175,8 @@ impl Queue {
 
 impl Share {
     /// Whether the swarm may compute now. If not, its thread is woken when it may, and asks again.
-    pub fn may_compute(&mut self, now: Instant, is_behind: bool) -> bool {
+    pub fn may_compute(&mut self, now: Instant, need: Need) -> bool {
+        self.pace(need != Need::Unpaced);
         match self.turn {
             Turn::Running(since) if now.saturating_duration_since(since) < TURN => true,
             Turn::Running(_) => self.end_turn(now),
@@ -163,7 +187,23 @@ impl Share {
                 }
                 is_called
             }
-            Turn::None => (!is_behind && self.within_budget()) || self.request_turn(now),
+            Turn::None => (need == Need::OnTime && self.within_budget()) || self.request_turn(now),
+        }
+    }
+
+    /// Takes the weight and the niceness of a swarm with or without a rate.
+    fn pace(&mut self, is_paced: bool) {
+        if is_paced != self.is_paced {
+            // With the weight that it had until now.
+            if self.charged.is_some() {
+                self.charge();
+            }
+            self.is_paced = is_paced;
+            // Without the right to a lower niceness, the thread keeps its own.
+            let _ = set_niceness(match is_paced {
+                true => PACED_NICENESS,
+                false => UNPACED_NICENESS,
+            });
         }
     }
 
@@ -256,7 +296,11 @@ impl Share {
     fn charge(&mut self) {
         let total = thread_time();
         let before = self.charged.replace(total).unwrap_or(total);
-        self.virtual_time += total.saturating_sub(before);
+        let taken = total.saturating_sub(before);
+        self.virtual_time += match self.is_paced {
+            true => taken / PACED_WEIGHT,
+            false => taken,
+        };
     }
 }
 
@@ -275,17 +319,22 @@ fn nanos(duration: Duration) -> u64 {
     u64::try_from(duration.as_nanos()).unwrap_or(NO_WAITER - 1)
 }
 
-/// Gives the calling thread the niceness and the slice of a swarm's thread. With a lower priority alone
+/// Gives the calling thread the niceness and the slice of the thread of a swarm with a rate.
+pub fn lower_priority() -> io::Result<()> {
+    set_niceness(PACED_NICENESS)
+}
+
+/// Gives the calling thread this niceness, and the slice of a swarm's thread. With a lower priority alone
 /// a thread waits behind every running thread when it wakes, which takes milliseconds while the daemon
 /// sends to a thousand sessions. A short slice makes the kernel run it soon after it wakes, and does
 /// not change its share of the cores.
 #[expect(unsafe_code, reason = "rustix and nix do not wrap sched_setattr")]
-pub fn lower_priority() -> io::Result<()> {
+fn set_niceness(niceness: i32) -> io::Result<()> {
     let attributes = libc::sched_attr {
         size: u32::try_from(size_of::<libc::sched_attr>()).map_err(io::Error::other)?,
         sched_policy: libc::SCHED_OTHER.cast_unsigned(),
         sched_flags: 0,
-        sched_nice: NICENESS,
+        sched_nice: niceness,
         sched_priority: 0,
         sched_runtime: SLICE_NANOS,
         sched_deadline: 0,
@@ -321,17 +370,20 @@ mod tests {
         let scheduler = Arc::new(CpuScheduler::with_turns(2));
         let now = Instant::now();
         let [mut a, mut b, mut c, mut d] = [(); 4].map(|()| share(&scheduler));
-        assert!(a.0.may_compute(now, true) && b.0.may_compute(now, true));
-        assert!(!c.0.may_compute(now, true) && !d.0.may_compute(now, true));
-        assert!(a.0.may_compute(now, true), "its turn has not ended");
+        assert!(a.0.may_compute(now, Need::Unpaced) && b.0.may_compute(now, Need::Unpaced));
+        assert!(!c.0.may_compute(now, Need::Unpaced) && !d.0.may_compute(now, Need::Unpaced));
+        assert!(
+            a.0.may_compute(now, Need::Unpaced),
+            "its turn has not ended"
+        );
         a.0.leave();
         c.1.try_recv().unwrap();
-        assert!(c.0.may_compute(now, true) && !d.0.may_compute(now, true));
+        assert!(c.0.may_compute(now, Need::Unpaced) && !d.0.may_compute(now, Need::Unpaced));
         drop(b);
-        assert!(d.0.may_compute(now, true));
+        assert!(d.0.may_compute(now, Need::Unpaced));
         d.0.leave();
         c.0.leave();
-        assert!(a.0.may_compute(now, true), "turns are free again");
+        assert!(a.0.may_compute(now, Need::Unpaced), "turns are free again");
         assert!(d.1.try_recv().is_ok() && d.1.try_recv().is_err());
     }
 
@@ -341,17 +393,20 @@ mod tests {
         let now = Instant::now();
         let [mut a, mut b, mut c] = [(); 3].map(|()| share(&scheduler));
         assert!(
-            a.0.may_compute(now, true)
-                && !b.0.may_compute(now, true)
-                && !c.0.may_compute(now, true)
+            a.0.may_compute(now, Need::Unpaced)
+                && !b.0.may_compute(now, Need::Unpaced)
+                && !c.0.may_compute(now, Need::Unpaced)
         );
         a.0.leave();
         b.0.leave();
-        assert!(c.0.may_compute(now, true), "called when b left");
-        assert!(!b.0.may_compute(now, true), "the earlier call is void");
+        assert!(c.0.may_compute(now, Need::Unpaced), "called when b left");
+        assert!(
+            !b.0.may_compute(now, Need::Unpaced),
+            "the earlier call is void"
+        );
         b.0.leave();
         c.0.leave();
-        assert!(b.0.may_compute(now, true));
+        assert!(b.0.may_compute(now, Need::Unpaced));
     }
 
     #[test]
@@ -359,14 +414,20 @@ mod tests {
         let scheduler = Arc::new(CpuScheduler::with_turns(1));
         let now = Instant::now();
         let [mut a, mut b] = [(); 2].map(|()| share(&scheduler));
-        assert!(a.0.may_compute(now, true));
-        assert!(a.0.may_compute(now + 2 * TURN, true), "no swarm waits");
-        assert!(!b.0.may_compute(now + 2 * TURN, true));
-        assert!(a.0.may_compute(now + 5 * TURN / 2, true), "its second turn");
+        assert!(a.0.may_compute(now, Need::Unpaced));
+        assert!(
+            a.0.may_compute(now + 2 * TURN, Need::Unpaced),
+            "no swarm waits"
+        );
+        assert!(!b.0.may_compute(now + 2 * TURN, Need::Unpaced));
+        assert!(
+            a.0.may_compute(now + 5 * TURN / 2, Need::Unpaced),
+            "its second turn"
+        );
         let spent = Instant::now();
         while spent.elapsed() < TURN {}
-        assert!(!a.0.may_compute(now + 4 * TURN, true));
-        assert!(b.0.may_compute(now + 4 * TURN, true));
+        assert!(!a.0.may_compute(now + 4 * TURN, Need::Unpaced));
+        assert!(b.0.may_compute(now + 4 * TURN, Need::Unpaced));
     }
 
     #[test]
@@ -374,18 +435,18 @@ mod tests {
         let scheduler = Arc::new(CpuScheduler::with_turns(1));
         let now = Instant::now();
         let [mut a, mut b, mut c] = [(); 3].map(|()| share(&scheduler));
-        assert!(a.0.may_compute(now, true));
-        assert!(c.0.may_compute(now, false), "no swarm waits");
+        assert!(a.0.may_compute(now, Need::Unpaced));
+        assert!(c.0.may_compute(now, Need::OnTime), "no swarm waits");
         b.0.virtual_time = 10 * TURN;
-        assert!(!b.0.may_compute(now, true));
-        assert!(c.0.may_compute(now, false), "it has taken less");
+        assert!(!b.0.may_compute(now, Need::Unpaced));
+        assert!(c.0.may_compute(now, Need::OnTime), "it has taken less");
         assert_eq!(c.0.virtual_time, 9 * TURN, "at most one turn less");
         c.0.virtual_time = 11 * TURN;
-        assert!(!c.0.may_compute(now, false));
+        assert!(!c.0.may_compute(now, Need::OnTime));
         a.0.leave();
-        assert!(b.0.may_compute(now, true) && !c.0.may_compute(now, false));
+        assert!(b.0.may_compute(now, Need::Unpaced) && !c.0.may_compute(now, Need::OnTime));
         b.0.leave();
-        assert!(c.0.may_compute(now, false));
+        assert!(c.0.may_compute(now, Need::OnTime));
     }
 
     #[test]
@@ -393,13 +454,13 @@ mod tests {
         let scheduler = Arc::new(CpuScheduler::with_turns(1));
         let now = Instant::now();
         let [mut a, mut b, mut c] = [(); 3].map(|()| share(&scheduler));
-        assert!(a.0.may_compute(now, true));
+        assert!(a.0.may_compute(now, Need::Unpaced));
         a.0.virtual_time = 1000 * TURN;
         a.0.leave();
-        assert!(b.0.may_compute(now, true) && !a.0.may_compute(now, true));
-        assert!(!c.0.may_compute(now, true));
+        assert!(b.0.may_compute(now, Need::Unpaced) && !a.0.may_compute(now, Need::Unpaced));
+        assert!(!c.0.may_compute(now, Need::Unpaced));
         b.0.leave();
-        assert!(a.0.may_compute(now, true), "it asked before c");
+        assert!(a.0.may_compute(now, Need::Unpaced), "it asked before c");
     }
 
     #[test]
@@ -411,7 +472,7 @@ mod tests {
             thread::spawn(move || {
                 let before = thread_time();
                 while Instant::now() < until {
-                    if share.may_compute(Instant::now(), true) {
+                    if share.may_compute(Instant::now(), Need::Unpaced) {
                         let end = thread_time() + length * TURN / 3;
                         while thread_time() < end {}
                     } else {
@@ -425,6 +486,30 @@ mod tests {
         let (least, most) = (taken.iter().min().unwrap(), taken.iter().max().unwrap());
         assert!(*most - *least <= 30 * TURN, "{taken:?}");
         assert!(*least > 30 * TURN, "{taken:?}");
+    }
+
+    #[test]
+    fn a_swarm_behind_its_rate_comes_before_one_without_a_rate() {
+        let scheduler = Arc::new(CpuScheduler::with_turns(1));
+        let until = Instant::now() + 100 * TURN;
+        let threads = [Need::Behind, Need::Unpaced].map(|need| {
+            let (mut share, called) = share(&scheduler);
+            thread::spawn(move || {
+                let before = thread_time();
+                while Instant::now() < until {
+                    if share.may_compute(Instant::now(), need) {
+                        let end = thread_time() + TURN / 3;
+                        while thread_time() < end {}
+                    } else {
+                        let _ = called.recv_timeout(TURN);
+                    }
+                }
+                thread_time() - before
+            })
+        });
+        let [behind, unpaced] = threads.map(|it| it.join().unwrap());
+        assert!(behind > 5 * unpaced, "{behind:?} and {unpaced:?}");
+        assert!(!unpaced.is_zero(), "none of the turns");
     }
 
     /// A field of `/proc/thread-self/sched`, which only kernels with `SCHED_DEBUG` have.
@@ -442,7 +527,7 @@ mod tests {
             (niceness, field("se.slice"))
         });
         let (niceness, slice) = thread.join().unwrap();
-        assert_eq!(niceness, NICENESS);
+        assert_eq!(niceness, PACED_NICENESS);
         assert!(slice.is_none_or(|it| it == SLICE_NANOS), "{slice:?}");
     }
 }

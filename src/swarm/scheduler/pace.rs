@@ -4,6 +4,8 @@ use std::time::{Duration, Instant};
 
 use jostle_physics::simulation::Rate;
 
+use super::Need;
+
 /// How far behind its rate a swarm may be and still catch up. It absorbs the jitter of wake-ups; steps
 /// due before that are dropped, so that no long burst follows a stall.
 pub const MAX_BACKLOG: Duration = Duration::from_millis(50);
@@ -63,10 +65,19 @@ impl Pace {
         Some(now.saturating_duration_since(self.next))
     }
 
-    /// Whether it has no rate, or recently dropped steps.
+    /// Whether it has a rate, and recently dropped steps.
     pub fn is_behind(&self, now: Instant) -> bool {
         let lately = |at| now.saturating_duration_since(at) < WINDOW;
-        self.period.is_none() || self.dropped_at.is_some_and(lately)
+        self.period.is_some() && self.dropped_at.is_some_and(lately)
+    }
+
+    /// How much it needs a turn.
+    pub fn need(&self, now: Instant) -> Need {
+        match self.period {
+            None => Need::Unpaced,
+            Some(_) if self.is_behind(now) => Need::Behind,
+            Some(_) => Need::OnTime,
+        }
     }
 
     /// Records a step.
@@ -140,7 +151,7 @@ mod tests {
         pace.stepped(start);
         assert_eq!(pace.until_due(start), None);
         assert_eq!(pace.late_by(start + MS), None, "nothing was due");
-        assert!(pace.is_behind(start + MS));
+        assert_eq!(pace.need(start + MS), Need::Unpaced);
     }
 
     #[test]

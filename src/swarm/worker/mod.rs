@@ -295,7 +295,7 @@ impl Worker {
 
     fn may_compute(&mut self) -> bool {
         let now = Instant::now();
-        self.cpu_share.may_compute(now, self.pace.is_behind(now))
+        self.cpu_share.may_compute(now, self.pace.need(now))
     }
 
     /// The time until the next step; `None` if the swarm does not move.

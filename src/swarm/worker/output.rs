@@ -76,12 +76,17 @@ impl Worker {
             exactness: simulation.exactness,
             rate: self.rate,
             real_time_factor: self.real_time_factor(),
+            is_behind: self.is_behind(),
             replay: None,
             controllers: Vec::new(),
             hash: hashed.then(|| simulation.state.hash()),
             gaps: OnceLock::new(),
             values: OnceLock::new(),
         })
+    }
+
+    fn is_behind(&self) -> bool {
+        self.phase.is_moving() && self.pace.is_behind(Instant::now())
     }
 
     fn real_time_factor(&self) -> Option<f64> {
@@ -153,6 +158,7 @@ impl Worker {
             order: self.simulation.order().order,
             rate: self.rate,
             real_time_factor: self.real_time_factor(),
+            is_behind: self.is_behind(),
             is_replay: false,
         };
         *self.summary.lock() = Some(summary);

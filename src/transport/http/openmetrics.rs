@@ -13,7 +13,7 @@ use crate::transport::http::connections::HttpMetrics;
 /// The media type.
 pub const CONTENT_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
 
-/// Only the first swarms by name have series of their own, seven each, and one for each measure; all are in the sums.
+/// Only the first swarms by name have series of their own, nine each, and one for each measure; all are in the sums.
 pub const MAX_LABELLED: usize = 1000;
 
 /// What the metrics are computed from.
@@ -107,6 +107,8 @@ const METRICS: &[(&str, &str, Value)] = &[
     ("swarm_step_seconds", "Total duration of its steps", SwarmCounter(|swarm| Some(swarm.totals.step_time.secs()))),
     ("swarm_step_lateness_seconds", "Total delay of its steps behind their due times", SwarmCounter(|swarm| Some(swarm.totals.lateness.secs()))),
     ("swarm_real_time_factor", "Recent time units per second of wall clock, while it runs", SwarmGauge(|swarm| swarm.summary.real_time_factor)),
+    ("swarm_rate", "Time units per second of wall clock that it should reach, if it has a rate", SwarmGauge(|swarm| swarm.summary.rate)),
+    ("swarm_behind_rate", "1 if the swarm lately omitted steps that were due", SwarmGauge(|swarm| Some(number(swarm.summary.is_behind)))),
     ("swarm_individuals", "Individuals of the swarm", SwarmGauge(|swarm| Some(swarm.summary.n as f64))),
     ("swarm_contacts", "Contacts of its last step", SwarmGauge(|swarm| Some(swarm.last.contacts as f64))),
     ("swarm_measure", "Value of a measure that the swarm publishes, in the unit of the measure, of a recent state", SwarmMeasures),
