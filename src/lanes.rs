@@ -101,7 +101,7 @@ pub enum Rank {
     First,
     /// One at a time, if none of the first waits.
     Second,
-    /// One at a time, if no other waits, within the CPU time of [`Budget`].
+    /// One at a time, if no other waits, within the CPU time of `Budget`.
     Metered,
 }
 
@@ -464,8 +464,8 @@ impl State {
 struct Budget {
     left_secs: f64,
     at: Instant,
-    /// The CPU time of the thread when it spent last.
-    thread: (thread::ThreadId, f64),
+    /// The thread that spent last, and its CPU time then.
+    thread: Option<(thread::ThreadId, f64)>,
 }
 
 impl Budget {
@@ -479,11 +479,11 @@ impl Budget {
         let (now, me) = (Instant::now(), thread::current().id());
         let earned = now.saturating_duration_since(self.at).as_secs_f64() * Self::SHARE;
         let used = match self.thread {
-            (thread, before) if thread == me => cpu_secs - before,
+            Some((thread, before)) if thread == me => cpu_secs - before,
             _ => 0.0,
         };
         self.left_secs = (self.left_secs + earned).min(Self::BURST_SECS) - used;
-        (self.at, self.thread) = (now, (me, cpu_secs));
+        (self.at, self.thread) = (now, Some((me, cpu_secs)));
         Duration::from_secs_f64((-self.left_secs).max(0.0) / Self::SHARE)
     }
 }
@@ -493,7 +493,7 @@ impl Default for Budget {
         Budget {
             left_secs: Self::BURST_SECS,
             at: Instant::now(),
-            thread: (thread::current().id(), 0.0),
+            thread: None,
         }
     }
 }

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 /// The modules of the daemon by layer, the lowest first.
 const LAYERS: [&[&str]; 7] = [
-    &["metrics"],
+    &["lanes", "metrics"],
     &["swarm", "store", "auth"],
     &[
         "backup",

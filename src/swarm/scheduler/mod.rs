@@ -6,11 +6,11 @@
 //!    the threads of the others sleep in a queue. So shares do not depend on how the kernel orders
 //!    many runnable threads, and a command to a waiting swarm wakes a sleeping thread. The queue is
 //!    ordered by virtual time, the processor time that a swarm took while others waited (start-time
-//!    fair queueing), of which a swarm with a rate is charged a part ([`PACED_WEIGHT`]). The virtual time of a swarm that was idle is raised to that of the queue, so it
+//!    fair queueing), of which a swarm with a rate is charged a part (`PACED_WEIGHT`). The virtual time of a swarm that was idle is raised to that of the queue, so it
 //!    gains nothing by it. A swarm that keeps its rate needs no turn while its virtual time is below
 //!    that of the first in the queue. Turns in plain FIFO order would give a swarm with long steps a
 //!    larger share, since a turn ends between two steps.
-//! 3. The kernel runs the thread: [`set_niceness`], so that stepping delays no command, and swarms
+//! 3. The kernel runs the thread: `set_niceness`, so that stepping delays no command, and swarms
 //!    without a rate delay none with one.
 
 mod pace;

@@ -291,8 +291,8 @@ class Status(Reply, frozen=True, kw_only=True):
         until_step: The step it will pause at; None if it has no end.
         rate: Time units per second of wall clock; None is as fast as possible.
         real_time_factor: The rate that it reached lately; None while it does not run.
-        behind_rate: Whether it lately omitted steps that were due, since they take longer than `rate`
-            allows.
+        behind_rate: Whether it lately omitted steps that were due, since they take longer than
+            `rate` allows.
         n: The size of the group.
         informed: Number of informed individuals.
         seed: The seed of all random draws.
