@@ -22,8 +22,8 @@ pub struct Status {
     /// The rate that was reached lately; `null` while it does not run.
     pub real_time_factor: Option<f64>,
     /// Whether it lately omitted steps that were due, since they take longer than `rate` allows on the
-    /// cores that it gets; left out if it did not.
-    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    /// cores that it gets.
+    #[serde(default)]
     pub behind_rate: bool,
     /// The number of individuals.
     pub n: u64,

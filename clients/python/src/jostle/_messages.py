@@ -315,7 +315,7 @@ class Status(Reply, frozen=True, kw_only=True):
     until_step: int | None = None
     rate: float | None = None
     real_time_factor: float | None = None
-    behind_rate: bool = False
+    behind_rate: bool
     n: int
     informed: int
     seed: int
