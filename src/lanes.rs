@@ -2,7 +2,7 @@
 //! its own, so that it waits for no other kind.
 //!
 //! Within a lane clients take turns: the next task is one of the client whose last task was taken
-//! longest ago. A task that nobody waits for any more is dropped.
+//! longest ago. A task is dropped once it has a reply or its client is known to wait no longer.
 
 use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -40,7 +40,7 @@ pub enum Lane {
 /// What a lane may use.
 struct Limits {
     threads: usize,
-    /// Tasks that wait; further ones are rejected.
+    /// Queued tasks of each rank; further ones are rejected.
     queued: usize,
     /// Of its threads; the swarms have 0.
     niceness: i32,
@@ -133,7 +133,8 @@ impl Task {
         Task { is_wanted, ..self }
     }
 
-    /// The task, of which one at a time is executed on `swarm`.
+    /// The task, of which one at a time of its rank is executed on `swarm`. It waits for none of another
+    /// rank: a `verify` that lasts for hours must not delay a `fork`.
     #[must_use]
     pub fn alone_on(self, swarm: &Arc<str>, rank: Rank) -> Self {
         let alone_on = Some(swarm.clone());
@@ -231,7 +232,7 @@ struct Running {
 pub struct Counts {
     /// Tasks that were executed.
     pub executed: u64,
-    /// Tasks that nobody waited for any more.
+    /// Tasks that were dropped because their clients no longer waited.
     pub dropped: u64,
     /// Tasks that were rejected because the queue was full.
     pub rejected: u64,
@@ -259,7 +260,7 @@ pub struct Status {
 }
 
 impl Status {
-    /// Whether clients wait too long. Who sends a replay is told how long it takes.
+    /// Whether a task has been queued for too long. A replay may be: its status has its progress.
     pub fn is_behind(&self) -> bool {
         self.lane != Lane::Replays && self.waiting > MAX_WAITING
     }
@@ -327,10 +328,10 @@ impl OneLane {
             return Ok(());
         }
         let mut unwanted = Vec::new();
-        if state.queue.len() >= self.limits.queued {
+        if state.queued(task.rank) >= self.limits.queued {
             unwanted = state.sweep();
         }
-        let is_full = state.queue.len() >= self.limits.queued;
+        let is_full = state.queued(task.rank) >= self.limits.queued;
         if is_full {
             state.counts.rejected += 1;
         } else {
@@ -415,7 +416,12 @@ impl OneLane {
 }
 
 impl State {
-    /// Removes the queued tasks that nobody waits for any more.
+    /// Returns the number of queued tasks of a rank.
+    fn queued(&self, rank: Rank) -> usize {
+        self.queue.iter().filter(|it| it.task.rank == rank).count()
+    }
+
+    /// Removes the queued tasks whose clients no longer wait.
     fn sweep(&mut self) -> Vec<Queued> {
         let is_unwanted = |it: &mut Queued| !(it.task.is_wanted)();
         let unwanted: Vec<_> = self.queue.extract_if(.., is_unwanted).collect();
@@ -429,8 +435,8 @@ impl State {
             let mut running = self.running.values();
             running.all(|other| {
                 let is_same_swarm = task.alone_on.is_some() && task.alone_on == other.alone_on;
-                let is_one_of_rank = task.rank != Rank::First && task.rank == other.rank;
-                !is_same_swarm && !is_one_of_rank
+                let is_same_rank = task.rank == other.rank;
+                !(is_same_rank && (is_same_swarm || task.rank != Rank::First))
             })
         };
         let places = self.queue.iter().enumerate();
@@ -611,7 +617,7 @@ mod tests {
     }
 
     #[test]
-    fn one_replay_of_a_swarm_at_a_time_and_forks_first() {
+    fn one_verify_at_a_time_and_no_fork_waits_for_it() {
         let lanes = Lanes::start().unwrap();
         let (sender, done) = channel();
         let (release, held) = channel::<()>();
@@ -634,13 +640,15 @@ mod tests {
             let task = named(name, name, &sender).alone_on(swarm, rank);
             lanes.submit(Lane::Replays, task).unwrap();
         }
-        // The others wait for the first `verify`.
-        assert_eq!(received(&done, 1), ["fork other"]);
+        // Forks do not wait for the first `verify`; the others do.
+        let mut forks = received(&done, 2);
+        forks.sort_unstable();
+        assert_eq!(forks, ["fork other", "fork school"]);
         assert!(done.recv_timeout(Duration::from_millis(50)).is_err());
         drop(release);
-        let mut rest = received(&done, 3);
+        let mut rest = received(&done, 2);
         rest.sort_unstable();
-        assert_eq!(rest, ["fork school", "verify other", "verify school"]);
+        assert_eq!(rest, ["verify other", "verify school"]);
         lanes.stop();
     }
 

@@ -253,12 +253,12 @@ impl Responder {
         drop(incoming);
     }
 
-    /// Whether there is no reply yet: then none follows at the deadline, so that the client learns what
-    /// is done now.
+    /// Whether there is no reply yet and the client may still wait: then none follows at the deadline, so
+    /// that the client learns what is done now.
     pub fn commits(&self) -> bool {
         let incoming = self.0.incoming.lock();
         self.0.is_committed.store(true, Ordering::Relaxed);
-        incoming.is_some()
+        incoming.as_ref().is_some_and(|it| !it.peer.is_gone())
     }
 
     /// Returns a check of whether the request has no reply yet and its client still waits.

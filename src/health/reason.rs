@@ -139,6 +139,9 @@ fn contested(it: &Contested) -> String {
 /// How many recordings, experiments or swarms a warning names.
 const MAX_NAMED: usize = 5;
 
+/// The share of its rate below which a swarm causes a warning: a busy moment does not.
+const MAX_SHARE: f64 = 0.9;
+
 /// The warning about failed recordings, by their names and reasons.
 pub(super) fn recordings_failed(failed: &[(String, String)]) -> String {
     format!(
@@ -158,8 +161,10 @@ pub(super) fn experiments_paused(paused: &[(String, String)]) -> String {
 
 /// The name of a swarm that is behind its rate, and by how much.
 pub(super) fn shortfall(name: String, summary: &Summary) -> Option<(String, String)> {
+    let rate = summary.rate?;
     let reached = summary.real_time_factor.filter(|_| summary.is_behind)?;
-    Some((name, format!("{reached:.2} of {}", summary.rate?)))
+    let is_much = reached < MAX_SHARE * rate;
+    is_much.then(|| (name, format!("{reached:.2} of {rate}")))
 }
 
 /// The warning about swarms that are behind their rates, by their names and what they reach.

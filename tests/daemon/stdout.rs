@@ -187,7 +187,13 @@ async fn the_daemon_serves_without(
         assert!(Instant::now() < deadline && child.try_wait().unwrap().is_none());
         tokio::time::sleep(Duration::from_millis(5)).await;
     }
-    let client = Client::open(&endpoint).await;
+    // The socket exists a moment before the daemon listens on it.
+    let client = loop {
+        match Client::try_open(&endpoint).await {
+            Ok(client) => break client,
+            Err(error) => assert!(Instant::now() < deadline, "{error}"),
+        }
+    };
     let key = jostle_proto::keys::node_get(PREFIX, NODE, "status");
     until("it serves", async || {
         !client.query_all(&key, None).await.is_empty()
@@ -210,7 +216,7 @@ async fn the_daemon_serves_and_ends_if_its_log_cannot_be_written() {
     });
     assert_eq!(served.await, Some(0));
     // The process exits if its store can no longer be trusted.
-    let failed = the_daemon_serves_without("store-fsync=4*off->return", async |client, _| {
+    let failed = the_daemon_serves_without("store-fsync=20*off->return", async |client, _| {
         let key = jostle_proto::keys::node_cmd(PREFIX, NODE, "create");
         for k in 0.. {
             let spec = json!({"name": format!("live-{k}"), "spec": {"n": 5}}).to_string();

@@ -19,7 +19,7 @@ use crate::subset::Subset;
 use crate::trajectory::{Recording, Trajectories, trajectory_file};
 
 /// Nice value of an experiment's threads, so that live swarms have priority, also those without a rate.
-const NICENESS: i32 = 17;
+const NICENESS: i32 = 12;
 
 /// Why an experiment failed.
 #[derive(Debug, Error)]

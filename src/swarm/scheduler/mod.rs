@@ -37,8 +37,8 @@ const TURNS_PER_CORE: usize = 2;
 const PACED_NICENESS: i32 = 5;
 
 /// Added niceness of the thread of a swarm without a rate: the kernel then gives a thread of a swarm with
-/// a rate five times the share of a core.
-const UNPACED_NICENESS: i32 = 12;
+/// a rate twice the share of a core.
+const UNPACED_NICENESS: i32 = 9;
 
 /// The virtual time of a swarm with a rate grows so many times more slowly than that of one without.
 const PACED_WEIGHT: u32 = 16;
@@ -370,20 +370,17 @@ mod tests {
         let scheduler = Arc::new(CpuScheduler::with_turns(2));
         let now = Instant::now();
         let [mut a, mut b, mut c, mut d] = [(); 4].map(|()| share(&scheduler));
-        assert!(a.0.may_compute(now, Need::Unpaced) && b.0.may_compute(now, Need::Unpaced));
-        assert!(!c.0.may_compute(now, Need::Unpaced) && !d.0.may_compute(now, Need::Unpaced));
-        assert!(
-            a.0.may_compute(now, Need::Unpaced),
-            "its turn has not ended"
-        );
+        assert!(a.0.may_compute(now, Need::Behind) && b.0.may_compute(now, Need::Behind));
+        assert!(!c.0.may_compute(now, Need::Behind) && !d.0.may_compute(now, Need::Behind));
+        assert!(a.0.may_compute(now, Need::Behind), "its turn has not ended");
         a.0.leave();
         c.1.try_recv().unwrap();
-        assert!(c.0.may_compute(now, Need::Unpaced) && !d.0.may_compute(now, Need::Unpaced));
+        assert!(c.0.may_compute(now, Need::Behind) && !d.0.may_compute(now, Need::Behind));
         drop(b);
-        assert!(d.0.may_compute(now, Need::Unpaced));
+        assert!(d.0.may_compute(now, Need::Behind));
         d.0.leave();
         c.0.leave();
-        assert!(a.0.may_compute(now, Need::Unpaced), "turns are free again");
+        assert!(a.0.may_compute(now, Need::Behind), "turns are free again");
         assert!(d.1.try_recv().is_ok() && d.1.try_recv().is_err());
     }
 
@@ -393,20 +390,20 @@ mod tests {
         let now = Instant::now();
         let [mut a, mut b, mut c] = [(); 3].map(|()| share(&scheduler));
         assert!(
-            a.0.may_compute(now, Need::Unpaced)
-                && !b.0.may_compute(now, Need::Unpaced)
-                && !c.0.may_compute(now, Need::Unpaced)
+            a.0.may_compute(now, Need::Behind)
+                && !b.0.may_compute(now, Need::Behind)
+                && !c.0.may_compute(now, Need::Behind)
         );
         a.0.leave();
         b.0.leave();
-        assert!(c.0.may_compute(now, Need::Unpaced), "called when b left");
+        assert!(c.0.may_compute(now, Need::Behind), "called when b left");
         assert!(
-            !b.0.may_compute(now, Need::Unpaced),
+            !b.0.may_compute(now, Need::Behind),
             "the earlier call is void"
         );
         b.0.leave();
         c.0.leave();
-        assert!(b.0.may_compute(now, Need::Unpaced));
+        assert!(b.0.may_compute(now, Need::Behind));
     }
 
     #[test]
@@ -414,20 +411,20 @@ mod tests {
         let scheduler = Arc::new(CpuScheduler::with_turns(1));
         let now = Instant::now();
         let [mut a, mut b] = [(); 2].map(|()| share(&scheduler));
-        assert!(a.0.may_compute(now, Need::Unpaced));
+        assert!(a.0.may_compute(now, Need::Behind));
         assert!(
-            a.0.may_compute(now + 2 * TURN, Need::Unpaced),
+            a.0.may_compute(now + 2 * TURN, Need::Behind),
             "no swarm waits"
         );
-        assert!(!b.0.may_compute(now + 2 * TURN, Need::Unpaced));
+        assert!(!b.0.may_compute(now + 2 * TURN, Need::Behind));
         assert!(
-            a.0.may_compute(now + 5 * TURN / 2, Need::Unpaced),
+            a.0.may_compute(now + 5 * TURN / 2, Need::Behind),
             "its second turn"
         );
         let spent = Instant::now();
         while spent.elapsed() < TURN {}
-        assert!(!a.0.may_compute(now + 4 * TURN, Need::Unpaced));
-        assert!(b.0.may_compute(now + 4 * TURN, Need::Unpaced));
+        assert!(!a.0.may_compute(now + 4 * TURN, Need::Behind));
+        assert!(b.0.may_compute(now + 4 * TURN, Need::Behind));
     }
 
     #[test]
@@ -435,16 +432,16 @@ mod tests {
         let scheduler = Arc::new(CpuScheduler::with_turns(1));
         let now = Instant::now();
         let [mut a, mut b, mut c] = [(); 3].map(|()| share(&scheduler));
-        assert!(a.0.may_compute(now, Need::Unpaced));
+        assert!(a.0.may_compute(now, Need::Behind));
         assert!(c.0.may_compute(now, Need::OnTime), "no swarm waits");
         b.0.virtual_time = 10 * TURN;
-        assert!(!b.0.may_compute(now, Need::Unpaced));
+        assert!(!b.0.may_compute(now, Need::Behind));
         assert!(c.0.may_compute(now, Need::OnTime), "it has taken less");
         assert_eq!(c.0.virtual_time, 9 * TURN, "at most one turn less");
         c.0.virtual_time = 11 * TURN;
         assert!(!c.0.may_compute(now, Need::OnTime));
         a.0.leave();
-        assert!(b.0.may_compute(now, Need::Unpaced) && !c.0.may_compute(now, Need::OnTime));
+        assert!(b.0.may_compute(now, Need::Behind) && !c.0.may_compute(now, Need::OnTime));
         b.0.leave();
         assert!(c.0.may_compute(now, Need::OnTime));
     }
@@ -454,13 +451,13 @@ mod tests {
         let scheduler = Arc::new(CpuScheduler::with_turns(1));
         let now = Instant::now();
         let [mut a, mut b, mut c] = [(); 3].map(|()| share(&scheduler));
-        assert!(a.0.may_compute(now, Need::Unpaced));
+        assert!(a.0.may_compute(now, Need::Behind));
         a.0.virtual_time = 1000 * TURN;
         a.0.leave();
-        assert!(b.0.may_compute(now, Need::Unpaced) && !a.0.may_compute(now, Need::Unpaced));
-        assert!(!c.0.may_compute(now, Need::Unpaced));
+        assert!(b.0.may_compute(now, Need::Behind) && !a.0.may_compute(now, Need::Behind));
+        assert!(!c.0.may_compute(now, Need::Behind));
         b.0.leave();
-        assert!(a.0.may_compute(now, Need::Unpaced), "it asked before c");
+        assert!(a.0.may_compute(now, Need::Behind), "it asked before c");
     }
 
     #[test]
@@ -472,7 +469,7 @@ mod tests {
             thread::spawn(move || {
                 let before = thread_time();
                 while Instant::now() < until {
-                    if share.may_compute(Instant::now(), Need::Unpaced) {
+                    if share.may_compute(Instant::now(), Need::Behind) {
                         let end = thread_time() + length * TURN / 3;
                         while thread_time() < end {}
                     } else {

@@ -16,7 +16,7 @@ use crate::support::{Client, PREFIX, TIMEOUT, until};
 async fn after_a_failed_sync_the_daemon_exits_with_code_8_and_sends_no_reply() {
     let folder = tempfile::tempdir().unwrap();
     let mut command = daemon_process::daemon(folder.path());
-    command.env("FAILPOINTS", "store-fsync=4*off->return");
+    command.env("FAILPOINTS", "store-fsync=20*off->return");
     let mut process = DaemonProcess::start(&mut command).unwrap();
     let client = Client::open(&process.endpoint).await;
     client.create("a", json!({"n": 5})).await;
