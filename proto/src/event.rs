@@ -33,7 +33,18 @@ pub struct Event {
 #[serde(tag = "kind", rename_all = "snake_case")]
 pub enum EventKind {
     /// The swarm was created.
-    Created {},
+    Created {
+        /// The verb that created it: `create`, `restore`, `fork` or `replay`; `null` if it is not
+        /// known, as for a swarm that an earlier version created.
+        #[serde(default)]
+        verb: Option<String>,
+        /// The client, as the request names it.
+        #[serde(default)]
+        client: Option<String>,
+        /// The id that its client gave it.
+        #[serde(default)]
+        request_id: Option<String>,
+    },
     /// Its phase changed.
     Phase {
         /// Why.
@@ -96,5 +107,12 @@ pub enum EventKind {
         reason: String,
     },
     /// The swarm was deleted; the last event.
-    Deleted {},
+    Deleted {
+        /// The client, as the request names it.
+        #[serde(default)]
+        client: Option<String>,
+        /// The id that its client gave it.
+        #[serde(default)]
+        request_id: Option<String>,
+    },
 }

@@ -22,8 +22,10 @@ use crate::lanes::{Full, Lane, Lanes, Task, Ticket};
 use crate::playback::Uploads;
 use crate::recording::Recordings;
 use crate::store::Store;
+use crate::swarm::frame;
 use crate::swarm::handle::Handle;
 use crate::swarm::registry::SwarmRegistry;
+use crate::swarm::sender::Creation;
 
 /// The longest request without values of individuals, in bytes.
 const REQUEST_BYTES: usize = 64 * 1024;
@@ -49,12 +51,26 @@ pub(super) struct Parsed<'a> {
     pub(super) responder: &'a Responder,
     /// Whose turn it takes in a lane.
     pub(super) turn: Arc<str>,
+    /// The user who sent it, of a daemon with users.
+    pub(super) user: Option<String>,
 }
 
 impl Parsed<'_> {
     /// The identity of the request, if it has an id.
     pub(super) fn identity(&self) -> Option<RequestIdentity> {
         RequestIdentity::of(self.key, self.request)
+    }
+
+    /// The creation of a swarm by this command.
+    pub(super) fn creation(&self, verb: &str) -> Creation {
+        Creation {
+            verb: verb.to_owned(),
+            client: self.request.client.clone(),
+            request_id: self.request.request_id.clone(),
+            owner: self.user.clone(),
+            unix_secs: frame::unix_secs(),
+            step: 0,
+        }
     }
 }
 
@@ -222,6 +238,13 @@ impl Context {
                 user.map_or("", |user| user.name.as_str()).into()
             }
         }
+    }
+
+    /// The user who sent a request, of a daemon with users.
+    pub(crate) fn user(&self, incoming: &Incoming) -> Option<String> {
+        let rights = self.rights.current();
+        let user = rights.owner(&incoming.token);
+        user.map(|user| user.name.clone())
     }
 
     /// Whether a request is of an operator; without users everyone is one.

@@ -140,7 +140,7 @@ pub fn decode_event(bytes: &[u8]) -> Result<(Option<RecordedEvent>, Option<VerbA
         return Err("its step is too large".to_owned());
     }
     let shown = match event.event {
-        EventKind::Deleted {} => None,
+        EventKind::Deleted { .. } => None,
         ref kind => Some(RecordedEvent {
             after: 0,
             step: event.step,

@@ -19,7 +19,14 @@ pub fn event(swarm: &str, event: Event) -> proto::Event {
         phase: phase(&stamp.phase),
         unix_secs: event.unix_secs,
         event: match event.kind {
-            EventKind::Created => proto::EventKind::Created {},
+            EventKind::Created(creation) => {
+                let creation = creation.as_deref();
+                proto::EventKind::Created {
+                    verb: creation.map(|it| it.verb.clone()),
+                    client: creation.and_then(|it| it.client.clone()),
+                    request_id: creation.and_then(|it| it.request_id.clone()),
+                }
+            }
             EventKind::Phase => proto::EventKind::Phase {
                 reason: stamp.phase.reason(),
             },
@@ -54,7 +61,10 @@ pub fn event(swarm: &str, event: Event) -> proto::Event {
             EventKind::Recorded(what) => {
                 serde_json::from_str(&what).unwrap_or(proto::EventKind::Phase { reason: None })
             }
-            EventKind::Deleted => proto::EventKind::Deleted {},
+            EventKind::Deleted(sender) => proto::EventKind::Deleted {
+                client: sender.client.clone(),
+                request_id: sender.request_id.clone(),
+            },
         },
     }
 }

@@ -23,7 +23,7 @@ use jostle_proto::{ExperimentPhase as Phase, keys};
 use jostle_results::table::trajectory::{self, About};
 use jostle_results::table::{TableError, Trajectory};
 use parking_lot::{Condvar, Mutex, MutexGuard};
-use tracing::{info, warn};
+use tracing::warn;
 
 pub use self::disk::DiskUsage;
 pub use self::error::ExperimentError;
@@ -165,7 +165,6 @@ impl ExperimentManager {
         status.count(plan.runs().len(), 0);
         let written = self.0.jobs.write_status(&name, &status);
         written.map_err(ExperimentError::not_stored)?;
-        info!(experiment = name, "submitted");
         let entry = Entry {
             status,
             plan: Some(Arc::new(plan)),
@@ -232,7 +231,6 @@ impl ExperimentManager {
         }
         let removed = self.0.jobs.remove(name);
         removed.map_err(ExperimentError::not_stored)?;
-        info!(experiment = name, "deleted");
         let mut state = self.lock();
         state.entries.remove(name);
         state.version += 1;

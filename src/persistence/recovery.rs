@@ -25,7 +25,7 @@ use crate::swarm::history;
 use crate::swarm::journal::{Entry, Line, Record};
 use crate::swarm::phase::{PauseReason, Phase};
 use crate::swarm::registry::{self, SwarmRegistry};
-use crate::swarm::sender::Sender;
+use crate::swarm::sender::{Creation, Sender};
 use crate::swarm::worker::replay::{ReplayEntry, ReplaySource, ReplayTarget};
 
 /// Lines before a checkpoint that are read for the commands in the history.
@@ -56,7 +56,7 @@ pub fn recover(
     let mut count = 0;
     for (swarm, metadata) in store.swarms()? {
         let started = load(store, replies, &swarm, &metadata).and_then(|loaded| {
-            let (spec, source, resets) = loaded;
+            let (about, source, resets) = loaded;
             let (replayed, on_recovered) = (replayed.clone(), on_recovered.clone());
             let answer = move || {
                 ReplyTo::new(move |_| {
@@ -65,7 +65,7 @@ pub fn recover(
             };
             let on_recovered: registry::OnRecovered =
                 Box::new(move |handle, now| on_recovered(handle, now, &resets));
-            Ok(registry.recover(&swarm, spec, source, on_recovered, answer)?)
+            Ok(registry.recover(&swarm, about, source, on_recovered, answer)?)
         });
         match started {
             Ok(()) => count += 1,
@@ -80,8 +80,8 @@ pub fn recover(
     Ok(recovered)
 }
 
-/// The spec of a swarm, what is to be replayed, and where the swarm was reset.
-type Loaded = (Spec, ReplaySource, Vec<(u64, u64)>);
+/// The spec and the creation of a swarm, what is to be replayed, and where the swarm was reset.
+type Loaded = ((Spec, Option<Creation>), ReplaySource, Vec<(u64, u64)>);
 
 fn load(
     store: &Store,
@@ -89,7 +89,7 @@ fn load(
     swarm: &str,
     metadata: &[u8],
 ) -> Result<Loaded, Box<dyn Error>> {
-    let SwarmMetadata { spec } = ciborium::from_reader(metadata)?;
+    let SwarmMetadata { spec, creation } = ciborium::from_reader(metadata)?;
     let spec = jostle_convert::spec::from_proto(&spec, jostle_convert::value::count(spec.n))?;
     let mut chosen = None;
     let mut problem = "it has no checkpoint".to_owned();
@@ -138,7 +138,7 @@ fn load(
         on_progress: None,
         goes_on: None,
     };
-    Ok((spec, source, resets))
+    Ok(((spec, creation), source, resets))
 }
 
 /// The epochs and steps at which the swarm was reset, according to these lines.

@@ -17,11 +17,14 @@ use crate::swarm::frame::{Frame, Stamp};
 use crate::swarm::handle::Outcome;
 use crate::swarm::journal::{Entry, JournalWriter, PendingDurableStep, Record};
 use crate::swarm::runner::{JournalFactory, PersistNew};
-use crate::swarm::sender::Sender;
+use crate::swarm::sender::{Creation, Sender};
 
 #[derive(Serialize, Deserialize)]
 pub(crate) struct SwarmMetadata {
     pub(crate) spec: proto::Spec,
+    /// Unknown for swarms that earlier versions created.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) creation: Option<Creation>,
 }
 
 struct StoreWriter {
@@ -81,6 +84,7 @@ pub struct NewSwarm {
 impl PersistNew for NewSwarm {
     fn persist(
         self: Box<Self>,
+        creation: Option<&Creation>,
         checkpoint: &Checkpoint,
         stamp: &Stamp,
         frame: &Arc<Frame>,
@@ -88,6 +92,7 @@ impl PersistNew for NewSwarm {
         let new = *self;
         let metadata = SwarmMetadata {
             spec: jostle_convert::spec::to_proto(&new.spec, new.spec.seed),
+            creation: creation.cloned(),
         };
         let mut writes = vec![Write::Create {
             swarm: new.name.clone(),
@@ -248,6 +253,33 @@ mod tests {
         },
         #[serde(rename = "became")]
         Outcome { input: u64, seq: Option<u64> },
+    }
+
+    /// The metadata of builds that did not store who created a swarm.
+    #[derive(Serialize, Deserialize)]
+    struct UnsignedMetadata {
+        spec: proto::Spec,
+    }
+
+    #[test]
+    fn older_builds_read_metadata_with_a_creation_and_theirs_is_read_without_one() {
+        let spec: proto::Spec = serde_json::from_str(r#"{"n": 3, "seed": 7}"#).unwrap();
+        let creation = Some(Creation {
+            verb: "fork".to_owned(),
+            client: Some("olga:notebook".to_owned()),
+            owner: Some("olga".to_owned()),
+            step: 9,
+            ..Creation::default()
+        });
+        let metadata = SwarmMetadata { spec, creation };
+        let bytes = proto::to_cbor(&metadata);
+        let read: SwarmMetadata = ciborium::from_reader(&bytes[..]).unwrap();
+        assert_eq!(read.creation, metadata.creation);
+        let older: UnsignedMetadata = ciborium::from_reader(&bytes[..]).unwrap();
+        assert_eq!(older.spec, metadata.spec);
+        let bytes = proto::to_cbor(&older);
+        let read: SwarmMetadata = ciborium::from_reader(&bytes[..]).unwrap();
+        assert_eq!((read.spec, read.creation), (older.spec, None));
     }
 
     #[test]

@@ -1,5 +1,7 @@
 //! The commands that a playback executes: run, pause, step, reset, seek and delete.
 
+use tracing::info;
+
 use super::player::Player;
 use crate::swarm::command::{Command, Seek, Until, When};
 use crate::swarm::error::SwarmError;
@@ -48,7 +50,8 @@ impl Player {
             reply_to,
         } = message;
         if command == Command::Delete {
-            self.publish_event(EventKind::Deleted);
+            info!(swarm = self.output.name, client = sender.client, "deleted");
+            self.publish_event(EventKind::Deleted(sender));
             self.waiters.reject_all(None);
             let stamp = self.stamp();
             let reply = DeferredReply::new(reply_to, Ok((stamp, Outcome::Done)));

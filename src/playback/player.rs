@@ -52,7 +52,7 @@ impl Playback for McapSource {
 pub struct Player {
     pub(super) source: McapSource,
     spec: Arc<Spec>,
-    output: Arc<Output>,
+    pub(super) output: Arc<Output>,
     history: Arc<History>,
     metrics: Arc<SwarmMetrics>,
     summary: Arc<Mutex<Option<Summary>>>,
@@ -130,7 +130,7 @@ impl Player {
             waiters: Waiters::default(),
         };
         player.passed = player.events_before(0);
-        player.publish_event(EventKind::Created);
+        player.publish_event(EventKind::Created(handle.creation.clone()));
         player.renew_summary();
         Ok(player)
     }

@@ -167,7 +167,6 @@ impl Recordings {
             return Err(error);
         }
         let status = self.find(&name)?;
-        info!(recording = name, swarm = status.swarm, "started to record");
         Ok((name, status))
     }
 
@@ -189,7 +188,6 @@ impl Recordings {
         let status = self.shown(name)?;
         self.0.jobs.remove(name)?;
         self.lock().entries.remove(name);
-        info!(recording = name, "deleted");
         Ok(status)
     }
 

@@ -15,7 +15,7 @@ use jostle_physics::simulation::{Exactness, Rate};
 use crate::swarm::error::SwarmError;
 use crate::swarm::membership::ControllerStatus;
 use crate::swarm::phase::Phase;
-use crate::swarm::sender::Sender;
+use crate::swarm::sender::{Creation, Sender};
 
 /// The epoch, step, time, phase and sequence number of a swarm, in every reply and event.
 #[derive(Clone, Debug, PartialEq)]
@@ -166,8 +166,8 @@ pub struct Event {
 /// What happened.
 #[derive(Clone, Debug)]
 pub enum EventKind {
-    /// It was created.
-    Created,
+    /// It was created; `None` if the request is not known.
+    Created(Option<Arc<Creation>>),
     /// Its phase changed.
     Phase,
     /// A command was applied.
@@ -185,7 +185,7 @@ pub enum EventKind {
     /// An event of a recording, as JSON.
     Recorded(Arc<str>),
     /// It was deleted.
-    Deleted,
+    Deleted(Arc<Sender>),
 }
 
 /// Checks that a group of `n` is not too large for measures of these names.

@@ -7,6 +7,7 @@ use std::time::Instant;
 
 use jostle_physics::simulation::{ChangeKind, ChangeOutcome, Rate, Spec};
 use parking_lot::Mutex;
+use tracing::info;
 
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::command::{Command, Seek, WaitCondition, When};
@@ -18,7 +19,7 @@ use crate::swarm::membership::{News, Put};
 use crate::swarm::metrics::{SwarmMetrics, Totals};
 use crate::swarm::output::Output;
 use crate::swarm::scheduler::CpuScheduler;
-use crate::swarm::sender::Sender;
+use crate::swarm::sender::{Creation, Sender};
 
 /// A message to the thread of a swarm. Messages are handled in the order of arrival.
 pub enum Message {
@@ -208,6 +209,8 @@ impl LastStep {
 pub struct Handle {
     /// What it was created from.
     pub spec: Arc<Spec>,
+    /// The request that created it; `None` if it is not known.
+    pub creation: Option<Arc<Creation>>,
     /// Its frames and events for the publisher.
     pub output: Arc<Output>,
     /// Its past events and applied commands.
@@ -226,6 +229,7 @@ impl Handle {
         let (messages, _) = sync_channel(1);
         Handle {
             spec: Arc::new(spec),
+            creation: None,
             output: Arc::new(Output::new(String::new())),
             history: Arc::default(),
             metrics: Arc::default(),
@@ -255,6 +259,14 @@ impl Handle {
                 // A thread with a full queue is awake.
                 let _ = messages.try_send(Message::Wake);
             }
+        }
+    }
+
+    /// Logs who created it.
+    pub(crate) fn log_creation(&self) {
+        if let Some(creation) = &self.creation {
+            let Creation { verb, client, .. } = &**creation;
+            info!(swarm = self.output.name, verb, client, "created");
         }
     }
 

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use parking_lot::Mutex;
 
 use crate::swarm::frame::{Event, EventKind, Stamp};
-use crate::swarm::sender::Sender;
+use crate::swarm::sender::{Creation, Sender};
 
 /// Limits of the events: their number and bytes.
 const MAX_EVENTS: (usize, usize) = (1024, 256 * 1024);
@@ -128,12 +128,14 @@ impl EventKind {
         match self {
             EventKind::Command(sender)
             | EventKind::Scheduled(_, sender)
-            | EventKind::Rejected(sender, _) => sender.bytes(),
+            | EventKind::Rejected(sender, _)
+            | EventKind::Deleted(sender) => sender.bytes(),
             EventKind::Lapsed(ids) => 4 * ids.len(),
             EventKind::Fault(reason) => reason.len(),
             EventKind::RecordingFailed(recording, reason) => recording.len() + reason.len(),
             EventKind::Recorded(what) => what.len(),
-            EventKind::Created | EventKind::Phase | EventKind::Deleted => 0,
+            EventKind::Created(creation) => creation.as_ref().map_or(0, |it| it.bytes()),
+            EventKind::Phase => 0,
         }
     }
 }
@@ -141,9 +143,19 @@ impl EventKind {
 impl Sender {
     /// Bytes of its text.
     pub fn bytes(&self) -> usize {
-        let label = |label: &Option<String>| label.as_ref().map_or(0, String::len);
-        self.args.len() + label(&self.client) + label(&self.request_id)
+        self.args.len() + length(&self.client) + length(&self.request_id)
     }
+}
+
+impl Creation {
+    /// Bytes of its text.
+    fn bytes(&self) -> usize {
+        self.verb.len() + length(&self.client) + length(&self.request_id)
+    }
+}
+
+fn length(label: &Option<String>) -> usize {
+    label.as_ref().map_or(0, String::len)
 }
 
 #[cfg(test)]

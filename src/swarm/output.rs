@@ -393,7 +393,7 @@ impl Subscription {
             let item = Item::Event(Box::new(event.clone()), SystemTime::now());
             contents.waiting.push_back(item);
         }
-        if matches!(event.kind, EventKind::Deleted) {
+        if matches!(event.kind, EventKind::Deleted(_)) {
             contents.end = Some(End::Deleted);
         }
         self.notify_reader(&mut contents);

@@ -21,6 +21,7 @@ use crate::swarm::metrics::Totals;
 use crate::swarm::output::Output;
 use crate::swarm::runner::{Built, End, JournalFactory, PersistNew, Playback, SwarmObserver};
 use crate::swarm::scheduler::{self, CpuScheduler};
+use crate::swarm::sender::Creation;
 use crate::swarm::worker::Worker;
 use crate::swarm::worker::replay::ReplaySource;
 
@@ -152,7 +153,7 @@ impl SwarmRegistry {
     pub fn create(
         self: &Arc<Self>,
         name: &str,
-        spec: Spec,
+        (spec, creation): (Spec, Creation),
         exist_ok: bool,
         persist: Box<dyn PersistNew>,
         reply_to: impl FnOnce() -> ReplyTo,
@@ -167,7 +168,8 @@ impl SwarmRegistry {
         }
         let memory_bytes = self.admit(&state, memory_of(spec.n))?;
         let from = StartFrom::Spec(persist);
-        self.start(&mut state, name, spec, memory_bytes, from, reply_to)?;
+        let about = (spec, Some(creation));
+        self.start(&mut state, name, about, memory_bytes, from, reply_to)?;
         Ok(Created::New)
     }
 
@@ -176,15 +178,20 @@ impl SwarmRegistry {
         self: &Arc<Self>,
         name: &str,
         checkpoint: Checkpoint,
+        creation: Creation,
         persist: Box<dyn PersistNew>,
         reply_to: impl FnOnce() -> ReplyTo,
     ) -> Result<(), RegistryError> {
         let mut state = self.lock_vacant(name)?;
         let n = checkpoint.simulation.state.configuration.n();
         let memory_bytes = self.admit(&state, memory_of(n))?;
-        let spec = checkpoint.simulation.spec.clone();
+        let creation = Creation {
+            step: checkpoint.simulation.state.step,
+            ..creation
+        };
+        let about = (checkpoint.simulation.spec.clone(), Some(creation));
         let from = StartFrom::Checkpoint(Box::new(checkpoint), persist);
-        self.start(&mut state, name, spec, memory_bytes, from, reply_to)
+        self.start(&mut state, name, about, memory_bytes, from, reply_to)
     }
 
     /// Recovers a swarm from its checkpoint and journal, whatever the limits are now. `reply_to` as
@@ -192,7 +199,7 @@ impl SwarmRegistry {
     pub fn recover(
         self: &Arc<Self>,
         name: &str,
-        spec: Spec,
+        about: (Spec, Option<Creation>),
         past: ReplaySource,
         on_recovered: OnRecovered,
         reply_to: impl FnOnce() -> ReplyTo,
@@ -202,7 +209,7 @@ impl SwarmRegistry {
         self.start(
             &mut self.state.lock(),
             name,
-            spec,
+            about,
             memory_bytes,
             from,
             reply_to,
@@ -215,20 +222,21 @@ impl SwarmRegistry {
         self: &Arc<Self>,
         name: &str,
         playback: Box<dyn Playback>,
+        creation: Creation,
         reply_to: impl FnOnce() -> ReplyTo,
     ) -> Result<(), RegistryError> {
         let mut state = self.lock_vacant(name)?;
         let memory_bytes = self.admit(&state, playback.memory_bytes())?;
-        let spec = playback.spec().clone();
+        let about = (playback.spec().clone(), Some(creation));
         let from = StartFrom::Recording(playback);
-        self.start(&mut state, name, spec, memory_bytes, from, reply_to)
+        self.start(&mut state, name, about, memory_bytes, from, reply_to)
     }
 
     fn start(
         self: &Arc<Self>,
         state: &mut State,
         name: &str,
-        spec: Spec,
+        (spec, creation): (Spec, Option<Creation>),
         memory_bytes: u64,
         from: StartFrom,
         reply_to: impl FnOnce() -> ReplyTo,
@@ -236,6 +244,7 @@ impl SwarmRegistry {
         let (messages, taken) = sync_channel(MAX_MESSAGES);
         let handle = Handle {
             spec: Arc::new(spec),
+            creation: creation.map(Arc::new),
             output: Arc::new(Output::new(name.to_owned())),
             history: Arc::default(),
             metrics: Arc::default(),
@@ -467,16 +476,20 @@ impl SwarmRegistry {
                 return Ok(Ok(((stamp, frame), Box::new(worker))));
             }
             StartFrom::Recording(playback) => {
-                return playback.start(handle, min_interval).map(Ok);
+                let built = playback.start(handle, min_interval)?;
+                handle.log_creation();
+                return Ok(Ok(built));
             }
         };
         let writer = (writer, reserve);
         let ignored = &|_: &_| ReplyTo::ignored();
         let mut worker = Worker::restore(checkpoint, handle, min_interval, writer, ignored);
-        worker.publish_created();
+        worker.publish_created(handle.creation.clone());
         let (stamp, frame) = worker.stamp_and_frame();
-        let persisted = persist.persist(&worker.checkpoint(), &stamp, &frame);
+        let creation = handle.creation.as_deref();
+        let persisted = persist.persist(creation, &worker.checkpoint(), &stamp, &frame);
         persisted.map_err(SwarmError::NotDurable)?;
+        handle.log_creation();
         Ok(Ok((worker.stamp_and_frame(), Box::new(worker))))
     }
 

@@ -11,12 +11,14 @@ use crate::swarm::error::{SwarmError, WriteFault};
 use crate::swarm::frame::{Frame, Stamp};
 use crate::swarm::handle::{DeferredReply, Handle, Message};
 use crate::swarm::journal::JournalWriter;
+use crate::swarm::sender::Creation;
 
 /// Persists a new swarm before any client learns of it: its name, its spec and its checkpoint.
 pub trait PersistNew: Send {
     /// Returns once the swarm is durable, together with the reply to the request that created it.
     fn persist(
         self: Box<Self>,
+        creation: Option<&Creation>,
         checkpoint: &Checkpoint,
         stamp: &Stamp,
         frame: &Arc<Frame>,

@@ -146,7 +146,7 @@ async fn a_swarm_is_followed_through_a_kill_and_a_restart_until_it_is_deleted() 
     let second = next(&mut updates).await.unwrap().unwrap();
     assert!(matches!(second, Update::State(state) if state.x.len() == 10));
     let third = next(&mut updates).await.unwrap().unwrap();
-    let is_created = |update: &Update| matches!(update, Update::Event(event) if event.number == 1 && event.event == EventKind::Created {});
+    let is_created = |update: &Update| matches!(update, Update::Event(event) if event.number == 1 && matches!(event.event, EventKind::Created { .. }));
     assert!(is_created(&third), "{third:?}");
     client.execute("demo", &note("before")).await.unwrap();
     until(&mut updates, |it| is_note(it, "before")).await;

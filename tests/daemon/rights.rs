@@ -5,6 +5,7 @@ mod blocked;
 mod forgery;
 mod live;
 mod matrix;
+mod owners;
 mod requests;
 pub mod secrets;
 mod start;

@@ -99,7 +99,7 @@ async fn a_running_swarm_pauses_resumes_and_ends_at_the_scheduled_steps() {
     let subscriber = subscribe(client, keys::event(PREFIX, "a")).await;
     client.ok("a", "run", json!({})).await;
     let mut received = Vec::new();
-    let is_end = |event: &Event| event.event == EventKind::Deleted {};
+    let is_end = |event: &Event| matches!(event.event, EventKind::Deleted { .. });
     while !received.last().is_some_and(is_end) {
         received.push(next_event(&subscriber).await);
     }
@@ -107,7 +107,7 @@ async fn a_running_swarm_pauses_resumes_and_ends_at_the_scheduled_steps() {
         .iter()
         .filter_map(|event| match &event.event {
             EventKind::Command { verb, .. } => Some((event.step, verb.as_str())),
-            EventKind::Deleted {} => Some((event.step, "delete")),
+            EventKind::Deleted { .. } => Some((event.step, "delete")),
             _ => None,
         })
         .collect();

@@ -327,13 +327,13 @@ impl Follower {
     async fn event(&mut self, payload: Payload) -> Result<(), Error> {
         if self.options.events.is_none() {
             let event = payload.read::<Event>();
-            if event.is_ok_and(|event| event.event == EventKind::Deleted {}) {
+            if event.is_ok_and(|event| matches!(event.event, EventKind::Deleted { .. })) {
                 self.finish()?;
             }
             return Ok(());
         }
         let event: Message<Event> = payload.try_into()?;
-        let is_last = event.event == EventKind::Deleted {};
+        let is_last = matches!(event.event, EventKind::Deleted { .. });
         if self.last_event.is_some_and(|last| event.number > last + 1) {
             tolerate(self.query_events().await)?;
         }

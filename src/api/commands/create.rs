@@ -33,9 +33,10 @@ impl Context {
             spec: spec.clone(),
             identity: command.identity(),
         });
+        let about = (spec.clone(), command.creation("create"));
         let created = self
             .registry
-            .create(&name, spec.clone(), exist_ok, persist, || answer(true))?;
+            .create(&name, about, exist_ok, persist, || answer(true))?;
         if let Created::Existing(handle) = created {
             handle.send(Message::Query(answer(false)));
         }

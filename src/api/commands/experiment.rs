@@ -4,6 +4,7 @@ use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use jostle_experiment::{Files, LiveRun, Plan, PlayError};
 use jostle_proto::{ExpandArgs, ExperimentArgs, ExperimentResult, NodeReply, SubmitArgs};
+use tracing::info;
 
 use crate::api::context::{Context, Parsed};
 use crate::convert::commands::{CommandError, check_name};
@@ -52,6 +53,7 @@ impl Context {
             args => args,
         };
         let experiments = self.experiments.clone();
+        let client = command.request.client.clone();
         self.queue_command(Lane::Experiments, &command.turn, move || {
             let done = match &args {
                 ExperimentArgs::Submit(args) => {
@@ -78,6 +80,9 @@ impl Context {
                 // Queued above.
                 ExperimentArgs::Expand(_) => return,
             };
+            if let Ok((_, report)) = &done {
+                info!(experiment = report.name, client, action, "executed");
+            }
             responder.finish(done, move |(created, report)| {
                 let result = ExperimentResult {
                     created,

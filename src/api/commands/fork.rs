@@ -15,9 +15,11 @@ use crate::persistence::replay;
 use crate::persistence::writer::NewSwarm;
 use crate::store::Store;
 use crate::swarm::checkpoint::Checkpoint;
+use crate::swarm::frame;
 use crate::swarm::handle::{Message, Outcome, Rejection, ReplyTo};
 use crate::swarm::phase::{PauseReason, Phase};
 use crate::swarm::registry::SwarmRegistry;
+use crate::swarm::sender::Creation;
 
 impl Context {
     pub(super) fn fork(
@@ -31,6 +33,7 @@ impl Context {
             request: &self.request(incoming)?,
             responder,
             turn: self.turn(incoming, swarm),
+            user: self.user(incoming),
         };
         let begun = self.begin("fork", &command, DEFAULT_TIMEOUT)?;
         let Some(ForkArgs { name, step }) = begun else {
@@ -44,7 +47,7 @@ impl Context {
         {
             return Err(CommandError::NotReached { step, now });
         }
-        let fork = self.swarm_from_checkpoint(name, PauseReason::Forked, &command);
+        let fork = self.swarm_from_checkpoint(name, ("fork", PauseReason::Forked), &command);
         match step {
             Some(step) => {
                 let (store, of) = (self.store.clone(), swarm.clone());
@@ -76,7 +79,7 @@ impl Context {
     pub(super) fn swarm_from_checkpoint(
         &self,
         name: String,
-        reason: PauseReason,
+        (verb, reason): (&str, PauseReason),
         command: &Parsed<'_>,
     ) -> SwarmFromCheckpoint {
         SwarmFromCheckpoint {
@@ -86,6 +89,7 @@ impl Context {
             responder: command.responder.clone(),
             name,
             reason,
+            creation: command.creation(verb),
         }
     }
 }
@@ -98,6 +102,7 @@ pub(super) struct SwarmFromCheckpoint {
     responder: Responder,
     name: String,
     reason: PauseReason,
+    creation: Creation,
 }
 
 impl SwarmFromCheckpoint {
@@ -125,9 +130,13 @@ impl SwarmFromCheckpoint {
                 });
             })
         };
+        let creation = Creation {
+            unix_secs: frame::unix_secs(),
+            ..self.creation
+        };
         if let Err(error) = self
             .registry
-            .create_from_checkpoint(&name, checkpoint, persist, reply_to)
+            .create_from_checkpoint(&name, checkpoint, creation, persist, reply_to)
         {
             responder.reject(&error.into(), None);
         }

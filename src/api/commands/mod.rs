@@ -127,6 +127,7 @@ impl Context {
             request: &self.request(incoming)?,
             responder,
             turn: self.turn(incoming, ""),
+            user: self.user(incoming),
         };
         match verb {
             "create" => self.execute(verb, &command, Self::create),

@@ -2,6 +2,7 @@
 
 use jostle_convert::WireError;
 use jostle_proto::{DEFAULT_MAX_RECORDING_BYTES, NodeReply, RecordArgs, RecordingFormat};
+use tracing::info;
 
 use crate::api::context::{Context, Parsed};
 use crate::api::responder::Responder;
@@ -21,6 +22,7 @@ impl Context {
         check(&args)?;
         let (node, responder) = (self.node.clone(), command.responder.clone());
         let recordings = self.recordings.clone();
+        let client = command.request.client.clone();
         match args {
             RecordArgs::Begin(args) => {
                 let is_same = |name: &String| *name == args.swarm;
@@ -47,7 +49,9 @@ impl Context {
                             let begun = responder.clone();
                             let task = Task::new(&turn, move |_| {
                                 let name = args.recording.as_deref();
-                                reply(&begun, node, recordings.begin(name, status, source));
+                                let begun_as = recordings.begin(name, status, source);
+                                log(&begun_as, client.as_deref(), "started to record");
+                                reply(&begun, node, begun_as);
                             });
                             if lanes.submit(Lane::Recordings, task).is_err() {
                                 responder.reject(&CommandError::Busy, None);
@@ -61,13 +65,17 @@ impl Context {
             RecordArgs::Stop(args) => {
                 return self.queue_command(Lane::Recordings, &command.turn, move || {
                     let stopped = recordings.stop(&args.recording);
-                    reply(&responder, node, stopped.map(|it| (args.recording, it)));
+                    let stopped = stopped.map(|it| (args.recording, it));
+                    log(&stopped, client.as_deref(), "stopped");
+                    reply(&responder, node, stopped);
                 });
             }
             RecordArgs::Delete(args) => {
                 return self.queue_command(Lane::Recordings, &command.turn, move || {
                     let deleted = recordings.delete(&args.recording);
-                    reply(&responder, node, deleted.map(|it| (args.recording, it)));
+                    let deleted = deleted.map(|it| (args.recording, it));
+                    log(&deleted, client.as_deref(), "deleted");
+                    reply(&responder, node, deleted);
                 });
             }
         }
@@ -112,6 +120,12 @@ fn positive(field: &'static str, number: Option<u64>) -> Result<(), CommandError
         Some(0) => Err(WireError::out_of_range(field, 0).into()),
         Some(number) => Ok(jostle_convert::value::whole(field, number).map(drop)?),
         None => Ok(()),
+    }
+}
+
+fn log(done: &Result<(String, Status), RecordError>, client: Option<&str>, what: &str) {
+    if let Ok((name, status)) = done {
+        info!(recording = name, swarm = status.swarm, client, "{what}");
     }
 }
 

@@ -17,6 +17,7 @@ use crate::playback::{McapSource, ReplayError};
 use crate::swarm::command::Command;
 use crate::swarm::handle::{Outcome, ReplyTo};
 use crate::swarm::registry::SwarmRegistry;
+use crate::swarm::sender::Creation;
 
 /// The default timeout of opening a recording, which reads all of its index.
 const OPEN_TIMEOUT: Duration = Duration::from_secs(60);
@@ -78,6 +79,7 @@ impl Context {
         let (uploads, recordings) = (self.uploads.clone(), self.recordings.clone());
         let identity = command.identity();
         let has_identity = identity.is_some();
+        let creation = command.creation("replay");
         let task = Self::creation(
             &command.turn,
             identity.as_ref(),
@@ -96,7 +98,7 @@ impl Context {
                 };
                 match source {
                     Ok(source) if responder.commits() || has_identity => {
-                        play(&registry, node, &args.name, source, &responder);
+                        play(&registry, node, (&args.name, creation), source, &responder);
                     }
                     Ok(_) => {}
                     Err(error) => responder.reject(&error.into(), None),
@@ -111,7 +113,7 @@ impl Context {
 fn play(
     registry: &Arc<SwarmRegistry>,
     node: String,
-    name: &str,
+    (name, creation): (&str, Creation),
     source: McapSource,
     responder: &Responder,
 ) {
@@ -132,7 +134,7 @@ fn play(
         })
     };
     tracing::debug!(name, frames, "opened a recording");
-    if let Err(error) = registry.play(name, Box::new(source), answer) {
+    if let Err(error) = registry.play(name, Box::new(source), creation, answer) {
         responder.reject(&error.into(), None);
     }
 }

@@ -35,7 +35,7 @@ impl Context {
         if n > limit {
             return Err(SwarmError::from(ReserveError::TooMany { n, limit }).into());
         }
-        self.swarm_from_checkpoint(name, PauseReason::Restored, command)
+        self.swarm_from_checkpoint(name, ("restore", PauseReason::Restored), command)
             .create(checkpoint);
         Ok(())
     }

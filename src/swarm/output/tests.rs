@@ -46,7 +46,7 @@ fn a_full_lossless_queue_has_no_room_until_it_is_drained() {
 fn a_subscription_receives_every_state_and_event_until_it_is_dropped() {
     let output = Output::new("demo".to_owned());
     let push_event = |number| {
-        let (phase, kind) = (Phase::Faulted("why".into()), EventKind::Created);
+        let (phase, kind) = (Phase::Faulted("why".into()), EventKind::Created(None));
         let (epoch, step, time, seq) = (0, 0, 0.0, 0);
         output.push_event(&Event {
             number,

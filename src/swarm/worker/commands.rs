@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use fail::fail_point;
 use jostle_physics::simulation::{Change, ChangeKind, ChangeOutcome, Settings, steps_in};
-use tracing::warn;
+use tracing::{info, warn};
 
 use crate::swarm::command::{Command, Until, When};
 use crate::swarm::controllers::Input;
@@ -423,7 +423,8 @@ impl Worker {
         let phase = self.phase.clone();
         self.reply_to_pending(&phase);
         self.notify_controllers(Input::Interrupted(phase));
-        self.push_event(EventKind::Deleted);
+        info!(swarm = self.output.name, client = sender.client, "deleted");
+        self.push_event(EventKind::Deleted(sender.clone()));
         let stamp = self.stamp();
         self.waiters.reject_all(Some(stamp.step));
         Ok((stamp, Outcome::Done))

@@ -24,17 +24,17 @@ use crate::swarm::command::Command;
 use crate::swarm::controllers::{Controllers, Effect, Input};
 use crate::swarm::error::{SwarmError, WriteFault};
 use crate::swarm::failpoint;
-use crate::swarm::frame::{EventKind, Summary};
+use crate::swarm::frame::{Event, EventKind, Stamp, Summary};
 use crate::swarm::handle::{Handle, Message, Outcome, Rejection, ReplyTo, receive};
 use crate::swarm::history::History;
 use crate::swarm::journal::{Journal, JournalWriter, Record};
 use crate::swarm::metrics::SwarmMetrics;
 use crate::swarm::output::Output;
-use crate::swarm::phase::Phase;
+use crate::swarm::phase::{PauseReason, Phase};
 use crate::swarm::runner::{End, Runner};
 use crate::swarm::schedule::Schedule;
 use crate::swarm::scheduler::{Pace, Share};
-use crate::swarm::sender::Sender;
+use crate::swarm::sender::{Creation, Sender};
 use crate::swarm::waiters::Waiters;
 use crate::swarm::watch::Watches;
 
@@ -180,10 +180,31 @@ impl Worker {
         worker
     }
 
-    /// Publishes the first summary, and that the swarm was created if no event precedes it.
-    pub fn publish_created(&mut self) {
-        if self.events == 0 {
-            self.push_event(EventKind::Created);
+    /// Publishes the first summary, and that the swarm was created, unless events precede it: then its
+    /// creation is added to the history, which a recovered swarm has lost.
+    pub fn publish_created(&mut self, creation: Option<Arc<Creation>>) {
+        let unix_secs = creation.as_ref().and_then(|it| it.unix_secs);
+        match creation {
+            creation if self.events == 0 => {
+                self.applied_at(unix_secs, |it| it.push_event(EventKind::Created(creation)));
+            }
+            Some(creation) => {
+                let stamp = Stamp {
+                    // As in `Checkpoint::for_another`.
+                    epoch: 1,
+                    step: creation.step,
+                    time: creation.step as f64 * self.simulation.state.parameters.dt,
+                    phase: Phase::Paused(PauseReason::Created),
+                    seq: 0,
+                };
+                self.history.record_event(&Event {
+                    number: 1,
+                    stamp,
+                    unix_secs,
+                    kind: EventKind::Created(Some(creation)),
+                });
+            }
+            None => {}
         }
         self.update_summary();
     }

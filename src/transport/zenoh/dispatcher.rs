@@ -222,9 +222,7 @@ impl Dispatcher {
     }
 
     fn ended(&mut self, swarm: &str, reply: DeferredReply) {
-        if self.endpoints.close(swarm) {
-            info!(swarm, "deleted");
-        }
+        self.endpoints.close(swarm);
         self.gateway.claims.end(&Name::Swarm(swarm.to_owned()));
         self.publisher.close(swarm, reply);
     }

@@ -1,7 +1,7 @@
 //! `jostled auth add` and `remove` beside a running daemon: they apply within 5 s, in the same
 //! epoch.
 
-mod process;
+pub(super) mod process;
 
 use std::fs;
 use std::path::PathBuf;

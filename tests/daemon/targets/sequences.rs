@@ -29,7 +29,7 @@ use jostled::swarm::journal::{JournalWriter, NoWriter};
 use jostled::swarm::phase::Phase;
 use jostled::swarm::registry::{Created, Limits, SwarmRegistry};
 use jostled::swarm::runner::{JournalFactory, PersistNew, SwarmObserver};
-use jostled::swarm::sender::Sender;
+use jostled::swarm::sender::{Creation, Sender};
 use jostled::swarm::watch::{Action, Draws, Watch};
 
 use model::{Effect, Expected, FAST, Input, LIMIT, Model, ModelPhase, SLOW, Step};
@@ -98,6 +98,7 @@ impl JournalFactory for NoStore {
 impl PersistNew for NoStore {
     fn persist(
         self: Box<Self>,
+        _: Option<&Creation>,
         _: &Checkpoint,
         _: &Stamp,
         _: &Arc<Frame>,
@@ -312,7 +313,13 @@ pub fn check(data: &[u8]) {
     ));
     assert!(herald.0.set(Arc::downgrade(&host)).is_ok());
     let (answer, built) = answers();
-    let created = host.create("a", recipe(n), false, Box::new(NoStore), || answer);
+    let created = host.create(
+        "a",
+        (recipe(n), Creation::default()),
+        false,
+        Box::new(NoStore),
+        || answer,
+    );
     assert!(matches!(created, Ok(Created::New)));
     assert!(answer_from(&built).is_ok());
     let handle = host.find("a").expect("it was created");
@@ -428,7 +435,7 @@ fn has_its_history(handle: &Handle, model: &Model) {
         model.scheduled
     );
     assert_eq!(
-        count(|it| matches!(it, EventKind::Deleted)),
+        count(|it| matches!(it, EventKind::Deleted(_))),
         usize::from(model.deleted)
     );
 }

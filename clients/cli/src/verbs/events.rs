@@ -121,7 +121,11 @@ pub fn describe(kind: &EventKind) -> String {
         None => String::new(),
     };
     match kind {
-        EventKind::Created {} => "created".into(),
+        EventKind::Created { verb, client, .. } => {
+            let verb = verb.as_deref().filter(|it| *it != "create");
+            let verb = verb.map_or(String::new(), |verb| format!(" ({verb})"));
+            format!("created{verb}{}", by(client))
+        }
         EventKind::Phase { reason: None } => "phase changed".into(),
         EventKind::Phase {
             reason: Some(reason),
@@ -161,7 +165,7 @@ pub fn describe(kind: &EventKind) -> String {
         EventKind::RecordingFailed { recording, reason } => {
             format!("recording {recording} failed: {reason}")
         }
-        EventKind::Deleted {} => "deleted".into(),
+        EventKind::Deleted { client, .. } => format!("deleted{}", by(client)),
     }
 }
 
@@ -183,7 +187,12 @@ mod tests {
                 "error": {"code": "conflict", "message": "the swarm was reset"},
             })
         };
-        assert_eq!(described(of("created")), "created");
+        assert_eq!(described(of("created")), "created (set), by ada");
+        // As earlier versions send it.
+        assert_eq!(described(json!({"kind": "created"})), "created");
+        assert_eq!(described(json!({"kind": "deleted"})), "deleted");
+        let create = json!({"kind": "created", "verb": "create", "client": "olga:nb"});
+        assert_eq!(described(create), "created, by olga:nb");
         assert_eq!(described(of("phase")), "phase changed: finished");
         assert_eq!(described(of("command")), "set pi3=2 (seq 3, by ada)");
         assert_eq!(
@@ -196,6 +205,6 @@ mod tests {
         );
         assert_eq!(described(of("lapsed")), "no longer informed: 2 (4,7)");
         assert_eq!(described(of("fault")), "fault: finished");
-        assert_eq!(described(of("deleted")), "deleted");
+        assert_eq!(described(of("deleted")), "deleted, by ada");
     }
 }

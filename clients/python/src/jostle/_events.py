@@ -37,7 +37,7 @@ class Event(Dated, frozen=True, kw_only=True):
 
     The fields of each `kind`, beside those of all; the other fields are None:
 
-    - `created`: the swarm was created; its first event.
+    - `created`: the swarm was created; its first event: `verb, client, request_id`.
     - `phase`: its phase changed: `reason`.
     - `command`: a command was applied: `seq, verb, args, client, request_id`.
     - `scheduled`: a command waits for its step: `applies_at_step, verb, args, client, request_id`.
@@ -45,7 +45,7 @@ class Event(Dated, frozen=True, kw_only=True):
     - `lapsed`: the time of informed individuals ended, and they are uninformed: `ids`.
     - `fault`: a step failed; the swarm keeps its last good state: `reason`.
     - `recording_failed`: a recording of the daemon failed; its files are kept: `recording, reason`.
-    - `deleted`: the swarm was deleted; its last event.
+    - `deleted`: the swarm was deleted; its last event: `client, request_id`.
 
     A newer daemon may send other kinds.
 

@@ -16,6 +16,7 @@ pub async fn record_fixtures(recorded: &Recorded) {
     let orders = recorder.subscribe(keys::order(PREFIX, "school")).await;
     let spec = json!({"n": 4, "seed": 1, "start": {"kind": "disc", "radius": 4.0}});
     let create = json!({"name": "school", "spec": spec});
+    let create = json!({"request_id": "7c20", "client": "ada@lab", "args": create});
     recorder.node_cmd("create.reply", "create", create).await;
     let existing = json!({"name": "school", "spec": spec, "exist_ok": true});
     recorder
@@ -124,8 +125,9 @@ pub async fn record_fixtures(recorded: &Recorded) {
     recorder
         .node_get("node.whoami.reply.anybody", "whoami")
         .await;
+    let delete = json!({"request_id": "7c22", "client": "ada@lab", "args": args("delete.args")});
     recorder
-        .cmd("delete.reply", "school", "delete", args("delete.args"))
+        .cmd("delete.reply", "school", "delete", delete)
         .await;
     recorder.event("event.deleted", &events, "deleted").await;
     recorder.stop().await;

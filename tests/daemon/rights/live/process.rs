@@ -20,7 +20,7 @@ use crate::support::{NODE, until, until_within};
 pub(super) const SHORT_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// A daemon process with roles, and a swarm `s`, which olga created.
-pub(super) struct AuthProcess {
+pub(in crate::rights) struct AuthProcess {
     pub process: Process,
     pub folder: Folder,
     pub tls: String,
@@ -39,6 +39,25 @@ impl AuthProcess {
         let mut init = jostled(&["auth", "init", "--auth-dir"]);
         let made = init.arg(folder.path()).args(people).output().unwrap();
         assert!(made.status.success(), "{made:?}");
+        let daemon = Self::serve(base, folder).await;
+        let spec = r#"{"name": "s", "spec": {"n": 3, "seed": 1}}"#;
+        assert_eq!(daemon.http("POST /api/node/create", "olga", spec).0, 200);
+        daemon
+    }
+
+    /// Kills it, and starts another on its folder and data.
+    pub async fn killed(mut self) -> Self {
+        self.process.signal("-KILL");
+        self.process.end();
+        Self::serve(self.base, self.folder).await
+    }
+
+    /// The log of the process.
+    pub fn log(&self) -> String {
+        fs::read_to_string(self.base.path().join("log")).unwrap()
+    }
+
+    async fn serve(base: TempDir, folder: Folder) -> Self {
         let [out, log] = ["out", "log"].map(|name| base.path().join(name));
         let mut command = jostled(&["serve", "--node", NODE]);
         command
@@ -64,16 +83,13 @@ impl AuthProcess {
         until("it serves", async || printed_line("http on ").is_some()).await;
         let http = printed_line("http on http://").unwrap();
         let tls = printed_line("listening on ").unwrap();
-        let daemon = AuthProcess {
+        AuthProcess {
             process,
             folder,
             tls,
             http,
             base,
-        };
-        let spec = r#"{"name": "s", "spec": {"n": 3, "seed": 1}}"#;
-        assert_eq!(daemon.http("POST /api/node/create", "olga", spec).0, 200);
-        daemon
+        }
     }
 
     /// Runs `jostled auth`, and returns what it prints.

@@ -250,14 +250,14 @@ impl View {
             }
             let last = selected.events.back();
             let is_new = last.is_none_or(|it| event.number > it.number);
-            let is_recreated = event.event == (EventKind::Created {});
+            let is_recreated = matches!(event.event, EventKind::Created { .. });
             if !is_new && !is_recreated || last == Some(&event) {
                 continue;
             }
             if is_recreated {
                 selected.events.clear();
             }
-            if event.event == (EventKind::Deleted {}) {
+            if matches!(event.event, EventKind::Deleted { .. }) {
                 // Not waited for: a swarm of this name in the next list is another one.
                 self.misses = MAX_MISSES;
                 let events = std::mem::take(&mut selected.events);
