@@ -47,7 +47,14 @@ test("every kind of event has a text", () => {
   assert.equal(text("lapsed"), "inform expired, uninformed: 0, 2");
   assert.match(text("scheduled"), /^run rate 2 scheduled for step 551/);
   assert.match(text("refused"), /^run rejected: the swarm was reset before step 551/);
-  assert.match(text("created"), /^created/);
+  assert.equal(text("created"), "created · by ada@lab");
+  assert.equal(text("deleted"), "deleted · by ada@lab");
+  const forked = json<SwarmEvent>("event.created.json");
+  Object.assign(forked.event, { verb: "fork", client: null });
+  assert.equal(describe(forked), "created (fork)");
+  // As earlier versions send it.
+  forked.event = { kind: "created" };
+  assert.equal(describe(forked), "created");
   const noted = json<SwarmEvent>("event.command.json");
   noted.event.verb = "annotate";
   noted.event.args = json<object>("annotate.args.json");

@@ -22,6 +22,12 @@ export function describe({ event, phase }: SwarmEvent): string {
         return `note: ${String((event.args as { text?: unknown } | null)?.text)}${by}`;
       }
       return `${field("verb")} ${args(event.args)}${by}`;
+    case "created":
+      return ["", "create"].includes(field("verb"))
+        ? `created${by}`
+        : `created (${field("verb")})${by}`;
+    case "deleted":
+      return `deleted${by}`;
     case "phase":
       return field("reason") === "" ? phase : `${phase}: ${field("reason")}`;
     case "fault":
