@@ -19,7 +19,7 @@ use crate::verbs::{
     UninformArgs, WhenArgs, WhenResult,
 };
 use crate::{
-    ControllerList, Error, Event, Events, ExperimentArgs, ExperimentFile, ExperimentResult,
+    Audit, ControllerList, Error, Event, Events, ExperimentArgs, ExperimentFile, ExperimentResult,
     Experiments, Hello, Journal, Measures, Metrics, NodeReply, NodeStatus, OrderPage, OrderSample,
     Parameter, ParameterKind, Parameters, Progress, RecordArgs, Recording, RecordingPiece,
     Recordings, ReplayArgs, ReplayResult, Reply, Request, ResultsPage, Schemas, SeekArgs,
@@ -99,6 +99,7 @@ pub fn schemas() -> BTreeMap<&'static str, Schema> {
         ("node.schema.reply", sent::<NodeReply<Schemas>>()),
         ("node.metrics.reply", sent::<NodeReply<Metrics>>()),
         ("node.experiments.reply", sent::<NodeReply<Experiments>>()),
+        ("node.audit.reply", sent::<NodeReply<Audit>>()),
         ("node.recordings.reply", sent::<NodeReply<Recordings>>()),
         ("node.recording.reply", sent::<NodeReply<RecordingPiece>>()),
         ("record.args", received::<RecordArgs>()),

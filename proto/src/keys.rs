@@ -31,7 +31,7 @@ pub const SWARM_VERBS: [&str; 18] = [
 pub const OWN_VERBS: [&str; 4] = ["deadline", "lost", "control", "fired"];
 
 /// The nouns that `{prefix}/@node/{node}/get/` answers.
-pub const NODE_GETS: [&str; 9] = [
+pub const NODE_GETS: [&str; 10] = [
     "hello",
     "whoami",
     "status",
@@ -39,6 +39,7 @@ pub const NODE_GETS: [&str; 9] = [
     "schema",
     "metrics",
     "experiments",
+    "audit",
     "recordings",
     "recording",
 ];

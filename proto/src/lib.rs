@@ -43,9 +43,10 @@ pub use experiment::{
 };
 pub use metrics::{Metrics, RecordingMetrics, StoreMetrics, SwarmMetrics};
 pub use queries::{
-    Awaited, Controller, ControllerList, Events, ExperimentFile, Hello, Histogram, HistoryFrom,
-    Journal, JournalEntry, Limits, MeasureValue, Measures, NodeStatus, Parameter, ParameterKind,
-    Parameters, Puts, Schemas, Status, SwarmSummary, Swarms, Verified,
+    Audit, AuditLine, AuditOutcome, Awaited, Controller, ControllerList, Events, ExperimentFile,
+    Hello, Histogram, HistoryFrom, Journal, JournalEntry, Limits, MeasureValue, Measures,
+    NodeStatus, Parameter, ParameterKind, Parameters, Puts, Schemas, Status, SwarmSummary, Swarms,
+    Verified,
 };
 pub use recording::{
     BeginRecordingArgs, DEFAULT_MAX_RECORDING_BYTES, RecordArgs, RecordedAt, Recording,

@@ -269,12 +269,16 @@ pub struct Events {
 /// The spec and these commands determine the state of the swarm.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Journal {
-    /// Those after the requested `seq`, as many as one reply holds.
+    /// Those after the requested `seq` that the request selects, as many as one reply holds.
     pub entries: Vec<JournalEntry>,
     /// The `seq` of the oldest one that it still has; `null` if it has none.
     pub oldest: Option<u64>,
-    /// The `seq` of the newest one: query until it is reached. 0 before the first.
+    /// The `seq` of the newest one. 0 before the first.
     pub newest: u64,
+    /// The line of the journal at which the next page begins: query again with it as `line`, also
+    /// if this page has no entries. Left out by the last page.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub next: Option<u64>,
 }
 
 /// A command that was applied.
@@ -301,6 +305,53 @@ pub struct JournalEntry {
     pub client: Option<String>,
     /// The id that its client gave it.
     pub request_id: Option<String>,
+}
+
+/// A node's reply to `get/audit`: who sent which commands, oldest first.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Audit {
+    /// The lines that the request selects, as many as one reply holds.
+    pub lines: Vec<AuditLine>,
+    /// The number of the oldest line that the daemon still has; `null` if it has none.
+    pub oldest: Option<u64>,
+    /// The number of the newest line; 0 before the first.
+    pub newest: u64,
+    /// How many of the selected lines are damaged: they are left out.
+    pub damaged: u64,
+}
+
+/// Equal commands of one client within a minute.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct AuditLine {
+    /// Counts the lines of the daemon.
+    pub number: u64,
+    /// The daemon's wall clock when the first command was received: seconds since 1970, UTC.
+    pub unix_secs: f64,
+    /// The same for the last one.
+    pub last_unix_secs: f64,
+    /// How many commands there were.
+    pub count: u64,
+    /// The user of the token; `null` from a daemon without users, and for an unknown token.
+    pub user: Option<String>,
+    /// What the client calls itself; `null` if it does not.
+    pub client: Option<String>,
+    /// The verb.
+    pub verb: String,
+    /// What an `experiment`, `record` or `replay` does, such as `cancel`; `null` for other verbs.
+    pub action: Option<String>,
+    /// The swarm, experiment or recording; of `create`, `restore` and `replay` the new swarm.
+    pub name: Option<String>,
+    /// How the commands ended. What is missing to `count` had no outcome when the line was stored.
+    pub outcomes: Vec<AuditOutcome>,
+}
+
+/// How commands ended.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct AuditOutcome {
+    /// `ok`, or the code of the error.
+    pub outcome: String,
+    /// How many commands ended so.
+    pub count: u64,
 }
 
 /// A node's reply to `get/hello`: its version and limits.

@@ -34,7 +34,7 @@ async fn swarms(client: &Client) -> Vec<String> {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_cancel_does_not_wait_behind_128_abandoned_pages() {
-    let (mut process, viewer, _data) = start("lane-files=sleep(300)").await;
+    let (mut process, viewer, _data) = start("lane-files=sleep(5000)").await;
     let operator = Client::open(&process.endpoint).await;
     operator.create("a", json!({"n": 5})).await;
     let endless = "name = 'endless'\nduration = 1e6\n[[grid]]\nn = [20, 30]\n";

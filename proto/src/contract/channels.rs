@@ -71,6 +71,52 @@ const PAGE: &[(&str, &str)] = &[
     ),
 ];
 
+const PAGE_OF_JOURNAL: &[(&str, &str)] = &[
+    PAGE[0],
+    PAGE[1],
+    (
+        "line",
+        "a whole number, `next` of the page before: where in the journal this page begins",
+    ),
+    (
+        "from_step",
+        "a whole number: the reply has only commands applied at this step or later, of any epoch",
+    ),
+    (
+        "to_step",
+        "a whole number: the reply has only commands applied at this step or earlier",
+    ),
+    ("verb", "a verb: the reply has only these commands"),
+    (
+        "client",
+        "the reply has only commands of this client, or of each client of this user",
+    ),
+];
+
+const PAGE_OF_AUDIT: &[(&str, &str)] = &[
+    PAGE[0],
+    (
+        "before",
+        "a whole number: the reply has only lines with lower numbers, the newest of them",
+    ),
+    PAGE[1],
+    ("user", "the reply has only commands of this user"),
+    ("client", "the reply has only commands of this client"),
+    ("verb", "the reply has only commands with this verb"),
+    (
+        "name",
+        "the reply has only commands on the swarm, experiment or recording of this name",
+    ),
+    (
+        "from_time",
+        "seconds since 1970: the reply has only lines with a command at or after this time",
+    ),
+    (
+        "to_time",
+        "seconds since 1970: the reply has only lines with a command at or before this time",
+    ),
+];
+
 /// Every key a daemon serves.
 pub const CHANNELS: &[Channel] = &{
     use ChannelKind::{ClientToken, Command, Get, Published, PublishedAndQueried, Put, Token};
@@ -149,8 +195,9 @@ pub const CHANNELS: &[Channel] = &{
         Channel {
             key: "{swarm}/get/journal",
             kind: Get("journal.reply"),
-            parameters: PAGE,
-            doc: "The commands applied after the one with a given `seq`.",
+            parameters: PAGE_OF_JOURNAL,
+            doc: "The applied commands, from the stored journal. A page reads at most 10,000 lines of \
+                  it.",
         },
         plain(
             "{swarm}/get/snapshot",
@@ -379,6 +426,13 @@ pub const CHANNELS: &[Channel] = &{
             Command("replay.args", "replay.reply"),
             "Uploads a recording, and plays it as a swarm.",
         ),
+        Channel {
+            key: "@node/{node}/get/audit",
+            kind: Get("node.audit.reply"),
+            parameters: PAGE_OF_AUDIT,
+            doc: "Who sent which commands, and with what outcome. Requires an operator, and a key \
+                  without wildcards.",
+        },
         plain(
             "@node/{node}/get/recordings",
             Get("node.recordings.reply"),

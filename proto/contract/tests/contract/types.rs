@@ -8,7 +8,7 @@ use jostle_proto::verbs::{
     UninformArgs, WhenArgs, WhenResult,
 };
 use jostle_proto::{
-    Arguments, ControllerList, Error, Event, Events, ExperimentArgs, ExperimentFile,
+    Arguments, Audit, ControllerList, Error, Event, Events, ExperimentArgs, ExperimentFile,
     ExperimentResult, Experiments, Hello, Journal, Lenient, Measures, Metrics, NodeReply,
     NodeStatus, OrderPage, OrderSample, Parameters, Progress, RecordArgs, Recording,
     RecordingPiece, Recordings, ReplayArgs, ReplayResult, Reply, Request, ResultsPage, Schemas,
@@ -91,6 +91,7 @@ pub fn written_back_as_text(message: &str, text: &str) -> Result<String, String>
         "node.schema.reply" => received::<NodeReply<Schemas>>(text),
         "node.metrics.reply" => received::<NodeReply<Metrics>>(text),
         "node.experiments.reply" => received::<NodeReply<Experiments>>(text),
+        "node.audit.reply" => received::<NodeReply<Audit>>(text),
         "node.recordings.reply" => received::<NodeReply<Recordings>>(text),
         "node.recording.reply" => received::<NodeReply<RecordingPiece>>(text),
         "record.args" => arguments::<RecordArgs>(text),
