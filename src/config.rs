@@ -95,6 +95,10 @@ pub struct Config {
     pub auth_dir: Option<PathBuf>,
     /// Maximum size of the history of one swarm, in bytes.
     pub quota_bytes: u64,
+    /// Maximum size of the audit log, in bytes.
+    pub audit_bytes: u64,
+    /// Maximum age of its lines, in milliseconds.
+    pub audit_ms: u64,
     /// Maximum size of all recordings, in bytes.
     pub recordings_quota_bytes: u64,
     /// Maximum size of all experiments, in bytes; `None` for the whole disk.
@@ -105,6 +109,9 @@ pub struct Config {
 
 /// The value of each setting, by name, and where it comes from.
 pub type Resolved = BTreeMap<String, (String, Source)>;
+
+/// The milliseconds of a day.
+const DAY_MS: u64 = 24 * 60 * 60 * 1000;
 
 const NAME: &str = "a name: 1 to 64 of a-z, 0-9, - and _, the first a letter or digit";
 
@@ -176,6 +183,8 @@ impl Config {
             data_dir,
             auth_dir: some_text("auth_dir").map(PathBuf::from),
             quota_bytes: mebibytes("quota_mb", 1 << 20)?,
+            audit_bytes: mebibytes("audit_mb", 1 << 20)?,
+            audit_ms: u64::from(number("audit_days", 36_500)?) * DAY_MS,
             recordings_quota_bytes: mebibytes("recordings_quota_mb", 1 << 30)?,
             experiments_quota_bytes,
             experiment_threads,

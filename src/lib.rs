@@ -4,7 +4,7 @@
 //!
 //! 1. [`metrics`]
 //! 2. [`swarm`], [`store`], [`auth`]
-//! 3. [`convert`], [`persistence`], [`playback`], `recording`, `experiments`, `jobs`, [`health`],
+//! 3. [`audit`], [`convert`], [`persistence`], [`playback`], `recording`, `experiments`, `jobs`, [`health`],
 //!    [`backup`], [`config`]
 //! 4. [`api`]: requests of clients
 //! 5. [`transport`]: zenoh and HTTP
@@ -19,6 +19,7 @@
 
 pub mod api;
 pub mod app;
+pub mod audit;
 pub mod auth;
 pub mod backup;
 pub mod cli;

@@ -180,9 +180,7 @@ struct Journal {
 impl Journal {
     fn new() -> Self {
         let folder = tempfile::tempdir_in("/dev/shm").unwrap();
-        let settings = Settings {
-            quota_bytes: u64::MAX,
-        };
+        let settings = Settings::default();
         let store = Store::open(folder.path(), settings, Box::new(|fault| panic!("{fault}")));
         let store = store.unwrap();
         let first = Checkpoint {

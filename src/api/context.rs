@@ -12,6 +12,7 @@ use crate::api::idempotency::IdempotencyCache;
 use crate::api::incoming::{Incoming, Target};
 use crate::api::responder::{Replies, Responder};
 use crate::api::verifications::Verifications;
+use crate::audit::AuditLog;
 use crate::auth::live::LiveRights;
 use crate::auth::{NotPermitted, Rights};
 use crate::convert::commands::{self, CommandError};
@@ -19,6 +20,7 @@ use crate::convert::digest::RequestIdentity;
 use crate::experiments::ExperimentManager;
 use crate::health::HealthMonitor;
 use crate::lanes::{Full, Lane, Lanes, Task, Ticket};
+use crate::persistence::notes::NoteLimits;
 use crate::playback::Uploads;
 use crate::recording::Recordings;
 use crate::store::Store;
@@ -116,6 +118,10 @@ pub struct Context {
     pub lanes: Lanes,
     /// The verifications that run or are queued.
     pub verifications: Arc<Verifications>,
+    /// The limits of notes.
+    pub notes: NoteLimits,
+    /// Who sent which commands.
+    pub audit: AuditLog,
 }
 
 impl Context {
@@ -136,6 +142,7 @@ impl Context {
         let target = &incoming.target;
         let is_command = matches!(target, Target::Command(_) | Target::NodeCommand);
         if is_command && let Err(error) = self.permit(incoming) {
+            self.audit_denied(incoming);
             return self.reject(incoming, &error.into());
         }
         if !is_command && !matches!(target, Target::Deletion) && !incoming.payload.is_empty() {
@@ -215,6 +222,9 @@ impl Context {
             None => default_timeout,
         };
         let is_new = self.is_new(command.identity(), responder)?;
+        if is_new {
+            self.audit(command.key, request, responder);
+        }
         responder.set_deadline(timeout, CommandError::deadline, None);
         Ok(is_new.then_some(args))
     }

@@ -4,11 +4,13 @@ use std::ops::Deref;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
-use jostle_proto::Request;
+use jostle_proto::{Request, keys};
 
 use crate::convert::Payload;
 use crate::convert::commands::{selector, truncate};
 use crate::convert::error::CommandError;
+use crate::persistence::journal_page::JournalFilter;
+use crate::store::AuditFilter;
 
 /// Encodings in which requests are read; no encoding is JSON.
 const JSON_ENCODINGS: [&str; 5] = [
@@ -30,6 +32,9 @@ const MAX_UNANSWERED_BYTES: usize = 64 * 1024 * 1024;
 /// The default and the largest limit of a page of numbered records.
 const PAGE_RECORDS: usize = 256;
 const MAX_PAGE_RECORDS: usize = 1000;
+
+/// The latest time of a selector: the end of the year 9999.
+const MAX_UNIX_SECS: f64 = 253_402_300_800.0;
 
 /// Counts the bytes of all unanswered requests.
 #[derive(Default)]
@@ -228,6 +233,121 @@ pub fn page<'a>(
     Ok((after, limit))
 }
 
+/// A page of a journal, from the parameters of a selector.
+///
+/// # Errors
+///
+/// As those of [`page`].
+pub(super) fn page_of_journal<'a>(
+    parameters: impl Iterator<Item = (&'a str, &'a str)>,
+) -> Result<JournalFilter, CommandError> {
+    let known = &[
+        "after",
+        "limit",
+        "line",
+        "from_step",
+        "to_step",
+        "verb",
+        "client",
+    ];
+    let mut filter = JournalFilter::default();
+    let mut rest = Vec::new();
+    for (name, value) in selector(parameters, known)? {
+        let number = |field| whole(field, value).map(Some);
+        match name {
+            "line" => filter.line = number("line")?,
+            "from_step" => filter.from_step = number("from_step")?,
+            "to_step" => filter.to_step = number("to_step")?,
+            "verb" => {
+                let mut verbs = keys::SWARM_VERBS.iter().chain(&keys::OWN_VERBS);
+                if !verbs.any(|verb| *verb == value) {
+                    return Err(CommandError::Field {
+                        field: "verb",
+                        problem: "is no verb of a swarm",
+                    });
+                }
+                filter.verb = Some(value.to_owned());
+            }
+            "client" => filter.client = Some(value.to_owned()),
+            _ => rest.push((name, value)),
+        }
+    }
+    if let (Some(from), Some(to)) = (filter.from_step, filter.to_step)
+        && from > to
+    {
+        return Err(CommandError::Field {
+            field: "to_step",
+            problem: "is less than from_step",
+        });
+    }
+    let (_, after, limit) = page_of(rest.into_iter(), known, PAGE_RECORDS, MAX_PAGE_RECORDS)?;
+    Ok(JournalFilter {
+        after,
+        limit,
+        ..filter
+    })
+}
+
+fn whole(field: &'static str, value: &str) -> Result<u64, CommandError> {
+    value.parse().map_err(|_| CommandError::Field {
+        field,
+        problem: "is not a whole number in its range; separate parameters with `;`",
+    })
+}
+
+/// A page of the audit log, from the parameters of a selector.
+///
+/// # Errors
+///
+/// As those of [`page`].
+pub(super) fn page_of_audit<'a>(
+    parameters: impl Iterator<Item = (&'a str, &'a str)>,
+) -> Result<AuditFilter, CommandError> {
+    let known = &[
+        "after",
+        "before",
+        "limit",
+        "user",
+        "client",
+        "verb",
+        "name",
+        "from_time",
+        "to_time",
+    ];
+    let mut filter = AuditFilter::default();
+    let mut rest = Vec::new();
+    for (name, value) in selector(parameters, known)? {
+        let text = || Some(value.to_owned());
+        match name {
+            "before" => filter.before = Some(whole("before", value)?),
+            "user" => filter.user = text(),
+            "client" => filter.client = text(),
+            "verb" => filter.verb = text(),
+            "name" => filter.name = text(),
+            "from_time" => filter.from_ms = Some(milliseconds("from_time", value)?),
+            "to_time" => filter.to_ms = Some(milliseconds("to_time", value)?),
+            _ => rest.push((name, value)),
+        }
+    }
+    let (_, after, limit) = page_of(rest.into_iter(), known, PAGE_RECORDS, MAX_PAGE_RECORDS)?;
+    Ok(AuditFilter {
+        after,
+        limit,
+        ..filter
+    })
+}
+
+/// The milliseconds since 1970 of a time in seconds.
+fn milliseconds(field: &'static str, value: &str) -> Result<u64, CommandError> {
+    let secs: Option<f64> = value.parse().ok();
+    let secs = secs.filter(|secs| (0.0..=MAX_UNIX_SECS).contains(secs));
+    let secs = secs.ok_or(CommandError::Field {
+        field,
+        problem: "is not a time in seconds since 1970; separate parameters with `;`",
+    })?;
+    Ok((secs * 1000.0) as u64)
+}
+
 /// The run of an experiment, and a page of at most `max` of its records.
 pub(super) fn page_of_run<'a>(
     parameters: impl Iterator<Item = (&'a str, &'a str)>,
@@ -287,7 +407,7 @@ fn page_of<'a>(
     for (name, value) in selector(parameters, known)? {
         match name {
             "run" => run = Some(value),
-            "after" => after = value.parse().map_err(|_| wrong("after"))?,
+            "after" => after = whole("after", value)?,
             _ => {
                 let number = value.parse().ok();
                 let number = number.filter(|number| (1..=max).contains(number));

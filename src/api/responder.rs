@@ -4,9 +4,9 @@
 //! its last responder is dropped.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{Sender, channel};
+use std::sync::{Arc, OnceLock};
 use std::thread;
 use std::time::Duration;
 
@@ -17,7 +17,9 @@ use tokio::task::AbortHandle;
 use tokio::time::{Instant, sleep_until};
 use tracing::error;
 
+use crate::api::audit;
 use crate::api::incoming::Incoming;
+use crate::audit::AuditTicket;
 use crate::convert::Payload;
 use crate::convert::error::CommandError;
 use crate::metrics::Activity;
@@ -44,6 +46,8 @@ struct Pending {
     incoming: Mutex<Option<Incoming>>,
     /// Where the reply is cached, if the request has an id.
     slot: Mutex<Option<Box<dyn ReplySlot>>>,
+    /// Its place in the audit log, if it is a command.
+    audit: OnceLock<Arc<Mutex<AuditTicket>>>,
     deadlines: Mutex<Vec<AbortHandle>>,
     /// Whether the reply no longer depends on the deadline; only changed while `incoming` is locked.
     is_committed: AtomicBool,
@@ -70,6 +74,7 @@ pub struct Replies {
 struct Outgoing {
     incoming: Option<(Incoming, String)>,
     slot: Option<Box<dyn ReplySlot>>,
+    audit: Option<Arc<Mutex<AuditTicket>>>,
     encode: Encode,
 }
 
@@ -118,6 +123,7 @@ impl Replies {
         Responder(Arc::new(Pending {
             incoming: Mutex::new(Some(incoming.clone())),
             slot: Mutex::default(),
+            audit: OnceLock::new(),
             deadlines: Mutex::default(),
             is_committed: AtomicBool::new(false),
             key,
@@ -146,6 +152,11 @@ impl Responder {
     /// Sets the slot of the idempotency cache into which `complete` writes the reply.
     pub fn set_slot(&self, slot: Box<dyn ReplySlot>) {
         *self.0.slot.lock() = Some(slot);
+    }
+
+    /// Sets its place in the audit log, which gets the outcome.
+    pub fn set_audit(&self, ticket: AuditTicket) {
+        let _ = self.0.audit.set(Arc::new(Mutex::new(ticket)));
     }
 
     /// Replies, unless there is a reply already. The slot of the request stays open.
@@ -317,10 +328,12 @@ impl Pending {
                 deadline.abort();
             }
         }
-        if incoming.is_some() || slot.is_some() {
+        let audit = self.audit.get().cloned();
+        if incoming.is_some() || slot.is_some() || audit.is_some() {
             let outgoing = Outgoing {
                 incoming,
                 slot,
+                audit,
                 encode,
             };
             // An error means that the daemon is stopping: the client gets no reply.
@@ -356,6 +369,7 @@ impl Outgoing {
         let Outgoing {
             incoming,
             slot,
+            audit,
             encode,
         } = self;
         let reply = catch_unwind(AssertUnwindSafe(encode))
@@ -363,6 +377,9 @@ impl Outgoing {
             .unwrap_or_else(|_| Err(Payload::json(&CommandError::Dropped.to_wire(None))));
         if let Some(slot) = slot {
             slot.write(&reply);
+        }
+        if let Some(ticket) = audit {
+            ticket.lock().finish(&audit::outcome(&reply));
         }
         if let Some((incoming, key)) = incoming {
             incoming.peer.reply(&key, reply);

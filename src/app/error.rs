@@ -2,6 +2,7 @@
 
 use thiserror::Error;
 
+use crate::audit::AuditError;
 use crate::auth::AuthError;
 use crate::convert::commands::CommandError;
 use crate::store::StoreError;
@@ -28,6 +29,8 @@ pub enum ServerError {
     Gateway(#[from] GatewayError),
     #[error("{0}")]
     Store(#[from] StoreError),
+    #[error("cannot open the audit log: {0}")]
+    Audit(#[from] AuditError),
     #[error(
         "{0} has recordings or experiments but no database: restore a backup, or move the folder away"
     )]

@@ -9,6 +9,7 @@ use zenoh::pubsub::Subscriber;
 use zenoh::{Session, Wait};
 
 use crate::api::responder::Replies;
+use crate::audit::AuditLog;
 use crate::experiments::ExperimentManager;
 use crate::health::HealthMonitor;
 use crate::recording::Recordings;
@@ -41,6 +42,7 @@ pub struct Server {
     pub(super) credentials: Credentials,
     pub(super) experiments: ExperimentManager,
     pub(super) recordings: Recordings,
+    pub(super) audit: AuditLog,
 }
 
 /// The zenoh session with its subscribers and the runtime below it, closed and dropped in this order:

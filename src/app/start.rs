@@ -24,6 +24,7 @@ use crate::app::data_folder;
 use crate::app::error::{EXIT_STORE, ServerError};
 use crate::app::server::{Connection, Server};
 use crate::app::users;
+use crate::audit::AuditLog;
 use crate::auth::Rights;
 use crate::auth::live::LiveRights;
 use crate::config::Config;
@@ -32,6 +33,7 @@ use crate::experiments::ExperimentManager;
 use crate::health::{HealthMonitor, HealthSources};
 use crate::lanes::Lanes;
 use crate::metrics::Activity;
+use crate::persistence::notes::NoteLimits;
 use crate::persistence::recovery::{self, OnRecovered};
 use crate::playback::Uploads;
 use crate::recording::{Position, Recordings};
@@ -61,7 +63,8 @@ pub fn start(config: &Config) -> BoxedFuture<'_, Result<Server, ServerError>> {
 async fn open(config: &Config) -> Result<Server, ServerError> {
     check_name("node", &config.node).map_err(ServerError::Name)?;
     check_name("prefix", &config.prefix).map_err(ServerError::Name)?;
-    let rights = users::open(config)?;
+    let audit = Arc::new(OnceLock::new());
+    let rights = users::open(config, &audit)?;
     check_certificate(config, &rights)?;
     let http = HttpListener::bind(config, &rights).await?;
     data_folder::check(&config.data_dir)?;
@@ -81,6 +84,7 @@ async fn open(config: &Config) -> Result<Server, ServerError> {
 
     let (session, pool) = (opened.session, opened.pool);
     let (core, received, claim_subscribers) = Core::start(config, rights, store, session, pool)?;
+    let _ = audit.set(core.audit.clone());
     let files = Files::open(config, &core).await?;
     progress::publish(
         files.experiments.clone(),
@@ -144,6 +148,7 @@ async fn open(config: &Config) -> Result<Server, ServerError> {
         watch,
         gateway,
         credentials,
+        audit: core.audit,
         experiments: files.experiments,
         recordings: files.recordings,
     })
@@ -225,6 +230,8 @@ impl HttpListener {
 fn open_store(config: &Config) -> Result<Store, StoreError> {
     let settings = store::Settings {
         quota_bytes: config.quota_bytes,
+        audit_bytes: config.audit_bytes,
+        audit_ms: config.audit_ms,
     };
     let on_fatal = Box::new(|fault: &StoreFault| {
         error!(%fault, "the store failed: exiting; restart the daemon");
@@ -259,6 +266,7 @@ struct Core {
     claims: Arc<Claims>,
     registry: Arc<SwarmRegistry>,
     idempotency: IdempotencyCache,
+    audit: AuditLog,
 }
 
 impl Core {
@@ -286,6 +294,7 @@ impl Core {
         let registry = SwarmRegistry::new(config.limits, observer, Box::new(store.clone()));
         let has_users = rights.current().users().is_some();
         let core = Core {
+            audit: AuditLog::open(store.clone())?,
             idempotency: IdempotencyCache::new(store.clone(), has_users),
             rights,
             store,
@@ -374,6 +383,12 @@ fn context(
         is_recovering: AtomicBool::new(true),
         lanes: core.lanes.clone(),
         verifications: Arc::default(),
+        notes: NoteLimits::new(
+            core.store.clone(),
+            config.quota_bytes,
+            config.auth_dir.is_some(),
+        ),
+        audit: core.audit.clone(),
     })
 }
 

@@ -40,8 +40,12 @@ impl Server {
 
         // After the swarms, so that recordings and the store receive their last states.
         let (recordings, store) = (self.recordings.clone(), self.store.clone());
+        let audit = self.audit.clone();
         let recordings = spawn_blocking(move || recordings.close(RECORDING_STOP_TIMEOUT));
-        let stored = spawn_blocking(move || store.stop(STORE_STOP_TIMEOUT));
+        let stored = spawn_blocking(move || {
+            audit.write_changes();
+            store.stop(STORE_STOP_TIMEOUT)
+        });
         let is_written = stored.await.unwrap_or(false);
         if !is_written {
             self.log_unwritten();

@@ -1,11 +1,12 @@
 //! The users and their roles: read at the start, and again while the daemon runs.
 
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
 use tokio::time::MissedTickBehavior;
 use tracing::{error, info, warn};
 
+use crate::audit::{self, AuditCommand, AuditLog};
 use crate::auth::folder::Folder;
 use crate::auth::live::{Changes, LiveRights};
 use crate::auth::{AuthError, Rights};
@@ -20,7 +21,11 @@ const EXPIRY_CHECK_INTERVAL: Duration = Duration::from_secs(24 * 60 * 60);
 const RELOAD_INTERVAL: Duration = Duration::from_secs(1);
 
 /// Reads the users of `auth_dir`, and starts the tasks that reload and check them.
-pub fn open(config: &Config) -> Result<Arc<LiveRights>, AuthError> {
+/// `audit` is set once the audit log is open.
+pub fn open(
+    config: &Config,
+    audit: &Arc<OnceLock<AuditLog>>,
+) -> Result<Arc<LiveRights>, AuthError> {
     let rights = match &config.auth_dir {
         Some(path) => Rights::read(Folder::new(path.clone()))?,
         None => Rights::Open,
@@ -29,7 +34,7 @@ pub fn open(config: &Config) -> Result<Arc<LiveRights>, AuthError> {
     let rights = Arc::new(LiveRights::new(rights));
     if has_users {
         tokio::spawn(warn_of_expiry(rights.clone()));
-        tokio::spawn(reload(rights.clone()));
+        tokio::spawn(reload(rights.clone(), audit.clone()));
     }
     Ok(rights)
 }
@@ -48,7 +53,7 @@ async fn warn_of_expiry(rights: Arc<LiveRights>) {
 
 /// Reads the users again every second, so that `jostled auth add` and `remove` take effect without a
 /// restart.
-async fn reload(rights: Arc<LiveRights>) {
+async fn reload(rights: Arc<LiveRights>, audit: Arc<OnceLock<AuditLog>>) {
     let mut ticks = tokio::time::interval(RELOAD_INTERVAL);
     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
     let mut last_problem = None;
@@ -62,6 +67,10 @@ async fn reload(rights: Arc<LiveRights>) {
             Ok(Ok(changes)) => {
                 if changes != Changes::default() {
                     let Changes { added, removed } = changes;
+                    if let Some(log) = audit.get() {
+                        record(log, "remove", &removed);
+                        record(log, "add", &added);
+                    }
                     let (added, removed) = (added.join(" "), removed.join(" "));
                     info!(added, removed, "users changed");
                 }
@@ -75,5 +84,18 @@ async fn reload(rights: Arc<LiveRights>) {
             Err(error) => error!(%error, "a defect: reloading the users panicked"),
         }
         last_problem = rights.problem();
+    }
+}
+
+/// Adds changes by `jostled auth` to the audit log. Whoever may change the file is no user.
+fn record(log: &AuditLog, action: &str, names: &[String]) {
+    for name in names {
+        let command = AuditCommand {
+            verb: "auth".to_owned(),
+            action: Some(action.to_owned()),
+            name: Some(name.clone()),
+            ..AuditCommand::default()
+        };
+        log.begin(command).finish(audit::OK);
     }
 }

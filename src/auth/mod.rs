@@ -222,6 +222,14 @@ fn by_token(folder: &Folder, entries: Vec<UserEntry>) -> Result<ByToken, AuthErr
     Ok(users)
 }
 
+/// The user and the name of their client in the name under which a request is stored.
+pub fn split_signed(client: &str) -> (Option<&str>, Option<&str>) {
+    match client.split_once(BEFORE_CLAIM) {
+        Some((user, claim)) => (Some(user), Some(claim)),
+        None => (Some(client), None),
+    }
+}
+
 impl User {
     /// The name under which a request is stored: the user, and the name of their client.
     pub fn signed(&self, claim: Option<&str>) -> String {

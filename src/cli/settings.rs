@@ -69,6 +69,12 @@ struct Settings {
     /// Maximum history of a swarm, in MiB; the oldest part is deleted first
     #[arg(long, value_name = "MIB", default_value = "64")]
     quota_mb: String,
+    /// Maximum size of the audit log, in MiB; the oldest lines of the user with most are deleted first
+    #[arg(long, value_name = "MIB", default_value = "16")]
+    audit_mb: String,
+    /// Maximum age of the lines of the audit log, in days
+    #[arg(long, value_name = "DAYS", default_value = "365")]
+    audit_days: String,
     /// Maximum size of all recordings, in MiB; a recording that reaches it ends, its swarm continues
     #[arg(long, value_name = "MIB", default_value = "10240")]
     recordings_quota_mb: String,

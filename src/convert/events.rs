@@ -4,8 +4,9 @@ use jostle_proto as proto;
 
 use crate::convert::error::CommandError;
 use crate::convert::states::phase;
+use crate::persistence::journal_page::JournalPage;
 use crate::swarm::frame::{Event, EventKind};
-use crate::swarm::history::{Entry, Page};
+use crate::swarm::history::Page;
 use crate::swarm::sender::Sender;
 
 pub fn event(swarm: &str, event: Event) -> proto::Event {
@@ -78,8 +79,8 @@ pub fn events(swarm: &str, page: Page<Event>) -> proto::Events {
     }
 }
 
-pub fn journal(page: Page<Entry>) -> proto::Journal {
-    let entries = page.records.into_iter().map(|entry| proto::JournalEntry {
+pub fn journal(page: JournalPage, newest: u64) -> proto::Journal {
+    let entries = page.entries.into_iter().map(|entry| proto::JournalEntry {
         seq: entry.stamp.seq,
         epoch: entry.stamp.epoch,
         step: entry.stamp.step,
@@ -93,7 +94,8 @@ pub fn journal(page: Page<Entry>) -> proto::Journal {
     proto::Journal {
         entries: entries.collect(),
         oldest: page.oldest,
-        newest: page.newest,
+        newest,
+        next: page.next,
     }
 }
 

@@ -21,6 +21,7 @@ macro_rules! same_variants {
     };
 }
 
+mod audit;
 pub mod commands;
 mod controllers;
 mod decode;
@@ -37,6 +38,7 @@ mod replies;
 mod states;
 pub mod validate;
 
+pub(crate) use audit::audit;
 pub(crate) use controllers::controllers;
 pub(crate) use decode::{decode_event, decode_spec, decode_state};
 pub(crate) use events::{event, events, journal};

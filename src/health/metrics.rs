@@ -46,6 +46,8 @@ pub struct DaemonMetrics {
     pub contested: usize,
     /// The health of the store.
     pub store: store::Health,
+    /// The size of the audit log.
+    pub audit: store::AuditSize,
     /// The number of recordings by phase.
     pub recordings: RecordingCounts,
     /// The size of all recordings and its limit, in bytes.
@@ -120,6 +122,8 @@ impl HealthMonitor {
             store: self.watched.store.health(),
             recordings: (self.watched.count)(recordings),
             recordings_bytes: recordings.usage(),
+            // A store that cannot be read is reported elsewhere.
+            audit: self.watched.store.audit_size().unwrap_or_default(),
             experiments: self.watched.experiments.disk_usage(),
             lanes: self.watched.lanes.status().to_vec(),
             dropped_requests: (self.watched.dropped_requests)(),

@@ -12,7 +12,10 @@ use crate::convert::commands;
 use crate::persistence::writer;
 use crate::store::{Row, Store, StoreError};
 use crate::swarm::command::Command;
+use crate::swarm::frame::Stamp;
+use crate::swarm::history::Entry;
 use crate::swarm::journal::{Line, Record};
+use crate::swarm::phase::{PauseReason, Phase};
 use crate::swarm::sender::Sender;
 use crate::swarm::worker::replay::ReplayEntry;
 
@@ -126,6 +129,23 @@ pub struct AppliedInput {
     pub sender: Arc<Sender>,
 }
 
+impl AppliedInput {
+    /// As an entry of the history of a swarm with steps of `dt`.
+    pub fn entry(self, dt: f64) -> Entry {
+        Entry {
+            stamp: Stamp {
+                epoch: self.epoch,
+                step: self.step,
+                time: self.step as f64 * dt,
+                phase: Phase::Paused(PauseReason::Requested),
+                seq: self.seq,
+            },
+            unix_secs: self.unix_secs,
+            sender: self.sender,
+        }
+    }
+}
+
 /// Finds the commands that were applied in a sequence of lines.
 #[derive(Default)]
 pub struct AppliedInputs {
@@ -134,6 +154,11 @@ pub struct AppliedInputs {
 }
 
 impl AppliedInputs {
+    /// Whether the command on a line was read and waits for its outcome.
+    pub fn has(&self, input: u64) -> bool {
+        self.waiting.contains_key(&input)
+    }
+
     /// Adds a command that was scheduled before the first line.
     pub fn wait_for(&mut self, input: u64, sender: Arc<Sender>) {
         self.waiting.insert(input, sender);
@@ -171,7 +196,8 @@ impl AppliedInputs {
     }
 }
 
-fn parse_line(row: &Row) -> Result<Line, String> {
+/// Reads a row of the store.
+pub fn parse_line(row: &Row) -> Result<Line, String> {
     Ok(Line {
         number: row.number,
         epoch: row.epoch,

@@ -19,11 +19,10 @@ use crate::persistence::writer::{SwarmMetadata, writes};
 use crate::store::{Store, StoreError, Write};
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::error::SwarmError;
-use crate::swarm::frame::{Frame, Stamp};
+use crate::swarm::frame::Frame;
 use crate::swarm::handle::{Handle, Rejection, ReplyTo};
 use crate::swarm::history;
 use crate::swarm::journal::{Entry, Line, Record};
-use crate::swarm::phase::{PauseReason, Phase};
 use crate::swarm::registry::{self, SwarmRegistry};
 use crate::swarm::sender::{Creation, Sender};
 use crate::swarm::worker::replay::{ReplayEntry, ReplaySource, ReplayTarget};
@@ -260,7 +259,7 @@ fn has_replies(
     Ok(missing.is_empty())
 }
 
-/// The commands that were applied according to the lines before a checkpoint, for `get/journal`.
+/// The commands that were applied according to the lines before a checkpoint, for waits on events.
 fn history_before(
     store: &Store,
     swarm: &str,
@@ -281,18 +280,7 @@ fn history_before(
         }
     }
     let applied = lines.into_iter().filter_map(|line| applied.read(line));
-    let entries = applied.map(|input| history::Entry {
-        stamp: Stamp {
-            epoch: input.epoch,
-            step: input.step,
-            time: input.step as f64 * dt,
-            phase: Phase::Paused(PauseReason::Requested),
-            seq: input.seq,
-        },
-        unix_secs: input.unix_secs,
-        sender: input.sender,
-    });
-    Ok(entries.collect())
+    Ok(applied.map(|input| input.entry(dt)).collect())
 }
 
 /// Receives the reply to a replayed command and puts it into the cache, for retries of the client.

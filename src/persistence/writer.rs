@@ -12,6 +12,7 @@ use crate::convert::digest::RequestIdentity;
 use crate::convert::{self, Payload, durable};
 use crate::store::{self, OnCommit, Store, StoreFault, Write};
 use crate::swarm::checkpoint::Checkpoint;
+use crate::swarm::command::ANNOTATE;
 use crate::swarm::error::WriteFault;
 use crate::swarm::frame::{Frame, Stamp};
 use crate::swarm::handle::Outcome;
@@ -217,11 +218,18 @@ mod stored_sender {
 #[derive(Serialize, Deserialize)]
 struct StoredRecord(#[serde(with = "Stored")] Record);
 
+const INPUT: u8 = 1;
+const OUTCOME: u8 = 2;
+
+/// The kinds of rows that are commands or their outcomes.
+pub const COMMAND_KINDS: [u8; 3] = [INPUT, OUTCOME, store::NOTE];
+
 /// Encodes a journal record: its kind, by which it is found, and its bytes.
 pub fn record(record: &Record) -> (u8, Vec<u8>) {
     let kind = match record {
-        Record::Input { .. } => 1,
-        Record::Outcome { .. } => 2,
+        Record::Input { sender, .. } if sender.verb == ANNOTATE => store::NOTE,
+        Record::Input { .. } => INPUT,
+        Record::Outcome { .. } => OUTCOME,
         Record::Fault(_) => 3,
         Record::Hash(_) => 4,
         Record::Resumed(_) => 5,

@@ -17,7 +17,8 @@ pub(super) struct Backlog {
 }
 
 impl Backlog {
-    /// An empty backlog. Beyond `max`, writes and bytes, checkpoints are dropped, then replies.
+    /// An empty backlog. Beyond `max`, writes and bytes, lines of the audit log are dropped, then
+    /// checkpoints, then replies.
     pub(super) fn new(max: (usize, usize)) -> Backlog {
         Backlog {
             max,
@@ -31,6 +32,7 @@ impl Backlog {
     /// stop when [`Backlog::is_overrun`].
     pub(super) fn push(&mut self, submit: Submit) {
         self.add(submit);
+        self.drop_if_overrun(|write| matches!(write, Write::Audit(_)));
         self.drop_if_overrun(|write| matches!(write, Write::SaveCheckpoint { .. }));
         self.drop_if_overrun(|write| {
             matches!(write, Write::InsertReply(_) | Write::DeleteReply { .. })

@@ -30,6 +30,7 @@ use rusqlite::{
     Row as SqlRow, Rows as SqlRows, params,
 };
 
+use super::audit::{self, AuditLine};
 use super::record::{Checkpoint, CheckpointInfo, Row, StoredReply};
 
 /// The columns that [`row`] decodes.
@@ -135,6 +136,19 @@ fn reply_checksum(id: u64, reply: &StoredReply) -> Checksum {
         .bytes(reply.swarm.as_bytes())
         .bytes(reply.encoding.as_bytes())
         .bytes(&reply.body)
+        .finish()
+}
+
+fn audit_checksum(line: &AuditLine) -> Checksum {
+    let has = |text: &Option<String>| u64::from(text.is_some());
+    Hasher::new("audit")
+        .numbers([line.number, line.first_ms, line.last_ms])
+        .numbers([has(&line.client), has(&line.name)])
+        .bytes(line.user.as_bytes())
+        .bytes(line.client.as_deref().unwrap_or("").as_bytes())
+        .bytes(line.verb.as_bytes())
+        .bytes(line.name.as_deref().unwrap_or("").as_bytes())
+        .bytes(&line.body)
         .finish()
 }
 
@@ -383,6 +397,61 @@ pub(super) fn reply(record: &SqlRow<'_>) -> SqlResult<Option<(u64, StoredReply)>
         let id = unsigned(record, 0)?;
         let is_intact = record.get::<_, Vec<u8>>(8)? == reply_checksum(id, &reply);
         Ok(is_intact.then_some((id, reply)))
+    };
+    Ok(decoded(decode())?.flatten())
+}
+
+/// Inserts a line of the audit log, which counts for so many bytes.
+pub(super) fn insert_audit_line(
+    connection: &Connection,
+    line: &AuditLine,
+    bytes: usize,
+) -> SqlResult<()> {
+    let [number, first, last] = [line.number, line.first_ms, line.last_ms].map(u64::cast_signed);
+    connection
+        .prepare_cached(&format!(
+            "INSERT INTO audit ({}, bytes) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+            audit::COLUMNS
+        ))?
+        .execute(params![
+            number,
+            line.user,
+            line.client,
+            line.verb,
+            line.name,
+            first,
+            last,
+            audit_checksum(line),
+            line.body,
+            bytes as i64
+        ])?;
+    Ok(())
+}
+
+/// Replaces the time and the body of a line of the audit log; whether it exists.
+pub(super) fn update_audit_line(connection: &Connection, line: &AuditLine) -> SqlResult<bool> {
+    let [number, last] = [line.number, line.last_ms].map(u64::cast_signed);
+    let updated = connection
+        .prepare_cached("UPDATE audit SET last_ms = ?, seal = ?, body = ? WHERE number = ?")?
+        .execute(params![last, audit_checksum(line), line.body, number])?;
+    Ok(updated > 0)
+}
+
+/// Decodes [`audit::COLUMNS`]; `None` if the line is damaged.
+pub(super) fn audit_line(record: &SqlRow<'_>) -> SqlResult<Option<AuditLine>> {
+    let decode = || {
+        let line = AuditLine {
+            number: unsigned(record, 0)?,
+            user: record.get(1)?,
+            client: record.get(2)?,
+            verb: record.get(3)?,
+            name: record.get(4)?,
+            first_ms: unsigned(record, 5)?,
+            last_ms: unsigned(record, 6)?,
+            body: record.get(8)?,
+        };
+        let is_intact = record.get::<_, Vec<u8>>(7)? == audit_checksum(&line);
+        Ok(is_intact.then_some(line))
     };
     Ok(decoded(decode())?.flatten())
 }

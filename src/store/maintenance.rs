@@ -101,8 +101,10 @@ impl Writer {
         if tombstone.is_none() && self.over_quota.is_empty() {
             return Ok(false);
         }
-        let (quota_bytes, mut candidates) =
-            (self.quota_bytes, std::mem::take(&mut self.over_quota));
+        let (quota_bytes, mut candidates) = (
+            self.settings.quota_bytes,
+            std::mem::take(&mut self.over_quota),
+        );
         let swept = self
             .transact(|transaction| retention::sweep(transaction, &mut candidates, quota_bytes));
         self.over_quota.append(&mut candidates);

@@ -6,6 +6,7 @@
 //! One thread writes, in the order of submission. It commits what is queued in one transaction with
 //! one sync, which all submitters share. Reads use a connection of their own and do not block it.
 
+mod audit;
 mod backlog;
 mod copy;
 mod damaged_copy;
@@ -14,6 +15,7 @@ mod failpoint;
 mod health;
 mod integrity;
 mod maintenance;
+mod notes;
 mod queue;
 mod read;
 mod record;
@@ -37,6 +39,7 @@ use std::io;
 use std::os::unix::fs::DirBuilderExt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 use std::sync::mpsc::{SyncSender, sync_channel};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
@@ -46,11 +49,13 @@ use rusqlite::Connection;
 use rustix::fs::{FlockOperation, flock};
 use rustix::io::Errno;
 
+pub use audit::{AuditFilter, AuditLine, AuditPage, AuditSize};
 pub use copy::copy;
 pub use error::{StoreError, StoreFault};
 pub use health::Health;
+pub use notes::note_bytes;
 pub use record::{Checkpoint, CheckpointInfo, Row, Rows, StoredReply, Write};
-pub use schema::{FILE, KNOWN as SCHEMA};
+pub use schema::{FILE, KNOWN as SCHEMA, NOTE};
 
 use health::Meter;
 use queue::{Queue, Submit};
@@ -109,8 +114,24 @@ type OnFatal = Box<dyn Fn(&StoreFault) + Send>;
 /// Settings of the store.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Settings {
-    /// Maximum size of the rows and checkpoints of one swarm; the oldest are deleted first.
+    /// Maximum size of the rows and checkpoints of one swarm, without notes; the oldest are deleted
+    /// first.
     pub quota_bytes: u64,
+    /// Maximum size of the audit log.
+    pub audit_bytes: u64,
+    /// Maximum age of its lines, in milliseconds.
+    pub audit_ms: u64,
+}
+
+impl Default for Settings {
+    /// Those without a limit.
+    fn default() -> Self {
+        Settings {
+            quota_bytes: u64::MAX,
+            audit_bytes: u64::MAX,
+            audit_ms: u64::MAX,
+        }
+    }
 }
 
 /// The database of one data folder. Clones share it.
@@ -170,7 +191,7 @@ impl Store {
         let shared = Arc::<Shared>::default();
         let writer = Writer::new(
             (connection, folder.to_path_buf(), lock),
-            settings.quota_bytes,
+            settings,
             Arc::clone(&shared),
         )
         .map_err(|error| StoreError::of_reading(&file, &error))?;
@@ -212,6 +233,12 @@ impl Store {
         let (done, is_done) = sync_channel(1);
         self.push(writes, Durability::Sync(Box::new(done)));
         is_done.recv().unwrap_or(Err(StoreFault::Stopped))
+    }
+
+    /// Whether the last write succeeded.
+    pub fn is_writable(&self) -> bool {
+        let meter = &self.0.shared.meter;
+        !meter.is_full.load(Ordering::Relaxed) && !meter.is_failing.load(Ordering::Relaxed)
     }
 
     /// Condition and counters of the store.

@@ -6,7 +6,7 @@ use tracing::warn;
 use super::Store;
 use super::error::StoreError;
 use super::integrity::{self, Extent};
-use super::record::{Checkpoint, CheckpointInfo, Rows, StoredReply};
+use super::record::{Checkpoint, CheckpointInfo, Row, Rows, StoredReply};
 
 /// Why something was not read.
 pub(super) enum ReadError {
@@ -101,6 +101,54 @@ impl Store {
             self.0.shared.meter.found_damaged(1);
         }
         Ok(read)
+    }
+
+    /// The rows of these kinds from number `first` to `last`, oldest first, until their bodies have
+    /// `max_bytes`. Damaged ones are left out.
+    ///
+    /// # Errors
+    ///
+    /// [`StoreError::NoSwarm`], [`StoreError::Damaged`], and those of any read.
+    pub fn rows_of_kinds(
+        &self,
+        swarm: &str,
+        kinds: [u8; 3],
+        (first, last): (u64, u64),
+        max_bytes: usize,
+    ) -> Result<Vec<Row>, StoreError> {
+        self.read(|snapshot| {
+            let (id, _) = self.find(snapshot, swarm)?;
+            let mut statement = snapshot.prepare_cached(&format!(
+                "SELECT {} FROM row WHERE swarm = ? AND number BETWEEN ? AND ?
+                 AND +kind IN (?, ?, ?) ORDER BY number",
+                integrity::ROW
+            ))?;
+            let [first, last] = [first, last].map(u64::cast_signed);
+            let [a, b, c] = kinds;
+            let mut cursor = statement.query(params![id, first, last, a, b, c])?;
+            let (mut rows, mut bytes) = (Vec::new(), 0);
+            while bytes < max_bytes
+                && let Some(record) = integrity::next(&mut cursor)?
+            {
+                if let Some(row) = integrity::row(record, swarm, id)? {
+                    bytes += row.body.len() + 1;
+                    rows.push(row);
+                }
+            }
+            Ok(rows)
+        })
+    }
+
+    /// The numbers of the first and the last row of `swarm`; the first is greater if it has none.
+    ///
+    /// # Errors
+    ///
+    /// [`StoreError::NoSwarm`], [`StoreError::Damaged`], and those of any read.
+    pub fn row_numbers(&self, swarm: &str) -> Result<(u64, u64), StoreError> {
+        self.read(|snapshot| {
+            let (_, extent) = self.find(snapshot, swarm)?;
+            Ok((extent.first.saturating_add(1), extent.last))
+        })
     }
 
     /// The checkpoints of `swarm`, newest first. Damaged ones are left out, logged and counted in
@@ -256,7 +304,11 @@ impl Store {
     }
 
     /// Id and extent of `swarm`.
-    fn find(&self, snapshot: &Connection, swarm: &str) -> Result<(i64, Extent), ReadError> {
+    pub(super) fn find(
+        &self,
+        snapshot: &Connection,
+        swarm: &str,
+    ) -> Result<(i64, Extent), ReadError> {
         match integrity::find(snapshot, swarm)? {
             Some((id, Some(extent))) => Ok((id, extent)),
             Some((_, None)) => Err(self.damaged(swarm, "the extent")),

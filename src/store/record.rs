@@ -1,5 +1,7 @@
 //! Records and writes, and what they count for against a quota.
 
+use super::audit::AuditLine;
+
 /// Size of a record in the file besides its body.
 const OVERHEAD_BYTES: usize = 64;
 
@@ -120,10 +122,13 @@ pub enum Write {
         /// Its id.
         request_id: String,
     },
+    /// Adds a line of the audit log, or replaces times and body of the one with its number. It is
+    /// dropped if the store cannot write for long.
+    Audit(AuditLine),
 }
 
 impl Write {
-    /// The swarm that it changes; `None` for replies.
+    /// The swarm that it changes; `None` for replies and the audit log.
     pub(super) fn swarm(&self) -> Option<&str> {
         match self {
             Write::Create { swarm, .. }
@@ -131,7 +136,7 @@ impl Write {
             | Write::SaveCheckpoint { swarm, .. }
             | Write::Truncate { swarm, .. }
             | Write::Delete { swarm } => Some(swarm),
-            Write::InsertReply(_) | Write::DeleteReply { .. } => None,
+            Write::InsertReply(_) | Write::DeleteReply { .. } | Write::Audit(_) => None,
         }
     }
 
@@ -149,6 +154,7 @@ impl Write {
                 Write::Truncate { swarm, .. } | Write::Delete { swarm } => swarm.len(),
                 Write::InsertReply(reply) => reply.body.len() + reply.request_id.len(),
                 Write::DeleteReply { request_id, .. } => request_id.len(),
+                Write::Audit(line) => line.bytes() + line.body.len(),
             }
     }
 }

@@ -43,7 +43,7 @@ pub(super) fn on_open(folder: &Path, connection: &mut Connection) -> Result<(), 
 /// those of deleted swarms. Reads both completely.
 pub(super) fn rewrite(connection: &Connection) -> SqlResult<()> {
     let insert = "INSERT OR IGNORE INTO repaired";
-    rewrite_tree(
+    let is_rewritten = rewrite_tree(
         connection,
         "row",
         schema::ROW,
@@ -53,6 +53,10 @@ pub(super) fn rewrite(connection: &Connection) -> SqlResult<()> {
             None => Ok(()),
         },
     )?;
+    if is_rewritten {
+        // It was dropped with the old tree.
+        connection.execute_batch(schema::NOTES)?;
+    }
     let columns = integrity::CHECKPOINT;
     rewrite_tree(
         connection,
@@ -63,19 +67,21 @@ pub(super) fn rewrite(connection: &Connection) -> SqlResult<()> {
             Some(it) => integrity::insert_checkpoint(connection, insert, swarm, &it),
             None => Ok(()),
         },
-    )
+    )?;
+    Ok(())
 }
 
-/// Rewrites one tree: `copy` gets its records, decodable from `columns`, with name and id of the swarm.
+/// Rewrites one tree if it is out of order: `copy` gets its records, decodable from `columns`, with
+/// name and id of the swarm. Returns whether it was.
 fn rewrite_tree(
     connection: &Connection,
     table: &str,
     definition: &str,
     columns: &str,
     copy: impl Fn(&SqlRow<'_>, (&str, i64)) -> SqlResult<()>,
-) -> SqlResult<()> {
+) -> SqlResult<bool> {
     if is_in_order(connection, table)? {
-        return Ok(());
+        return Ok(false);
     }
     let names: BTreeMap<i64, String> = connection
         .prepare("SELECT id, name FROM swarm")?
@@ -95,7 +101,8 @@ fn rewrite_tree(
     }
     connection.execute_batch(&format!(
         "DROP TABLE {table}; ALTER TABLE repaired RENAME TO {table}"
-    ))
+    ))?;
+    Ok(true)
 }
 
 fn is_in_order(connection: &Connection, table: &str) -> SqlResult<bool> {

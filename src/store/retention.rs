@@ -4,6 +4,7 @@ use std::collections::BTreeSet;
 
 use rusqlite::{Connection, Result as SqlResult, params};
 
+use super::notes;
 use super::record::cost;
 use super::transaction::Transaction;
 
@@ -90,7 +91,8 @@ fn sweep_rows(transaction: &mut Transaction<'_>, swarm: &str) -> SqlResult<bool>
     Ok(true)
 }
 
-/// Deletes checkpoints of a swarm that takes more than its quota; whether there were any to delete.
+/// Deletes checkpoints of a swarm that takes more than its quota besides its notes; whether there were
+/// any to delete.
 ///
 /// The two newest and all rows after the older of them always stay.
 fn shorten_history(
@@ -105,6 +107,10 @@ fn shorten_history(
     if extent.bytes <= quota_bytes {
         return Ok(false);
     }
+    let max_bytes = quota_bytes.saturating_add(notes::bytes(connection, id)?);
+    if extent.bytes <= max_bytes {
+        return Ok(false);
+    }
     let mut checkpoints: Vec<(i64, u64)> = connection
         .prepare_cached(
             "SELECT number, length(body) FROM checkpoint WHERE swarm = ? ORDER BY number",
@@ -117,7 +123,7 @@ fn shorten_history(
     let mut has_deleted = false;
     for _ in 0..CHECKPOINTS_PER_PIECE {
         let Some(index) =
-            checkpoint_to_delete(&checkpoints, quota_bytes).filter(|_| extent.bytes > quota_bytes)
+            checkpoint_to_delete(&checkpoints, quota_bytes).filter(|_| extent.bytes > max_bytes)
         else {
             break;
         };

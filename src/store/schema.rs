@@ -7,6 +7,7 @@ use std::time::Duration;
 use rusqlite::config::DbConfig;
 use rusqlite::{Connection, OpenFlags, Result as SqlResult, Transaction, TransactionBehavior};
 
+use super::audit;
 use super::error::StoreError;
 use super::integrity::{self, Extent};
 
@@ -23,12 +24,19 @@ const BUSY_TIMEOUT: Duration = Duration::from_millis(20);
 type Migration = fn(&Transaction<'_>) -> SqlResult<()>;
 
 /// Migration k leads from schema k to k + 1.
-const MIGRATIONS: &[Migration] = &[first, second];
+const MIGRATIONS: &[Migration] = &[first, second, third];
 
 /// The schema that this version writes, the newest that it reads.
-pub const KNOWN: i64 = 2;
+pub const KNOWN: i64 = 3;
 
 const _: () = assert!(MIGRATIONS.len() as i64 == KNOWN);
+
+/// The kind of rows that are notes, which count against no quota but their own.
+pub const NOTE: u8 = 6;
+
+/// The index by which the notes of a swarm are found and counted. Its `kind` is [`NOTE`].
+pub(super) const NOTES: &str =
+    "CREATE INDEX note ON row (swarm, number, length(body)) WHERE kind = 6";
 
 /// The columns of rows and of checkpoints.
 pub(super) const ROW: &str = "(
@@ -73,6 +81,12 @@ fn first(transaction: &Transaction<'_>) -> SqlResult<()> {
 /// The second schema: an index to delete replies by their request.
 fn second(transaction: &Transaction<'_>) -> SqlResult<()> {
     transaction.execute_batch("CREATE INDEX answer_request ON answer (request_id)")
+}
+
+/// The third schema: the audit log, and an index of notes.
+fn third(transaction: &Transaction<'_>) -> SqlResult<()> {
+    transaction.execute_batch(audit::TABLES)?;
+    transaction.execute_batch(NOTES)
 }
 
 /// Opens the writer's connection to `file`, creates or migrates the tables, and checks the pages of a

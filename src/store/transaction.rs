@@ -4,16 +4,17 @@ use std::collections::BTreeSet;
 
 use rusqlite::{Connection, Error as SqlError, OptionalExtension, Result as SqlResult, params};
 
-use super::Write;
+use super::audit;
 use super::failpoint;
 use super::integrity::{self, Extent};
 use super::record::{Checkpoint, Row, StoredReply, cost};
 use super::repair;
+use super::{Settings, Write};
 
 /// The open transaction of a connection.
 pub(super) struct Transaction<'a> {
     pub(super) connection: &'a Connection,
-    quota_bytes: u64,
+    settings: Settings,
     /// Whether anything was written.
     pub(super) has_changed: bool,
     /// Swarms that were written and take more than the quota.
@@ -39,10 +40,10 @@ fn rejected(reason: impl Into<String>) -> WriteError {
 
 impl<'a> Transaction<'a> {
     /// The transaction that has begun on `connection`.
-    pub(super) fn new(connection: &'a Connection, quota_bytes: u64) -> Transaction<'a> {
+    pub(super) fn new(connection: &'a Connection, settings: Settings) -> Transaction<'a> {
         Transaction {
             connection,
-            quota_bytes,
+            settings,
             has_changed: false,
             over_quota: BTreeSet::new(),
         }
@@ -74,7 +75,7 @@ impl<'a> Transaction<'a> {
     }
 
     pub(super) fn set_extent(&mut self, swarm: &str, id: i64, extent: &Extent) -> SqlResult<()> {
-        if extent.bytes > self.quota_bytes {
+        if extent.bytes > self.settings.quota_bytes {
             self.over_quota.insert(swarm.to_owned());
         }
         self.has_changed = true;
@@ -103,6 +104,19 @@ impl<'a> Transaction<'a> {
             Write::InsertReply(reply) => self.insert_reply(reply),
             Write::DeleteReply { client, request_id } => {
                 self.delete_reply(client.as_deref(), request_id)
+            }
+            Write::Audit(line) => {
+                let Settings {
+                    audit_bytes,
+                    audit_ms,
+                    ..
+                } = self.settings;
+                self.has_changed = true;
+                Ok(audit::write(
+                    self.connection,
+                    line,
+                    (audit_bytes, audit_ms),
+                )?)
             }
         }
     }

@@ -18,7 +18,7 @@ use super::failpoint;
 use super::queue::Submit;
 use super::reserve;
 use super::transaction::Transaction;
-use super::{Durability, Shared, Write};
+use super::{Durability, Settings, Shared, Write};
 
 /// Time between two attempts to write the backlog.
 const RETRY_INTERVAL: Duration = Duration::from_secs(1);
@@ -33,7 +33,7 @@ const WAL_BYTES_PER_COMMIT: usize = 6 * 4096;
 pub(super) struct Writer {
     pub(super) connection: Connection,
     pub(super) folder: PathBuf,
-    pub(super) quota_bytes: u64,
+    pub(super) settings: Settings,
     pub(super) backlog: Backlog,
     pub(super) over_quota: BTreeSet<String>,
     pub(super) shared: Arc<Shared>,
@@ -54,7 +54,7 @@ impl Writer {
     /// The state for an opened database; holds `lock` until it is dropped.
     pub(super) fn new(
         (connection, folder, lock): (Connection, PathBuf, File),
-        quota_bytes: u64,
+        settings: Settings,
         shared: Arc<Shared>,
     ) -> SqlResult<Writer> {
         // A crash may have left rows of any swarm unswept.
@@ -66,7 +66,7 @@ impl Writer {
         Ok(Writer {
             connection,
             folder,
-            quota_bytes,
+            settings,
             backlog,
             over_quota,
             shared,
@@ -239,7 +239,7 @@ impl Writer {
         work: impl FnOnce(&mut Transaction<'_>) -> SqlResult<T>,
     ) -> Result<T, StoreFault> {
         let fault = |error: SqlError| StoreFault::of_writing(&self.folder, &error);
-        let mut transaction = Transaction::new(&self.connection, self.quota_bytes);
+        let mut transaction = Transaction::new(&self.connection, self.settings);
         let run = || {
             self.connection
                 .execute_batch("BEGIN IMMEDIATE")

@@ -71,6 +71,9 @@ pub enum Command {
     Delete,
 }
 
+/// The verb of notes.
+pub const ANNOTATE: &str = "annotate";
+
 impl Command {
     /// The controller that sent it.
     pub fn controller(&self) -> Option<&str> {

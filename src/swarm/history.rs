@@ -1,17 +1,22 @@
 //! The past events and applied commands of a swarm, in bounded memory.
 //!
-//! The thread of the swarm records a command before it replies, so a client finds its command here.
+//! The thread of the swarm records a command before it replies, so a client finds its command here. The
+//! commands are those that a `wait` for an event looks through; the store has all of them.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
 
 use parking_lot::Mutex;
 
+use crate::swarm::command::ANNOTATE;
 use crate::swarm::frame::{Event, EventKind, Stamp};
 use crate::swarm::sender::{Creation, Sender};
 
 /// Limits of the events: their number and bytes.
 const MAX_EVENTS: (usize, usize) = (1024, 256 * 1024);
+
+/// The same for those events that are notes: a note evicts only notes.
+const MAX_NOTES: (usize, usize) = (MAX_EVENTS.0 / 8, MAX_EVENTS.1 / 8);
 
 /// Limits of the applied commands: their number and bytes.
 const MAX_ENTRIES: (usize, usize) = (4096, 256 * 1024);
@@ -42,7 +47,9 @@ pub struct Page<T> {
 /// The past events and applied commands of a swarm. The oldest are evicted.
 #[derive(Default)]
 pub struct History {
+    /// Those that are no notes.
     events: Mutex<Ring<Event>>,
+    notes: Mutex<Ring<Event>>,
     entries: Mutex<Ring<Entry>>,
 }
 
@@ -57,9 +64,11 @@ impl History {
             });
         }
         let bytes = RECORD_BYTES + event.kind.bytes();
-        self.events
-            .lock()
-            .push(event.number, bytes, event.clone(), MAX_EVENTS);
+        let (ring, limits) = match &event.kind {
+            EventKind::Command(sender) if sender.verb == ANNOTATE => (&self.notes, MAX_NOTES),
+            _ => (&self.events, MAX_EVENTS),
+        };
+        ring.lock().push(event.number, bytes, event.clone(), limits);
     }
 
     /// Adds a command that has no event in this history.
@@ -67,12 +76,29 @@ impl History {
         let bytes = RECORD_BYTES + entry.sender.bytes();
         let number = entry.stamp.seq;
         let mut entries = self.entries.lock();
-        entries.push(number, bytes, entry, MAX_ENTRIES);
+        match entry.sender.verb {
+            ANNOTATE => entries.newest = number,
+            _ => entries.push(number, bytes, entry, MAX_ENTRIES),
+        }
     }
 
-    /// At most `limit` events after number `after`.
+    /// At most `limit` events after number `after`. Notes may be missing among them.
     pub fn events(&self, after: u64, limit: usize) -> Page<Event> {
-        self.events.lock().after(after, limit)
+        let mut page = self.events.lock().after(after, limit);
+        let notes = self.notes.lock().after(after, limit);
+        page.records.extend(notes.records);
+        page.records.sort_by_key(|event| event.number);
+        page.records.truncate(limit);
+        Page {
+            oldest: page.oldest.into_iter().chain(notes.oldest).min(),
+            newest: page.newest.max(notes.newest),
+            ..page
+        }
+    }
+
+    /// The `seq` of the newest command; 0 before the first.
+    pub fn newest(&self) -> u64 {
+        self.entries.lock().newest
     }
 
     /// At most `limit` commands applied after `seq`.
@@ -160,7 +186,53 @@ fn length(label: &Option<String>) -> usize {
 
 #[cfg(test)]
 mod tests {
+    #![expect(clippy::unwrap_used, reason = "tests")]
+
     use super::*;
+    use crate::swarm::phase::{PauseReason, Phase};
+
+    /// The event of a command with this verb.
+    fn event(number: u64, verb: &'static str) -> Event {
+        let sender = Sender {
+            verb,
+            ..Sender::default()
+        };
+        Event {
+            number,
+            stamp: Stamp {
+                epoch: 1,
+                step: 0,
+                time: 0.0,
+                phase: Phase::Paused(PauseReason::Created),
+                seq: number,
+            },
+            unix_secs: None,
+            kind: EventKind::Command(Arc::new(sender)),
+        }
+    }
+
+    #[test]
+    fn notes_evict_only_notes() {
+        let history = History::default();
+        history.record_event(&event(1, "inform"));
+        for number in 2..=2000 {
+            history.record_event(&event(number, ANNOTATE));
+        }
+        let page = history.events(0, 1000);
+        assert_eq!(page.records[0].number, 1);
+        assert_eq!(page.records[1].number, 2000 - MAX_NOTES.0 as u64 + 1);
+        assert_eq!(page.records.last().unwrap().number, 2000);
+        assert_eq!((page.oldest, page.newest), (Some(1), 2000));
+        let numbers: Vec<u64> = history
+            .events(1990, 5)
+            .records
+            .iter()
+            .map(|it| it.number)
+            .collect();
+        assert_eq!(numbers, [1991, 1992, 1993, 1994, 1995]);
+        assert_eq!(history.entries(0, 10).records.len(), 1);
+        assert_eq!(history.newest(), 2000);
+    }
 
     #[test]
     fn the_oldest_are_evicted_by_count_and_by_bytes_and_the_newest_stays() {

@@ -8,6 +8,7 @@ const LAYERS: [&[&str]; 7] = [
     &["lanes", "metrics"],
     &["swarm", "store", "auth"],
     &[
+        "audit",
         "backup",
         "config",
         "convert",

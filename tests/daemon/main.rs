@@ -4,6 +4,7 @@
 
 mod abuse;
 mod annotate;
+mod audit;
 mod backup;
 mod changes;
 mod claim;
@@ -22,6 +23,7 @@ mod harness;
 mod health;
 mod history;
 mod idle_http;
+mod journal;
 mod lanes;
 mod limits;
 mod load;

@@ -1,6 +1,7 @@
 //! People and roles: what each may do, over TLS and within the machine.
 
 mod address;
+mod audit;
 mod blocked;
 mod forgery;
 mod live;

@@ -146,6 +146,22 @@ const ROWS: [Row; 17] = [
         bad: Some("0"),
     },
     Row {
+        name: "audit_mb",
+        value: "1",
+        effect: "the oldest lines are gone",
+        other: "16",
+        other_effect: "line 1 is there",
+        bad: Some("0"),
+    },
+    Row {
+        name: "audit_days",
+        value: "3",
+        effect: "lines of 1 days",
+        other: "30",
+        other_effect: "lines of 10 days",
+        bad: Some("0"),
+    },
+    Row {
         name: "recordings_quota_mb",
         value: "1",
         effect: "ended within 1 MiB",
@@ -257,6 +273,9 @@ impl Running {
         if name == "auth_dir" {
             let people = [("olga".to_owned(), Role::Operator)];
             issue::init(&Folder::new(folder.path().join("auth")), &[], &people).unwrap();
+        }
+        if name.starts_with("audit_") {
+            effects::write_audit_lines(&folder.path().join("data"));
         }
         let log = folder.path().join("log");
         let mut command = serve(name, given, folder.path());

@@ -61,9 +61,7 @@ pub async fn fill(folder: &Path) -> [String; 2] {
 pub fn altered(folder: &Path, alteration: Alteration, keeps_checkpoints: bool) -> TempDir {
     let copy = tempfile::tempdir().unwrap();
     daemon_process::copy(folder, copy.path());
-    let settings = Settings {
-        quota_bytes: u64::MAX,
-    };
+    let settings = Settings::default();
     let store = Store::open(copy.path(), settings, Box::new(|_| {})).unwrap();
     let swarm = "a".to_owned();
     let mut swarms = store.swarms().unwrap().into_iter();

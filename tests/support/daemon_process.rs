@@ -141,9 +141,7 @@ impl StoreCopy {
     pub fn of(folder: &Path) -> Self {
         let aside = tempfile::tempdir().unwrap();
         copy(folder, aside.path());
-        let settings = Settings {
-            quota_bytes: u64::MAX,
-        };
+        let settings = Settings::default();
         let store = Store::open(aside.path(), settings, Box::new(|_| {})).unwrap();
         StoreCopy(store, aside)
     }

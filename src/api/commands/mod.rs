@@ -69,8 +69,10 @@ impl Context {
         if let Some(controller) = message.command.controller()
             && let rights = self.rights.current()
             && let Some(person) = rights.sender(&incoming.token, verb)?
+            && let Err(error) = person.permit_controller(controller)
         {
-            person.permit_controller(controller)?;
+            self.audit_denied(incoming);
+            return Err(error.into());
         }
         let identity = RequestIdentity::of(&incoming.key, &request);
         if let Some(sender) = Arc::get_mut(&mut message.sender) {
@@ -81,9 +83,26 @@ impl Context {
             responder.set_deadline(timeout, CommandError::deadline, step);
             return Ok(());
         }
-        let swarm = self.find(swarm)?;
-        send(responder, &swarm, timeout, message, returns_state);
+        self.audit(&incoming.key, &request, responder);
+        let handle = self.find(swarm)?;
+        if message.command == Command::Annotate {
+            self.admit_note(swarm, incoming, &message)?;
+        }
+        send(responder, &handle, timeout, message, returns_state);
         Ok(())
+    }
+
+    /// Counts a note, unless it exceeds a limit.
+    fn admit_note(
+        &self,
+        swarm: &str,
+        incoming: &Incoming,
+        note: &CommandMessage,
+    ) -> Result<(), CommandError> {
+        let rights = self.rights.current();
+        let user = rights.owner(&incoming.token).map_or("", |user| &user.name);
+        let exists = |name: &str| self.registry.find(name).is_some();
+        Ok(self.notes.admit(swarm, user, &note.sender, exists)??)
     }
 
     /// Replies to a retry of `delete` after its swarm is gone. Other daemons reply for their own

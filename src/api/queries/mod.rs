@@ -1,7 +1,9 @@
 //! Queries: one file for each noun, or for several that are alike.
 
+mod audit;
 mod experiment;
 mod export;
+mod journal;
 mod measures;
 mod node;
 mod recording;

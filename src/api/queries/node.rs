@@ -22,13 +22,17 @@ impl Context {
                 continue;
             }
             is_known = true;
-            // It is expensive and needs the name of a recording: a wildcard does not match it.
-            if noun == "recording" && incoming.is_wild {
+            // They are expensive and for operators only: a wildcard does not match them.
+            if matches!(noun, "recording" | "audit") && incoming.is_wild {
                 continue;
             }
             let responder = self.replies.responder(incoming, key);
             let payload = match noun {
                 "recording" => match self.recording(incoming, &responder) {
+                    Ok(()) => continue,
+                    Err(error) => Err(error),
+                },
+                "audit" => match self.audit_page(incoming, &responder) {
                     Ok(()) => continue,
                     Err(error) => Err(error),
                 },

@@ -61,6 +61,7 @@ impl Context {
             };
             let done = match noun {
                 "measures" => self.measures(swarm, incoming, &responder),
+                "journal" => self.journal(swarm, incoming, &responder),
                 "wait" => self.wait(swarm, incoming, &responder),
                 "experiment" => export::options(incoming).and_then(|options| {
                     let export = Export {
@@ -112,7 +113,7 @@ impl Context {
         responder: &Responder,
     ) -> Result<(), CommandError> {
         let (after, limit) = match noun {
-            "events" | "journal" => page(incoming.parameters())?,
+            "events" => page(incoming.parameters())?,
             _ => incoming.no_parameters().map(|()| (0, 0))?,
         };
         let (name, handle) = (swarm.clone(), self.find(swarm)?);
@@ -134,10 +135,6 @@ impl Context {
             "events" => {
                 let events = convert::events(&name, handle.history.events(after, limit));
                 Payload::json(&convert::reply(&name, stamp, events))
-            }
-            "journal" => {
-                let journal = convert::journal(handle.history.entries(after, limit));
-                Payload::json(&convert::reply(&name, stamp, journal))
             }
             _ => status(&store, verifying, &name, stamp, seen),
         });

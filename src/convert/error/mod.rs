@@ -15,8 +15,10 @@ use thiserror::Error as ThisError;
 
 use crate::auth::NotPermitted;
 use crate::experiments::ExperimentError;
+use crate::persistence::notes::NoteError;
 use crate::playback::ReplayError;
 use crate::recording::RecordError;
+use crate::store::StoreError;
 use crate::swarm::error::SwarmError;
 use crate::swarm::registry::RegistryError;
 
@@ -102,6 +104,10 @@ pub enum CommandError {
     #[error("the history of the swarm cannot be replayed: {0}")]
     History(String),
     #[error(transparent)]
+    Note(#[from] NoteError),
+    #[error("the store cannot be read: {0}")]
+    Store(String),
+    #[error(transparent)]
     NotPermitted(#[from] NotPermitted),
     /// Another daemon serves the same name and has executed commands on it.
     #[error("{}", claim::rejection(swarm.as_deref(), claimants).message)]
@@ -157,6 +163,15 @@ pub enum CommandError {
     Record(#[from] RecordError),
     #[error(transparent)]
     Measures(#[from] MeasuresError),
+}
+
+impl From<StoreError> for CommandError {
+    fn from(error: StoreError) -> Self {
+        match error {
+            StoreError::NoSwarm(name) => CommandError::UnknownSwarm(name),
+            error => CommandError::Store(error.to_string()),
+        }
+    }
 }
 
 impl CommandError {
@@ -259,10 +274,13 @@ impl WireCode for CommandError {
             | CommandError::History(_) => ErrorCode::Conflict,
             CommandError::Contested { .. } => ErrorCode::Contested,
             CommandError::Claimed(_) => ErrorCode::AlreadyExists,
-            CommandError::Internal | CommandError::Dropped => ErrorCode::Internal,
+            CommandError::Internal | CommandError::Dropped | CommandError::Store(_) => {
+                ErrorCode::Internal
+            }
             CommandError::TooLong { .. }
             | CommandError::SnapshotTooLong { .. }
             | CommandError::ExportTooLong { .. }
+            | CommandError::Note(_)
             | CommandError::TooManyClients { .. } => ErrorCode::ResourceExhausted,
             CommandError::Busy | CommandError::HandingOver => ErrorCode::Busy,
             CommandError::Deadline { .. } | CommandError::NotYet { .. } => {

@@ -9,6 +9,7 @@ struct Everything {
     rows: Vec<Vec<Row>>,
     checkpoints: Vec<Vec<Checkpoint>>,
     replies: Vec<StoredReply>,
+    audit: Vec<AuditLine>,
 }
 
 /// Reads everything; an error if damage was reported.
@@ -32,11 +33,18 @@ fn read_all(store: &Store) -> Result<Everything, StoreError> {
         let read = infos.map(|info| store.checkpoint(swarm, info.number));
         checkpoints.push(read.collect::<Result<_, _>>()?);
     }
+    let all = AuditFilter {
+        limit: usize::MAX,
+        ..AuditFilter::default()
+    };
+    let audit = store.audit(&all)?;
+    store.0.shared.meter.found_damaged(audit.damaged);
     Ok(Everything {
         swarms,
         rows,
         checkpoints,
         replies: store.replies()?,
+        audit: audit.lines,
     })
 }
 
@@ -62,6 +70,8 @@ fn filled() -> (TempDir, Everything) {
         save_checkpoint("a", 120, 50),
     ]);
     writes.extend((1..=40).map(|number| Write::InsertReply(reply(number))));
+    let lines = (1..=60).map(|number| audit::line(number, ["ada", "ben"][number as usize % 2]));
+    writes.extend(lines.map(Write::Audit));
     let (folder, store) = stored(writes);
     assert!(store.stop(TIMEOUT));
     let whole = read_everything(folder.path(), u64::MAX).unwrap();

@@ -79,7 +79,7 @@ fn writer(folder: &Path) -> Writer {
     let lock = lock(folder).unwrap();
     let connection = schema::open(&folder.join(FILE), 0).unwrap();
     let shared = Arc::<Shared>::default();
-    Writer::new((connection, folder.to_path_buf(), lock), u64::MAX, shared).unwrap()
+    Writer::new((connection, folder.to_path_buf(), lock), UNLIMITED, shared).unwrap()
 }
 
 fn deferred(write: Write) -> Submit {
@@ -356,10 +356,10 @@ fn a_folder_is_open_once_at_a_time_and_accessible_to_its_owner_only() {
 fn foreign_and_newer_files_are_rejected() {
     let folder = folder();
     drop(open(folder.path()));
-    alter(folder.path(), "PRAGMA user_version = 3");
+    alter(folder.path(), "PRAGMA user_version = 4");
     let error = rejection(folder.path());
     assert!(matches!(error, StoreError::Newer { .. }));
-    let expected = "written by a newer jostled (schema 3, this one knows 2): upgrade, or name another --data-dir";
+    let expected = "written by a newer jostled (schema 4, this one knows 3): upgrade, or name another --data-dir";
     assert!(error.to_string().ends_with(expected), "{error}");
 
     let foreign = self::folder();

@@ -1,5 +1,6 @@
 //! Tests of the store on real files.
 
+mod audit;
 mod damage;
 mod failing;
 mod retention;
@@ -23,6 +24,8 @@ fn folder() -> TempDir {
 
 const UNLIMITED: Settings = Settings {
     quota_bytes: u64::MAX,
+    audit_bytes: u64::MAX,
+    audit_ms: u64::MAX,
 };
 
 fn open(folder: &Path) -> Store {
@@ -38,7 +41,11 @@ fn stored(writes: Vec<Write>) -> (TempDir, Store) {
 }
 
 fn open_with(folder: &Path, quota_bytes: u64) -> Store {
-    Store::open(folder, Settings { quota_bytes }, Box::new(|_| {})).unwrap()
+    let settings = Settings {
+        quota_bytes,
+        ..UNLIMITED
+    };
+    Store::open(folder, settings, Box::new(|_| {})).unwrap()
 }
 
 fn row(number: u64) -> Row {

@@ -101,13 +101,14 @@ impl Worker {
     }
 
     fn apply(&mut self, input: u64, at_step: Option<u64>, message: CommandMessage) -> Option<End> {
-        self.since_checkpoint.inputs += 1;
         let CommandMessage {
             command,
             sender,
             reply_to,
             ..
         } = message;
+        // A note costs no checkpoint, which might evict an older one.
+        self.since_checkpoint.inputs += u64::from(command != Command::Annotate);
         let Some(at_step) = at_step else {
             return self.execute(input, command, sender, reply_to);
         };

@@ -11,6 +11,9 @@ mod scheduled;
 mod step;
 mod watches;
 
+#[cfg(test)]
+mod tests;
+
 use std::collections::VecDeque;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError};

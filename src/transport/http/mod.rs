@@ -288,8 +288,8 @@ async fn get(
 ) -> Result<Reply, Response> {
     server.authorize(server.credentials.may_watch(&headers))?;
     let chunks: Vec<&str> = rest.split('/').collect();
-    // Only operators may send this query.
-    if chunks[..] == ["@node", "get", "recording"] {
+    // Only operators may send these queries.
+    if let ["@node", "get", "recording" | "audit"] = chunks[..] {
         server.authorize(server.credentials.may_command(&headers))?;
     }
     let is_query = match chunks[..] {

@@ -90,6 +90,8 @@ const METRICS: &[(&str, &str, Value)] = &[
     ("journal_waiting", "Queued writes", Gauge(|it| it.daemon.store.waiting as f64)),
     ("journal_damaged", "Damaged or missing records that were read", Counter(|it| it.daemon.store.damaged as f64)),
     ("store_bytes", "Size of the store on disk", Gauge(|it| it.daemon.store.bytes_on_disk as f64)),
+    ("audit_lines", "Lines of the audit log", Gauge(|it| it.daemon.audit.lines as f64)),
+    ("audit_bytes", "Size of the audit log", Gauge(|it| it.daemon.audit.bytes as f64)),
     ("recordings_bytes", "Size of all recordings on disk", Gauge(|it| it.daemon.recordings_bytes.0 as f64)),
     ("recordings_quota_bytes", "Maximum size of all recordings", Gauge(|it| it.daemon.recordings_bytes.1 as f64)),
     ("experiments_bytes", "Size of all experiments on disk", Gauge(|it| it.daemon.experiments.used as f64)),

@@ -92,14 +92,14 @@ fn roles(prefix: &str) -> Vec<Value> {
         .map(every)
         .collect();
     let everything = [every("**"), keys::node_cmd(prefix, "*", "**")];
-    let recording = keys::node_get(prefix, "*", "recording");
+    let of_operators = ["recording", "audit"].map(|noun| keys::node_get(prefix, "*", noun));
     let set_points = keys::ctl(prefix, "*", "*");
     vec![
         rule("watch", "ingress", &READ, &ALL_KEYS),
         rule("get", "ingress", &["query"], &gets),
-        denial("no_recording", "ingress", "query", &recording),
+        denial("no_operators", "ingress", "query", &of_operators),
         // A set-point contains the token of its sender.
-        denial("no_set_points", "egress", "put", &set_points),
+        denial("no_set_points", "egress", "put", &[set_points]),
         rule("control", "ingress", &["query"], &controllers),
         rule("operate", "ingress", &["query"], &everything),
     ]
@@ -109,9 +109,9 @@ fn roles(prefix: &str) -> Vec<Value> {
 fn rules_of(prefix: &str, person: &User, rules: &mut Vec<Value>) -> Vec<String> {
     let name = &person.name;
     let (names, controllers): (&[&str], _) = match person.role {
-        Role::Viewer => (&["no_recording", "no_set_points"], Vec::new()),
+        Role::Viewer => (&["no_operators", "no_set_points"], Vec::new()),
         Role::Controller => (
-            &["no_recording", "no_set_points", "control"],
+            &["no_operators", "no_set_points", "control"],
             vec![name.clone(), format!("{name}-$*")],
         ),
         Role::Operator => (&["operate", CLAIMS], vec!["*".to_owned()]),
@@ -163,9 +163,9 @@ fn control_rules(prefix: &str, id: &str, controllers: &[String]) -> [Value; 2] {
     ]
 }
 
-/// Denies messages on a key that another rule allows.
-fn denial(id: &str, flow: &str, message: &str, key: &str) -> Value {
-    let mut rule = rule(id, flow, &[message], &[key.to_owned()]);
+/// Denies messages on keys that another rule allows.
+fn denial(id: &str, flow: &str, message: &str, keys: &[String]) -> Value {
+    let mut rule = rule(id, flow, &[message], keys);
     rule["permission"] = json!("deny");
     rule
 }

@@ -21,7 +21,7 @@ const EVERYBODY: [&str; 3] = ["yes", "yes", "yes"];
 
 /// Every request, and whether a viewer, a controller and an operator may send it; `own`
 /// is for controllers named after the person alone.
-pub const TABLE: [(&str, [&str; 3]); 51] = [
+pub const TABLE: [(&str, [&str; 3]); 52] = [
     ("{swarm}/cmd/delete", NOBODY_BUT_OPERATORS),
     ("{swarm}/cmd/run", NOBODY_BUT_OPERATORS),
     ("{swarm}/cmd/pause", NOBODY_BUT_OPERATORS),
@@ -67,6 +67,7 @@ pub const TABLE: [(&str, [&str; 3]); 51] = [
     ("@node/{node}/get/schema", EVERYBODY),
     ("@node/{node}/get/metrics", EVERYBODY),
     ("@node/{node}/get/experiments", EVERYBODY),
+    ("@node/{node}/get/audit", NOBODY_BUT_OPERATORS),
     ("@node/{node}/get/recordings", EVERYBODY),
     ("@node/{node}/get/recording", NOBODY_BUT_OPERATORS),
     ("@node/{node}/experiment/{experiment}/progress", EVERYBODY),

@@ -1,10 +1,12 @@
 //! Observations of a daemon that show the effect of a setting.
 
 use std::fs;
-use std::time::{Duration, Instant};
+use std::path::Path;
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use jostle_proto::{State, keys};
 use jostled::auth::folder::Folder;
+use jostled::store::{AuditLine, Settings, Store, Write};
 use serde_json::{Value, json};
 
 use super::Running;
@@ -41,6 +43,8 @@ pub async fn observe(name: &str, daemon: &Running, expected: &str) -> String {
         }
         "auth_dir" => auth_dir(daemon).await,
         "quota_mb" => quota_mb(&daemon.open().await, expected).await,
+        "audit_mb" => audit_mb(&daemon.open().await).await,
+        "audit_days" => audit_days(&daemon.open().await).await,
         "recordings_quota_mb" => recordings_quota_mb(&daemon.open().await).await,
         "experiments_quota_mb" => experiments_quota_mb(&daemon.open().await).await,
         "experiment_threads" => experiment_threads(&daemon.open().await, expected).await,
@@ -272,6 +276,61 @@ async fn quota_mb(client: &Client, expected: &str) -> String {
         tokio::time::sleep(Duration::from_millis(20)).await;
     }
     "history from step 0".to_owned()
+}
+
+/// The number of the lines of [`write_audit_lines`].
+const AUDIT_LINES: u64 = 4000;
+
+/// Writes lines of the audit log that take more than a MiB: the first ten days old, the last one day.
+pub fn write_audit_lines(folder: &Path) {
+    let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap();
+    let days_ago = |days: u64| now.as_millis() as u64 - days * 24 * 60 * 60 * 1000;
+    let store = Store::open(folder, Settings::default(), Box::new(|_| {})).unwrap();
+    let lines = (1..=AUDIT_LINES).map(|number| {
+        let ms = days_ago(if number < AUDIT_LINES { 10 } else { 1 });
+        Write::Audit(AuditLine {
+            number,
+            verb: "inform".to_owned(),
+            name: Some("n".repeat(64)),
+            first_ms: ms,
+            last_ms: ms,
+            body: br#"{"count": 1, "outcomes": {"ok": 1}}"#.to_vec(),
+            ..AuditLine::default()
+        })
+    });
+    store.commit(lines.collect()).unwrap();
+}
+
+/// The oldest line once a command was sent.
+async fn oldest_audit_line(client: &Client) -> Value {
+    client.create("a", json!({"n": 2})).await;
+    let key = keys::node_get(PREFIX, NODE, "audit");
+    let page = client.query(&format!("{key}?limit=1"), None).await.unwrap();
+    page["result"]["lines"][0].clone()
+}
+
+async fn audit_mb(client: &Client) -> String {
+    match oldest_audit_line(client).await["number"].as_u64() {
+        Some(1) => "line 1 is there".to_owned(),
+        Some(2..AUDIT_LINES) => "the oldest lines are gone".to_owned(),
+        other => format!("{other:?}"),
+    }
+}
+
+async fn audit_days(client: &Client) -> String {
+    // Each command deletes a few lines of age.
+    for k in 0..300 {
+        let discard = json!({"client": format!("{k}"), "args": {"name": "none"}}).to_string();
+        let key = keys::node_cmd(PREFIX, NODE, "discard");
+        client
+            .query(&key, Some(discard.as_bytes()))
+            .await
+            .unwrap_err();
+    }
+    let oldest = oldest_audit_line(client).await;
+    let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap();
+    let days = (now.as_secs_f64() - oldest["unix_secs"].as_f64().unwrap()) / 86_400.0;
+    format!("lines of {} days", days.round())
 }
 
 async fn recordings_quota_mb(client: &Client) -> String {

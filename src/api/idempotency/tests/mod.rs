@@ -165,7 +165,10 @@ fn the_totals_are_the_sums_of_the_cached_replies() {
 #[tokio::test]
 async fn a_retry_of_a_request_that_was_dropped_is_not_executed() {
     let folder = tempfile::tempdir().unwrap();
-    let settings = store::Settings { quota_bytes: 1 };
+    let settings = store::Settings {
+        quota_bytes: 1,
+        ..store::Settings::default()
+    };
     let store = Store::open(folder.path(), settings, Box::new(|_| {})).unwrap();
     let cache = IdempotencyCache::new(store.clone(), false);
     let sender = Replies::start().unwrap();

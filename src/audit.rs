@@ -1,0 +1,272 @@
+//! The audit log: who sent which commands, with what outcome.
+//!
+//! A line counts the equal commands of a client within a minute. It is queued for the store before the
+//! first of them is executed, so that it is durable no later than what the command changes, and again
+//! with the outcome. A line of several commands is written again once a second.
+
+use std::collections::{BTreeMap, HashMap};
+use std::sync::Arc;
+use std::thread;
+use std::time::{Duration, Instant};
+
+use parking_lot::Mutex;
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+use tracing::info;
+
+use crate::store::{AuditLine, Store, StoreError, Write};
+use crate::swarm::frame::unix_secs;
+
+/// How long equal commands are counted on one line.
+const LINE: Duration = Duration::from_secs(60);
+
+/// How often lines of several commands are written.
+const WRITE_INTERVAL: Duration = Duration::from_secs(1);
+
+/// Lines to which commands may be added; beyond it, new ones are begun.
+const MAX_OPEN: usize = 4096;
+
+/// The outcome of a command that succeeded.
+pub const OK: &str = "ok";
+
+/// What a line counts.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
+pub struct AuditCommand {
+    /// The user of the token; `None` if there is none.
+    pub user: Option<String>,
+    /// What the client calls itself.
+    pub client: Option<String>,
+    /// The verb.
+    pub verb: String,
+    /// What the verb does, for verbs that do several things.
+    pub action: Option<String>,
+    /// What it concerns.
+    pub name: Option<String>,
+}
+
+/// The part of a line that the store does not read.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct AuditBody {
+    /// What the verb does.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub action: Option<String>,
+    /// The number of commands.
+    pub count: u64,
+    /// How many ended how.
+    pub outcomes: BTreeMap<String, u64>,
+}
+
+/// Why the audit log cannot be opened.
+#[derive(Debug, Error)]
+pub enum AuditError {
+    /// The store cannot be read.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// Its thread cannot be started.
+    #[error(transparent)]
+    Thread(#[from] std::io::Error),
+}
+
+/// The audit log of a daemon. Clones are the same log.
+#[derive(Clone)]
+pub struct AuditLog(Arc<Inner>);
+
+struct Inner {
+    store: Store,
+    state: Mutex<State>,
+}
+
+struct State {
+    /// The number of the newest line.
+    number: u64,
+    /// Those to which commands are added.
+    open: HashMap<AuditCommand, u64>,
+    /// By number, those that are open, have a ticket, or are to be written.
+    lines: BTreeMap<u64, Line>,
+}
+
+struct Line {
+    command: AuditCommand,
+    begun: Instant,
+    first_ms: u64,
+    last_ms: u64,
+    body: AuditBody,
+    /// Tickets of its commands.
+    tickets: u64,
+    is_open: bool,
+    is_to_be_written: bool,
+}
+
+/// A command in the audit log whose outcome may change.
+pub struct AuditTicket {
+    log: AuditLog,
+    line: u64,
+    outcome: Option<String>,
+}
+
+impl AuditLog {
+    /// The audit log in a store.
+    ///
+    /// # Errors
+    ///
+    /// [`AuditError`].
+    pub fn open(store: Store) -> Result<Self, AuditError> {
+        let state = Mutex::new(State {
+            number: store.newest_audit_line()?,
+            open: HashMap::new(),
+            lines: BTreeMap::new(),
+        });
+        let inner = Arc::new(Inner { store, state });
+        let log = Arc::downgrade(&inner);
+        thread::Builder::new().name("audit".into()).spawn(move || {
+            while let Some(inner) = log.upgrade() {
+                AuditLog(inner).write_changes();
+                thread::sleep(WRITE_INTERVAL);
+            }
+        })?;
+        Ok(AuditLog(inner))
+    }
+
+    /// Adds a command that is about to be executed.
+    #[must_use]
+    pub fn begin(&self, command: AuditCommand) -> AuditTicket {
+        let now = (unix_secs().unwrap_or(0.0) * 1000.0) as u64;
+        let mut state = self.0.state.lock();
+        let State {
+            number,
+            open,
+            lines,
+        } = &mut *state;
+        let found = open.get(&command).copied();
+        let line = match found.and_then(|it| Some((it, lines.get_mut(&it)?))) {
+            Some((line, known)) => {
+                known.last_ms = known.last_ms.max(now);
+                known.body.count += 1;
+                known.tickets += 1;
+                known.is_to_be_written = true;
+                line
+            }
+            None => {
+                if open.len() >= MAX_OPEN {
+                    open.clear();
+                    lines.values_mut().for_each(|line| line.is_open = false);
+                    lines.retain(|_, line| line.is_needed());
+                }
+                *number += 1;
+                let line = Line {
+                    begun: Instant::now(),
+                    first_ms: now,
+                    last_ms: now,
+                    body: AuditBody {
+                        action: command.action.clone(),
+                        count: 1,
+                        outcomes: BTreeMap::new(),
+                    },
+                    tickets: 1,
+                    is_open: true,
+                    is_to_be_written: false,
+                    command: command.clone(),
+                };
+                // While the state is locked, so that lines are written in the order of their numbers.
+                self.write(*number, &line);
+                open.insert(command, *number);
+                lines.insert(*number, line);
+                *number
+            }
+        };
+        AuditTicket {
+            log: self.clone(),
+            line,
+            outcome: None,
+        }
+    }
+
+    /// Writes what has changed, and ends lines that are older than a minute.
+    pub fn write_changes(&self) {
+        let mut state = self.0.state.lock();
+        let State { open, lines, .. } = &mut *state;
+        for (number, line) in lines.iter_mut() {
+            if std::mem::take(&mut line.is_to_be_written) {
+                self.write(*number, line);
+            }
+            if line.is_open && line.begun.elapsed() > LINE {
+                line.is_open = false;
+                open.remove(&line.command);
+            }
+        }
+        lines.retain(|_, line| line.is_needed());
+    }
+
+    fn finish(&self, number: u64, before: Option<&str>, outcome: &str) {
+        let mut state = self.0.state.lock();
+        let Some(line) = state.lines.get_mut(&number) else {
+            return;
+        };
+        if let Some(before) = before
+            && let Some(count) = line.body.outcomes.get_mut(before)
+        {
+            *count -= 1;
+        }
+        line.body.outcomes.retain(|_, count| *count > 0);
+        *line.body.outcomes.entry(outcome.to_owned()).or_default() += 1;
+        match line.body.count {
+            1 => self.write(number, line),
+            _ => line.is_to_be_written = true,
+        }
+    }
+
+    /// Queues a line for the store, or logs it if that cannot write.
+    fn write(&self, number: u64, line: &Line) {
+        let AuditCommand {
+            user,
+            client,
+            verb,
+            name,
+            ..
+        } = &line.command;
+        if !self.0.store.is_writable() {
+            let action = &line.command.action;
+            info!(user, client, verb, action, name, body = ?line.body, "a command, which the audit log lacks");
+            return;
+        }
+        let mut body = Vec::new();
+        // Writing to memory does not fail.
+        let _ = serde_json::to_writer(&mut body, &line.body);
+        let line = AuditLine {
+            number,
+            user: user.clone().unwrap_or_default(),
+            client: client.clone(),
+            verb: verb.clone(),
+            name: name.clone(),
+            first_ms: line.first_ms,
+            last_ms: line.last_ms,
+            body,
+        };
+        self.0.store.submit(vec![Write::Audit(line)], None);
+    }
+}
+
+impl Line {
+    fn is_needed(&self) -> bool {
+        self.is_open || self.tickets > 0 || self.is_to_be_written
+    }
+}
+
+impl AuditTicket {
+    /// Sets the outcome of the command: [`OK`], or the code of an error. A later one replaces it.
+    pub fn finish(&mut self, outcome: &str) {
+        if self.outcome.as_deref() != Some(outcome) {
+            self.log.finish(self.line, self.outcome.as_deref(), outcome);
+            self.outcome = Some(outcome.to_owned());
+        }
+    }
+}
+
+impl Drop for AuditTicket {
+    fn drop(&mut self) {
+        let mut state = self.log.0.state.lock();
+        if let Some(line) = state.lines.get_mut(&self.line) {
+            line.tickets -= 1;
+        }
+    }
+}

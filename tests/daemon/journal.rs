@@ -1,0 +1,204 @@
+//! Pages of the journal of a swarm, read from the store.
+
+use jostle_proto::{ErrorCode, keys};
+use serde_json::{Value, json};
+
+use crate::support::daemon_process::{killed, start};
+use crate::support::{Client, Daemon, PREFIX, until};
+
+/// The entries on all pages that the parameters select, `limit` on each.
+async fn entries(client: &Client, swarm: &str, parameters: &str, limit: usize) -> Vec<Value> {
+    let (mut all, mut next) = (Vec::new(), None::<u64>);
+    loop {
+        let line = next.map_or(String::new(), |line| format!(";line={line}"));
+        let noun = format!("journal?limit={limit}{line}{parameters}");
+        let page = client.get(swarm, &noun).await["result"].take();
+        let entries = page["entries"].as_array().unwrap();
+        assert!(entries.len() <= limit, "{page}");
+        all.extend(entries.iter().cloned());
+        next = page["next"].as_u64();
+        if next.is_none() {
+            return all;
+        }
+    }
+}
+
+fn verbs(entries: &[Value]) -> Vec<&str> {
+    entries
+        .iter()
+        .map(|it| it["verb"].as_str().unwrap())
+        .collect()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn thousands_of_commands_push_none_out_and_each_is_found() {
+    const EXCHANGES: u64 = 3000;
+    let folder = tempfile::tempdir().unwrap();
+    let mut daemon = start(folder.path()).await;
+    let client = &daemon.1;
+    client
+        .create("school", json!({"n": 4, "seed": 1, "rate": null}))
+        .await;
+    let inform = json!({"client": "olga", "args": {"select": {"count": 1}, "direction": 1}});
+    client.ok("school", "inform", inform).await;
+    let later = json!({"at_step": 2000, "args": {"pi3": 1.5}, "client": "olga"});
+    client.ok("school", "set", later).await;
+    // Their texts alone take more than 256 KiB.
+    let long = "x".repeat(100);
+    for _ in 0..EXCHANGES {
+        client.ok("school", "step", json!({"client": long})).await;
+    }
+    for epoch in 1..=2 {
+        let client = &daemon.1;
+        let all = entries(client, "school", "", 1000).await;
+        let count = EXCHANGES as usize + 2;
+        let seqs: Vec<u64> = all.iter().map(|it| it["seq"].as_u64().unwrap()).collect();
+        assert_eq!(seqs, (1..=count as u64).collect::<Vec<_>>());
+        assert_eq!(
+            (&all[0]["verb"], &all[0]["client"]),
+            (&json!("inform"), &json!("olga"))
+        );
+        let set = all.iter().find(|it| it["verb"] == "set").unwrap();
+        assert_eq!(
+            (&set["step"], &set["args"]),
+            (&json!(2000), &json!({"pi3": 1.5}))
+        );
+        let of_olga = entries(client, "school", ";client=olga", 256).await;
+        assert_eq!(verbs(&of_olga), ["inform", "set"], "epoch {epoch}");
+        let steps = entries(client, "school", ";verb=step;from_step=10;to_step=19", 3).await;
+        assert_eq!(steps.len(), 10);
+        assert!(
+            steps
+                .iter()
+                .all(|it| (10..20).contains(&it["step"].as_u64().unwrap()))
+        );
+        // As a client of an earlier version pages.
+        let page = client.get("school", "journal?after=1500;limit=5").await["result"].take();
+        let seqs: Vec<_> = page["entries"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .map(|it| &it["seq"])
+            .collect();
+        assert_eq!(seqs, [1501, 1502, 1503, 1504, 1505]);
+        assert_eq!(
+            (&page["oldest"], &page["newest"]),
+            (&json!(1), &json!(count))
+        );
+        if epoch == 1 {
+            daemon = killed(folder.path(), daemon).await;
+            daemon.1.get("school", "wait?phase=paused").await;
+        }
+    }
+    for (wrong, field) in [
+        ("line=-1", "line"),
+        ("from_step=x", "from_step"),
+        ("verb=fly", "verb"),
+        ("from_step=3;to_step=2", "to_step"),
+        ("limit=1001", "limit"),
+    ] {
+        let key = keys::get(PREFIX, "school", &format!("journal?{wrong}"));
+        let error = daemon.1.query(&key, None).await.unwrap_err();
+        assert_eq!(error.code, ErrorCode::InvalidArgument, "{wrong}");
+        assert!(error.message.contains(field), "{wrong}: {error:?}");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_copy_has_the_commands_that_were_scheduled_before_it() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    client.create("school", json!({"n": 4, "seed": 1})).await;
+    let later = json!({"at_step": 20, "args": {"pi3": 1.5}, "client": "olga"});
+    client.ok("school", "set", later).await;
+    client
+        .ok("school", "annotate", json!({"text": "before"}))
+        .await;
+    client.ok("school", "fork", json!({"name": "copy"})).await;
+    client.ok("copy", "step", json!({"steps": 30})).await;
+    let all = entries(client, "copy", "", 1).await;
+    assert_eq!(verbs(&all), ["step", "set"]);
+    assert_eq!(
+        (&all[1]["step"], &all[1]["client"]),
+        (&json!(20), &json!("olga"))
+    );
+    let page = client.get("copy", "journal?after=2").await["result"].take();
+    assert_eq!(page["entries"].as_array().unwrap().len(), 1, "{page}");
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn notes_beyond_their_limits_are_rejected_and_evict_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let settings = || {
+        let mut command = crate::support::daemon_process::daemon(folder.path());
+        command.args(["--quota-mb", "1"]);
+        command
+    };
+    let open = async || {
+        let process =
+            crate::support::daemon_process::DaemonProcess::start(&mut settings()).unwrap();
+        let client = Client::open(&process.endpoint).await;
+        (process, client)
+    };
+    let (mut process, client) = open().await;
+    client.create("school", json!({"n": 4, "seed": 1})).await;
+    let inform = json!({"client": "olga", "args": {"select": {"count": 1}, "direction": 1}});
+    client.ok("school", "inform", inform).await;
+    // At most an eighth of the quota, and at most fifty at once.
+    let text = json!({"text": "n".repeat(3000)});
+    let write = async |client: &Client, text: &Value, count: usize| {
+        let mut messages = Vec::new();
+        for _ in 0..count {
+            if let Err(error) = client.cmd("school", "annotate", text.clone()).await {
+                assert_eq!(error.code, ErrorCode::ResourceExhausted, "{error:?}");
+                messages.push(error.message);
+            }
+        }
+        messages
+    };
+    let rejected = write(&client, &text, 45).await;
+    assert!(
+        rejected.len() >= 4 && rejected.len() < 15,
+        "{}",
+        rejected.len()
+    );
+    assert!(
+        rejected[0].contains("128 KiB, an eighth of quota_mb"),
+        "{}",
+        rejected[0]
+    );
+    let notes = entries(&client, "school", ";verb=annotate", 100)
+        .await
+        .len();
+    assert_eq!(notes, 45 - rejected.len());
+    // A kill forgets nothing of them.
+    process.kill();
+    let (mut process, client) = open().await;
+    let rejected = write(&client, &text, 3).await;
+    assert_eq!(rejected.len(), 3);
+    // Short ones are limited by their number.
+    let rejected = write(&client, &json!({"text": "short"}), 70).await;
+    assert!(
+        !rejected.is_empty() && rejected.len() < 40,
+        "{}",
+        rejected.len()
+    );
+    assert!(rejected[0].contains("wait a second"), "{}", rejected[0]);
+    until("a note is accepted again", async || {
+        client
+            .cmd("school", "annotate", json!({"text": "s"}))
+            .await
+            .is_ok()
+    })
+    .await;
+    let all = entries(&client, "school", "", 1000).await;
+    assert_eq!(verbs(&all)[0], "inform");
+    let status = client.get("school", "status").await["result"].take();
+    assert_eq!(status["history_from"]["step"], 0, "{status}");
+    client.ok("school", "step", json!({"steps": 50})).await;
+    let verified = client.get("school", "verify").await["result"].take();
+    assert_eq!(verified["differs_at"], Value::Null, "{verified}");
+    client.get("school", "experiment").await;
+    process.kill();
+}
