@@ -158,12 +158,13 @@ fn zenoh(channel: &Channel) -> Value {
             "publisher": publisher(JSON),
             "queryable": queryable(&declared, "welcome"),
         }),
-        // They take long or send much, which a query for `**` does not intend.
+        // They take long, send much or are for operators, which a query for `**` does not intend.
         ChannelKind::Get(
             "snapshot.reply"
             | "verify.reply"
             | "experiment.file.reply"
             | "node.recording.reply"
+            | "node.audit.reply"
             | "experiment.results"
             | "experiment.order"
             | "experiment.series",

@@ -157,21 +157,23 @@ impl Store {
             ))?;
             let mut cursor = statement.query(params_from_iter(values))?;
             let mut page = AuditPage::default();
-            while let Some(record) = integrity::next(&mut cursor)? {
-                match integrity::audit_line(record)? {
-                    Some(line) => page.lines.push(line),
-                    None => page.damaged += 1,
+            loop {
+                match cursor.next() {
+                    Ok(Some(record)) => match integrity::audit_line(record)? {
+                        Some(line) => page.lines.push(line),
+                        None => page.damaged += 1,
+                    },
+                    Ok(None) => break,
+                    // How many lines are on it, and after it, is not known.
+                    Err(error) if integrity::is_corrupt(&error) => {
+                        page.damaged += 1;
+                        break;
+                    }
+                    Err(error) => return Err(error.into()),
                 }
             }
             if filter.before.is_some() {
                 page.lines.reverse();
-            }
-            // A damaged page may have a line twice in place of another one.
-            let found = page.lines.len();
-            page.lines.dedup_by_key(|line| line.number);
-            page.damaged += (found - page.lines.len()) as u64;
-            if !page.lines.is_sorted_by_key(|line| line.number) {
-                page.damaged += 1;
             }
             page.damaged += missing(snapshot)?;
             page.oldest = oldest(snapshot)?.map(|(number, _)| number.cast_unsigned());
@@ -214,13 +216,21 @@ fn newest(connection: &Connection) -> SqlResult<u64> {
     statement.query_row([], |record| record.get::<_, i64>(0).map(i64::cast_unsigned))
 }
 
-/// How many lines are missing according to the counts of the users.
+/// How many lines are missing according to the counts of the users. It reads the numbers of all lines: a
+/// search passes by those that a damaged page has out of order.
 fn missing(connection: &Connection) -> SqlResult<u64> {
-    let difference = "SELECT (SELECT coalesce(sum(lines), 0) FROM audit_use)
-                           - (SELECT count(*) FROM audit NOT INDEXED)";
-    connection
-        .prepare_cached(difference)?
-        .query_row([], |record| record.get(0).map(i64::unsigned_abs))
+    let expected: i64 = connection
+        .prepare_cached("SELECT coalesce(sum(lines), 0) FROM audit_use")?
+        .query_row([], |record| record.get(0))?;
+    let mut statement = connection.prepare_cached("SELECT number FROM audit NOT INDEXED")?;
+    let mut cursor = statement.query([])?;
+    let (mut found, mut last) = (0, 0);
+    while let Some(record) = integrity::next(&mut cursor)? {
+        let number: i64 = record.get(0)?;
+        found += i64::from(number > last);
+        last = last.max(number);
+    }
+    Ok(expected.abs_diff(found))
 }
 
 /// Number and time of the oldest line.

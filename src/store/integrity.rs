@@ -456,10 +456,15 @@ pub(super) fn audit_line(record: &SqlRow<'_>) -> SqlResult<Option<AuditLine>> {
     Ok(decoded(decode())?.flatten())
 }
 
+/// Whether an error is a corrupt page.
+pub(super) fn is_corrupt(error: &SqlError) -> bool {
+    error.sqlite_error_code() == Some(ErrorCode::DatabaseCorrupt)
+}
+
 /// The next record; a corrupt page ends the list.
 pub(super) fn next<'a>(cursor: &'a mut SqlRows<'_>) -> SqlResult<Option<&'a SqlRow<'a>>> {
     match cursor.next() {
-        Err(error) if error.sqlite_error_code() == Some(ErrorCode::DatabaseCorrupt) => Ok(None),
+        Err(error) if is_corrupt(&error) => Ok(None),
         next => next,
     }
 }

@@ -146,7 +146,7 @@ async fn notes_beyond_their_limits_are_rejected_and_evict_nothing() {
     let inform = json!({"client": "olga", "args": {"select": {"count": 1}, "direction": 1}});
     client.ok("school", "inform", inform).await;
     // At most an eighth of the quota, and at most fifty at once.
-    let text = json!({"text": "n".repeat(3000)});
+    let text = json!({"text": "𝄞".repeat(750)});
     let write = async |client: &Client, text: &Value, count: usize| {
         let mut messages = Vec::new();
         for _ in 0..count {

@@ -32,7 +32,7 @@ struct Row {
     bad: Option<&'static str>,
 }
 
-const ROWS: [Row; 17] = [
+const ROWS: [Row; 19] = [
     Row {
         name: "listen",
         value: "unixsock-stream/{folder}/bus",
@@ -275,7 +275,7 @@ impl Running {
             issue::init(&Folder::new(folder.path().join("auth")), &[], &people).unwrap();
         }
         if name.starts_with("audit_") {
-            effects::write_audit_lines(&folder.path().join("data"));
+            effects::write_audit_lines(&folder.path().join("base"));
         }
         let log = folder.path().join("log");
         let mut command = serve(name, given, folder.path());

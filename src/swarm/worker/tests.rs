@@ -20,8 +20,11 @@ impl JournalWriter for Counting {
     }
 
     fn append(&self, entries: Vec<Entry>, pending: Option<PendingDurableStep>) {
-        let checkpoints = entries.iter().filter(|it| matches!(it, Entry::Checkpoint(_)));
-        self.0.fetch_add(checkpoints.count() as u64, Ordering::Relaxed);
+        let checkpoints = entries
+            .iter()
+            .filter(|it| matches!(it, Entry::Checkpoint(_)));
+        self.0
+            .fetch_add(checkpoints.count() as u64, Ordering::Relaxed);
         if let Some(pending) = pending {
             pending.mark_durable();
         }

@@ -93,6 +93,16 @@ const FIXED: &[(&str, &str, &str)] = &[
         "/result/http",
         "\"http://127.0.0.1:8080\"",
     ),
+    (
+        "node.audit.reply",
+        "/result/lines/*/unix_secs",
+        "1795531201.25",
+    ),
+    (
+        "node.audit.reply",
+        "/result/lines/*/last_unix_secs",
+        "1795531201.75",
+    ),
     ("node.status.reply", "/result/uptime_secs", "0.728186592"),
     ("node.metrics.reply", "/result/uptime_secs", "3600.5"),
     ("node.metrics.reply", "/result/cpu_secs", "812.25"),

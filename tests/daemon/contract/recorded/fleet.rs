@@ -1,5 +1,7 @@
 //! A daemon with roles, and two daemons with a swarm of the same name.
 
+use std::time::Duration;
+
 use jostle_proto::{Role, keys};
 use jostled::auth::folder::Folder;
 use jostled::auth::issue;
@@ -49,17 +51,40 @@ async fn people(recorded: &Recorded) {
         ("node.whoami.reply", "anna", "anna"),
         ("node.whoami.reply.viewer", "ben", "ben"),
         ("error.permission_denied", "olga", "ben"),
+        ("node.audit.reply", "olga", "olga"),
     ] {
         let password = folder.credentials(person).unwrap().password;
         let session = open_session(&process.endpoint, person, &password).await;
         let token = Some(folder.credentials(whose).unwrap().token);
         let data = data.path().to_owned();
         let recorder = RecordingClient::client(recorded, Client { session }, token, data);
-        if name.starts_with("error.") {
-            let create = json!({"name": "school", "spec": {"n": 4}});
-            recorder.node_cmd(name, "create", create).await;
-        } else {
-            recorder.node_get(name, "whoami").await;
+        let create = json!({"name": "school", "spec": {"n": 4}});
+        match name {
+            "error.permission_denied" => drop(recorder.node_cmd(name, "create", create).await),
+            "node.audit.reply" => {
+                let create = json!({"client": "jostle-4711", "args": create});
+                recorder.node_cmd("", "create", create).await;
+                recorder
+                    .cmd("", "school", "step", json!({"steps": 2}))
+                    .await;
+                for (key, request) in [
+                    (
+                        keys::cmd(PREFIX, "school", "step"),
+                        json!({"expect_step": 9}),
+                    ),
+                    (
+                        keys::node_cmd(PREFIX, FIXTURE_NODE, "experiment"),
+                        json!({"cancel": {"name": "noise"}}),
+                    ),
+                ] {
+                    let pending = recorder.send(&key, Some(&request)).await;
+                    recorder.receive("error.not_recorded", &pending).await;
+                }
+                // A line of several commands is written again within a second.
+                tokio::time::sleep(Duration::from_millis(2500)).await;
+                recorder.node_get(name, "audit?limit=4").await;
+            }
+            _ => drop(recorder.node_get(name, "whoami").await),
         }
         recorder.stop().await;
     }
