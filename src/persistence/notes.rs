@@ -9,9 +9,11 @@ use thiserror::Error;
 
 use crate::auth::split_signed;
 use crate::persistence::journal_reader::parse_line;
+use crate::persistence::writer::record;
 use crate::store::{Store, StoreError, note_bytes};
+use crate::swarm::frame::unix_secs;
+use crate::swarm::handle::CommandMessage;
 use crate::swarm::journal::Record;
-use crate::swarm::sender::Sender;
 
 /// Notes that a user may write into a swarm each second.
 const RATE: f64 = 10.0;
@@ -24,9 +26,6 @@ const USER_BYTES: u64 = 1 << 20;
 
 /// The part of a swarm's quota that notes may take besides it.
 const QUOTA_PART: u64 = 8;
-
-/// Bytes of a stored note besides its texts, at most.
-const RECORD_BYTES: usize = 192;
 
 /// How often the stored notes of a swarm are counted again once a limit is reached: they go with their
 /// part of the history.
@@ -100,7 +99,7 @@ impl NoteLimits {
         &self,
         swarm: &str,
         user: &str,
-        note: &Sender,
+        note: &CommandMessage,
         exists: impl Fn(&str) -> bool,
     ) -> Result<Result<(), NoteError>, StoreError> {
         let max_bytes = self.0.max_bytes;
@@ -117,7 +116,13 @@ impl NoteLimits {
         if !counted.take_turn(user, Instant::now()) {
             return Ok(Err(NoteError::Rate));
         }
-        let bytes = note_bytes(note.bytes() + RECORD_BYTES);
+        let stored = Record::Input {
+            at_step: note.when.at_step,
+            sender: note.sender.clone(),
+            seq: None,
+            unix_secs: unix_secs(),
+        };
+        let bytes = note_bytes(record(&stored).1.len());
         let mut checked = counted.check(user, bytes, max_bytes);
         if checked.is_err() && counted.counted_at.elapsed() > RECOUNT_INTERVAL {
             let allowed = std::mem::take(&mut counted.allowed);

@@ -102,7 +102,7 @@ impl Context {
         let rights = self.rights.current();
         let user = rights.owner(&incoming.token).map_or("", |user| &user.name);
         let exists = |name: &str| self.registry.find(name).is_some();
-        Ok(self.notes.admit(swarm, user, &note.sender, exists)??)
+        Ok(self.notes.admit(swarm, user, note, exists)??)
     }
 
     /// Replies to a retry of `delete` after its swarm is gone. Other daemons reply for their own
