@@ -10,8 +10,8 @@ use clap_complete::CompleteEnv;
 use clap_complete::engine::CompletionCandidate;
 use jostle_client::{Client, ConnectOptions, Error};
 use jostle_measures::Measure;
-use jostle_proto::contract;
 use jostle_proto::keys::DEFAULT_PREFIX;
+use jostle_proto::{contract, keys};
 
 use crate::failure::Failure;
 use crate::output::{self, Output};
@@ -106,6 +106,16 @@ pub fn plots(typed: &OsStr) -> Vec<CompletionCandidate> {
     let mut plots = beginning_with(typed, values::figures());
     plots.extend(experiments(typed));
     plots
+}
+
+/// The verbs of the commands in a journal.
+pub fn verbs_of_swarms(typed: &OsStr) -> Vec<CompletionCandidate> {
+    beginning_with(typed, keys::SWARM_VERBS.iter().chain(&keys::OWN_VERBS))
+}
+
+/// The verbs of all commands that a client sends.
+pub fn verbs(typed: &OsStr) -> Vec<CompletionCandidate> {
+    beginning_with(typed, keys::SWARM_VERBS.iter().chain(&keys::NODE_VERBS))
 }
 
 pub fn messages(typed: &OsStr) -> Vec<CompletionCandidate> {

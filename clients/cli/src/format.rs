@@ -1,6 +1,6 @@
 //! Numbers, durations, commands and other values as text.
 
-use std::time::{Duration, UNIX_EPOCH};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use jostle_proto::{LARGEST_WHOLE, Phase, Reply};
 use serde_json::Value;
@@ -11,6 +11,18 @@ pub const NONE: &str = "-";
 /// A value, or the text for a missing one.
 pub fn or_none(value: Option<impl ToString>) -> String {
     value.map_or_else(|| NONE.into(), |value| value.to_string())
+}
+
+/// A text of another client, whose characters that are not printable are escaped.
+pub fn printable(text: &str) -> String {
+    let mut printable = String::with_capacity(text.len());
+    for char in text.chars() {
+        match char {
+            '"' | '\'' | '\\' => printable.push(char),
+            char => printable.extend(char.escape_debug()),
+        }
+    }
+    printable
 }
 
 /// A phase with its reason.
@@ -38,12 +50,21 @@ pub fn time(time: f64) -> String {
 
 /// A wall-clock time in seconds since 1970, in RFC 3339, UTC, to the millisecond.
 pub fn when(unix_secs: Option<f64>) -> String {
+    or_none(time_of(unix_secs).map(humantime::format_rfc3339_millis))
+}
+
+/// A wall-clock time as [`when`] has it, to the second.
+pub fn when_secs(unix_secs: f64) -> String {
+    or_none(time_of(Some(unix_secs)).map(humantime::format_rfc3339_seconds))
+}
+
+fn time_of(unix_secs: Option<f64>) -> Option<SystemTime> {
     /// The last millisecond of the year 9999.
     const END: f64 = 253_402_300_799.999;
-    let secs = unix_secs.filter(|secs| (0.0..END).contains(secs));
+    let secs = unix_secs.filter(|secs| (0.0..END).contains(secs))?;
     // Truncated to a millisecond.
-    let since = secs.and_then(|secs| Duration::try_from_secs_f64(secs + 0.0005).ok());
-    or_none(since.map(|since| humantime::format_rfc3339_millis(UNIX_EPOCH + since)))
+    let since = Duration::try_from_secs_f64(secs + 0.0005).ok()?;
+    Some(UNIX_EPOCH + since)
 }
 
 /// A rate: `max` is as fast as possible.
@@ -270,6 +291,8 @@ mod tests {
         assert_eq!(when(Some(1_795_531_201.25)), "2026-11-24T14:40:01.250Z");
         assert_eq!(when(Some(1_764_000_000.123)), "2025-11-24T16:00:00.123Z");
         assert_eq!(when(Some(0.0)), "1970-01-01T00:00:00.000Z");
+        assert_eq!(when_secs(1_795_531_201.25), "2026-11-24T14:40:01Z");
+        assert_eq!(when_secs(f64::NAN), "-");
         assert_eq!(when(Some(253_402_300_799.0)), "9999-12-31T23:59:59.000Z");
         for unknown in [
             None,
@@ -281,6 +304,13 @@ mod tests {
         ] {
             assert_eq!(when(unknown), "-", "{unknown:?}");
         }
+    }
+
+    #[test]
+    fn a_text_of_a_client_cannot_forge_a_line_or_move_the_cursor() {
+        assert_eq!(printable("ada's \"desk\" \u{e9}"), "ada's \"desk\" \u{e9}");
+        let text = "a\nb\u{1b}[2J\u{9b}2J\u{202e}c";
+        assert_eq!(printable(text), "a\\nb\\u{1b}[2J\\u{9b}2J\\u{202e}c");
     }
 
     #[test]

@@ -12,6 +12,7 @@ mod file;
 #[cfg(test)]
 mod fixtures;
 mod format;
+mod instant;
 mod interrupt;
 mod output;
 mod progress;

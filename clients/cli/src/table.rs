@@ -1,6 +1,7 @@
 //! Tables for people; without borders, so that `awk` reads them too.
 
-use comfy_table::{CellAlignment, Table, presets::NOTHING};
+use comfy_table::presets::NOTHING;
+use comfy_table::{CellAlignment, ColumnConstraint, ContentArrangement, Table};
 use jostle_proto::verbs::SetResult;
 use jostle_proto::{HistoryFrom, ParameterValues, Reply, Status, contract};
 use serde_json::Value;
@@ -13,11 +14,20 @@ pub type Column<T> = (&'static str, fn(&T) -> String);
 
 /// A table with a line for each of `rows`.
 pub fn of<T, const COLUMNS: usize>(rows: &[T], columns: [Column<T>; COLUMNS]) -> String {
-    let row = |row| columns.map(|(_, cell)| cell(row));
-    table(
-        columns.map(|(name, _)| name),
-        rows.iter().map(row).collect(),
-    )
+    self::columns(&cells(rows, columns))
+}
+
+/// As [`of`]; on a terminal that is too narrow, cells take several lines, but those of the first column.
+pub fn fitted<T, const COLUMNS: usize>(rows: &[T], columns: [Column<T>; COLUMNS]) -> String {
+    let width = stdout::is_terminal().then(|| console::Term::stdout().size().1);
+    layout(&cells(rows, columns), width)
+}
+
+fn cells<T, const COLUMNS: usize>(
+    rows: &[T],
+    columns: [Column<T>; COLUMNS],
+) -> [(&'static str, Vec<String>); COLUMNS] {
+    columns.map(|(name, cell)| (name, rows.iter().map(cell).collect()))
 }
 
 /// A table with this header.
@@ -36,6 +46,10 @@ pub fn table<const COLUMNS: usize>(
 
 /// A table of columns of one length, each with its name.
 pub fn columns(columns: &[(&str, Vec<String>)]) -> String {
+    layout(columns, None)
+}
+
+fn layout(columns: &[(&str, Vec<String>)], width: Option<u16>) -> String {
     let mut table = Table::new();
     let header = columns.iter().map(|(name, _)| *name);
     table.load_style(NOTHING).set_header(header);
@@ -48,6 +62,14 @@ pub fn columns(columns: &[(&str, Vec<String>)]) -> String {
         column.set_padding((0, 2));
         if cells.iter().all(is_number) {
             column.set_cell_alignment(CellAlignment::Right);
+        }
+    }
+    if let Some(width) = width {
+        table
+            .set_content_arrangement(ContentArrangement::Dynamic)
+            .set_width(width);
+        if let Some(first) = table.column_mut(0) {
+            first.set_constraint(ColumnConstraint::ContentWidth);
         }
     }
     table.trim_fmt()
@@ -278,6 +300,33 @@ fn pairs(pairs: &[(&str, String)]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_fitted_table_is_as_wide_as_the_terminal_at_most() {
+        let cells = |texts: [&str; 2]| texts.map(str::to_owned).to_vec();
+        let outcome = "ok 57, conflict 2, permission_denied 12";
+        let columns = [
+            (
+                "when",
+                cells(["2026-11-24T14:40:01Z", "2026-11-24T14:41:01Z"]),
+            ),
+            (
+                "client",
+                cells(["ada@desk", &"a-long-name-of-a-client".repeat(3)]),
+            ),
+            ("count", cells(["1", "71"])),
+            ("outcome", cells(["ok", outcome])),
+        ];
+        let wide = layout(&columns, None);
+        assert_eq!(wide.lines().count(), 3, "{wide}");
+        assert!(wide.ends_with(outcome), "{wide}");
+        assert_eq!(layout(&columns, Some(200)), wide);
+        let narrow = layout(&columns, Some(80));
+        for line in narrow.lines() {
+            assert!(console::measure_text_width(line) <= 80, "{narrow}");
+        }
+        assert!(narrow.contains("2026-11-24T14:41:01Z  "), "{narrow}");
+    }
 
     #[test]
     fn docs_are_beside_the_rows_or_below_them_on_a_narrow_terminal() {

@@ -254,6 +254,14 @@ pub fn label(text: &str) -> Result<String, String> {
     }
 }
 
+/// Parses the value of a parameter of a query, in which `;` separates the parameters.
+pub fn parameter(text: &str) -> Result<String, String> {
+    match text.contains(';') {
+        true => Err("`;` cannot be sent: leave the option out, and search the output".into()),
+        false => label(text),
+    }
+}
+
 pub fn note(text: &str) -> Result<String, String> {
     match text {
         "" => Err("it is empty".into()),
@@ -451,6 +459,10 @@ mod tests {
         assert_eq!(label("ada@desk").as_deref(), Ok("ada@desk"));
         for text in ["", "a\nb", &"a".repeat(257)] {
             assert!(label(text).is_err(), "{text:?}");
+        }
+        assert_eq!(parameter("ada@desk").as_deref(), Ok("ada@desk"));
+        for text in ["", "a\nb", "a;limit=1"] {
+            assert!(parameter(text).is_err(), "{text:?}");
         }
     }
 

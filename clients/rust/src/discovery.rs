@@ -229,9 +229,15 @@ impl Client {
 
     /// The error for a dropped request: `permission_denied` if the client's role forbids it.
     async fn explain_refusal(&self, target: Target<'_>, node: &str, key: &str) -> Error {
+        /// The queries that require a role, and the verb that requires the same one.
+        const RESTRICTED: [(&str, &str); 2] =
+            [("/get/recording?", "record"), ("/get/audit", "audit")];
+        let restricted = || {
+            let query = RESTRICTED.iter().find(|(query, _)| key.contains(query));
+            query.map(|(_, verb)| *verb)
+        };
         let verb = key.split_once("/cmd/").map(|(_, verb)| verb);
-        // `get/recording` is the only query that requires a role: the role of `record`.
-        let verb = verb.or(key.contains("/get/recording?").then_some("record"));
+        let verb = verb.or_else(restricted);
         match (verb, self.whoami(node).await) {
             (Some(verb), Some(who)) if who.role.is_none_or(|role| !role.may(verb)) => {
                 Error::rejected(rejection(who.person.as_deref().zip(who.role), verb))

@@ -24,7 +24,8 @@ const OPTIONS: [&str; 6] = [
 const CONNECTION_OPTIONS: [&str; 5] = ["endpoint", "credentials", "node", "prefix", "timeout"];
 
 /// The verbs with requests to a daemon, which --node selects. A swarm is found by its name.
-const DAEMON_VERBS: [&str; 23] = [
+const DAEMON_VERBS: [&str; 24] = [
+    "audit",
     "auth can",
     "auth link",
     "auth whoami",

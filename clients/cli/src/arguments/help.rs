@@ -140,7 +140,7 @@ pub fn topics() -> String {
 }
 
 /// One example of each verb.
-pub const EXAMPLES: [(&str, &str); 57] = [
+pub const EXAMPLES: [(&str, &str); 58] = [
     ("create", "create school --n 50 --seed 1"),
     ("list", "list"),
     ("status", "status school"),
@@ -149,6 +149,7 @@ pub const EXAMPLES: [(&str, &str); 57] = [
     ("controllers", "controllers school"),
     ("spec", "spec school > spec.json"),
     ("journal", "journal school --limit 10"),
+    ("audit", "audit --verb delete --since 3d"),
     ("nodes", "nodes"),
     ("top", "top --sort factor"),
     ("events", "events school --follow"),

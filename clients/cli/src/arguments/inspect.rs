@@ -7,6 +7,7 @@ use clap::{Args, ValueEnum, ValueHint};
 use clap_complete::engine::ArgValueCompleter;
 
 use crate::completion;
+use crate::instant;
 use crate::values;
 
 #[derive(Debug, Args)]
@@ -64,11 +65,23 @@ pub struct JournalArguments {
     /// Only commands with a higher seq
     #[arg(long, value_name = "SEQ", value_parser = values::whole, default_value = "0", hide_default_value = true, allow_negative_numbers = true)]
     pub after: u64,
+    /// Only commands applied at this step or later, of any epoch
+    #[arg(long, value_name = "STEP", value_parser = values::whole, allow_negative_numbers = true)]
+    pub from_step: Option<u64>,
+    /// Only commands applied at this step or earlier, of any epoch
+    #[arg(long, value_name = "STEP", value_parser = values::whole, allow_negative_numbers = true)]
+    pub to_step: Option<u64>,
+    /// Only commands with this verb
+    #[arg(long, value_parser = values::parameter, add = ArgValueCompleter::new(completion::verbs_of_swarms))]
+    pub verb: Option<String>,
+    /// Only commands of this client, or of all clients of this user
+    #[arg(long, value_parser = values::parameter)]
+    pub client: Option<String>,
     /// Only the newest ones, up to this many
     #[arg(long, value_name = "COUNT", value_parser = values::count, allow_negative_numbers = true)]
     pub limit: Option<usize>,
     /// Print the file of an experiment, TOML, whose run repeats the commands since the swarm's start
-    #[arg(long, conflicts_with_all = ["after", "limit"])]
+    #[arg(long, conflicts_with_all = ["after", "from_step", "to_step", "verb", "client", "limit"])]
     pub as_experiment: bool,
     /// Give the experiment so many runs, with other seeds than the swarm
     #[arg(long, value_name = "COUNT", value_parser = values::positive, requires = "as_experiment", allow_negative_numbers = true)]
@@ -76,6 +89,35 @@ pub struct JournalArguments {
     /// Write the file, such as found.toml, and the set-points of controllers to found.setpoints.csv
     #[arg(short = 'o', long, value_name = "FILE", requires = "as_experiment", value_hint = ValueHint::FilePath)]
     pub out: Option<PathBuf>,
+}
+
+#[derive(Debug, Args)]
+pub struct AuditArguments {
+    /// Only commands of this user
+    #[arg(long, value_parser = values::parameter)]
+    pub user: Option<String>,
+    /// Only commands of the client that gives itself this name
+    #[arg(long, value_parser = values::parameter)]
+    pub client: Option<String>,
+    /// Only commands with this verb, such as delete or experiment
+    #[arg(long, value_parser = values::parameter, add = ArgValueCompleter::new(completion::verbs))]
+    pub verb: Option<String>,
+    /// Only commands on the swarm, experiment or recording of this name
+    #[arg(long, value_parser = values::name, add = ArgValueCompleter::new(completion::swarms))]
+    pub name: Option<String>,
+    /// Only commands since this time: so long ago, such as 2h or 3d, or a time in UTC, such as
+    /// 2026-11-28T07:00
+    #[arg(long, value_name = "TIME", value_parser = instant::parse)]
+    pub since: Option<f64>,
+    /// Only commands until this time, in the same forms
+    #[arg(long, value_name = "TIME", value_parser = instant::parse)]
+    pub until: Option<f64>,
+    /// Only the newest lines, up to this many [default: 100]
+    #[arg(long, value_name = "COUNT", value_parser = values::count, allow_negative_numbers = true)]
+    pub limit: Option<usize>,
+    /// All lines that the daemon keeps
+    #[arg(long, conflicts_with = "limit")]
+    pub all: bool,
 }
 
 #[derive(Debug, Args)]

@@ -66,6 +66,8 @@ pub enum Verb {
     Spec(SwarmArguments),
     /// Lists the commands that a swarm has applied
     Journal(JournalArguments),
+    /// Lists who sent which commands to a daemon, and with what outcome; requires an operator
+    Audit(AuditArguments),
     /// Lists the reachable daemons
     Nodes,
     /// Shows the load and the speed of a daemon and its swarms, live
@@ -276,6 +278,13 @@ mod tests {
             "run demo --until 3 --wait --at-step 4",
             "status demo --watch",
             "events demo --limit 0",
+            "audit --limit 0",
+            "audit --limit 5 --all",
+            "audit --user a;b",
+            "audit --since yesterday",
+            "audit demo",
+            "journal demo --verb a;b",
+            "journal demo --as-experiment --from-step 3",
             "completions tcsh",
             "fork demo",
             "fork demo a/b",

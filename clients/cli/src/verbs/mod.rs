@@ -134,6 +134,7 @@ async fn interruptible(context: &Context, verb: Verb) -> Result<(), Failure> {
         Verb::Controllers(arguments) => inspect::controllers(context, &arguments.name).await,
         Verb::Spec(arguments) => inspect::spec(context, &arguments.name).await,
         Verb::Journal(arguments) => inspect::journal(context, &arguments).await,
+        Verb::Audit(arguments) => inspect::audit(context, &arguments).await,
         Verb::Nodes => inspect::nodes(context).await,
         Verb::Top(arguments) => inspect::top(context, &arguments).await,
         Verb::Events(arguments) => events::events(context, &arguments).await,

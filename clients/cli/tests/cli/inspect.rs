@@ -2,6 +2,8 @@
 
 use std::time::{Duration, SystemTime};
 
+use jostle_client::{Client, ConnectOptions};
+use jostle_proto::verbs::{Return, StepArgs};
 use serde_json::{Value, json};
 
 use crate::support::{Daemon, TIMEOUT, object};
@@ -123,6 +125,78 @@ async fn the_journal_lists_applied_commands_and_can_be_limited() {
     }
     let ended = daemon.jostle_with("annotate demo \u{7}", "").await;
     assert_eq!(ended.code, Some(2), "{ended:?}");
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn commands_of_a_journal_are_selected_by_step_verb_and_client() {
+    let daemon = Daemon::start().await;
+    for line in [
+        "create demo --n 3",
+        "set demo pi3=2",
+        "step demo 5",
+        "set demo pi3=3 --client ada@desk",
+        "step demo 5",
+    ] {
+        daemon.said(line).await;
+    }
+    let seqs = async |line: &str| -> Vec<u64> {
+        let journal = daemon.reply(&format!("journal demo {line}")).await;
+        let entries = journal["result"]["entries"].as_array().unwrap().iter();
+        entries.map(|it| it["seq"].as_u64().unwrap()).collect()
+    };
+    for (line, expected) in [
+        ("--verb set", vec![1, 3]),
+        ("--verb set --limit 1", vec![3]),
+        ("--verb set --after 1", vec![3]),
+        ("--from-step 5", vec![3, 4]),
+        ("--to-step 4", vec![1, 2]),
+        ("--from-step 5 --to-step 5 --verb step", vec![4]),
+        ("--client ada@desk", vec![3]),
+        ("--client ada", vec![]),
+    ] {
+        assert_eq!(seqs(line).await, expected, "{line}");
+    }
+    let ended = daemon.jostle("journal demo --verb inform").await;
+    ended.assert_stderr(0, "demo has applied no such command yet");
+    let ended = daemon.jostle("journal demo --verb informs").await;
+    ended.assert_stderr(2, "is no verb of a swarm");
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_journal_of_many_pages_is_fetched_completely_or_from_its_end() {
+    let daemon = Daemon::start().await;
+    daemon.said("create demo --n 3").await;
+    daemon.said("set demo pi3=2").await;
+    let client = Client::connect(ConnectOptions::to(&daemon.endpoint))
+        .await
+        .unwrap();
+    for _ in 0..2_100 {
+        let args = StepArgs {
+            steps: 1,
+            return_: Return::None,
+        };
+        client.execute("demo", &args).await.unwrap();
+    }
+    client.close().await;
+    daemon.said("set demo pi3=3").await;
+    for (line, expected) in [
+        ("", (1..=2_102).collect::<Vec<u64>>()),
+        ("--limit 1500", (603..=2_102).collect()),
+        ("--limit 3", (2_100..=2_102).collect()),
+        ("--verb set", vec![1, 2_102]),
+        ("--from-step 2099", vec![2_101, 2_102]),
+    ] {
+        let journal = daemon.reply(&format!("journal demo {line}")).await;
+        let entries = journal["result"]["entries"].as_array().unwrap().iter();
+        let seqs: Vec<u64> = entries.map(|it| it["seq"].as_u64().unwrap()).collect();
+        assert_eq!(seqs, expected, "{line}");
+        assert_eq!(journal["result"]["next"], Value::Null, "{line}");
+    }
+    let ended = daemon.jostle("journal demo --verb set").await;
+    assert_eq!(ended.stdout.lines().count(), 3, "{ended:?}");
+    assert_eq!(ended.stderr, "", "nothing is missing: {ended:?}");
     daemon.stop().await;
 }
 

@@ -15,8 +15,9 @@ use tokio::task::JoinSet;
 use crate::support::{Daemon, Ended, Running};
 
 /// A command line for each verb and nested verb. `{}` is a folder.
-const LINES: [&str; 56] = [
+const LINES: [&str; 57] = [
     "annotate demo note",
+    "audit",
     "auth can pause",
     "auth link",
     "auth whoami",

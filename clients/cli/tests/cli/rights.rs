@@ -124,6 +124,72 @@ async fn each_role_is_enforced_and_an_error_names_the_required_role() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn the_audit_log_says_who_did_what_to_operators_only() {
+    let base = tempfile::tempdir().unwrap();
+    let (daemon, by) = lab(base.path()).await;
+    for (name, line) in [
+        ("olga", "create s --n 3 --client desk"),
+        ("cleo", "annotate s ready"),
+        ("olga", "step s 2"),
+        ("olga", "step s 2"),
+        ("olga", "delete s"),
+    ] {
+        daemon.said(&by(name, line)).await;
+    }
+    let audit = async |line: &str| -> Vec<String> {
+        let reply = daemon.reply(&by("olga", &format!("audit {line}"))).await;
+        let lines = reply["result"]["lines"].as_array().unwrap().iter();
+        let described = lines.map(|line| {
+            let [user, verb, name] = ["user", "verb", "name"].map(|it| line[it].as_str().unwrap());
+            let outcomes = &line["outcomes"];
+            assert_eq!(outcomes[0]["outcome"], "ok", "{line}");
+            assert_eq!(outcomes[0]["count"], line["count"], "{line}");
+            format!("{user} {verb} {name} {}", line["count"])
+        });
+        described.collect()
+    };
+    let all = [
+        "olga create s 1",
+        "cleo annotate s 1",
+        "olga step s 2",
+        "olga delete s 1",
+    ];
+    assert_eq!(audit("").await, all, "also after the swarm was deleted");
+    assert_eq!(audit("--all").await, all);
+    for (line, expected) in [
+        ("--user cleo", &all[1..2]),
+        ("--client desk", &all[..1]),
+        ("--verb delete", &all[3..]),
+        ("--name s --limit 2", &all[2..]),
+        ("--name other", &[]),
+        ("--since 1h", &all),
+        ("--until 1h", &[]),
+    ] {
+        assert_eq!(audit(line).await, expected, "{line}");
+    }
+    let table = daemon
+        .said(&by("olga", "audit --user olga --verb step"))
+        .await;
+    let lines: Vec<Vec<&str>> = table
+        .lines()
+        .map(|line| line.split_whitespace().collect())
+        .collect();
+    assert_eq!(
+        lines[0],
+        [
+            "when", "user", "client", "command", "name", "count", "outcome"
+        ]
+    );
+    assert_eq!(lines[1][1], "olga", "{table}");
+    assert_eq!(lines[1][3..], ["step", "s", "2", "ok"], "{table}");
+    for name in ["vera", "cleo"] {
+        let ended = daemon.jostle(&by(name, "audit")).await;
+        ended.assert_stderr(5, "and audit takes an operator");
+    }
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn doctor_reports_credentials_that_were_removed() {
     let base = tempfile::tempdir().unwrap();
     let (daemon, by) = lab(base.path()).await;

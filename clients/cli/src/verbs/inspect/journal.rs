@@ -1,5 +1,6 @@
 //! `journal`: the commands that a swarm has applied.
 
+use std::collections::VecDeque;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
@@ -13,34 +14,53 @@ use crate::failure::Failure;
 use crate::format;
 use crate::table;
 
+/// The most commands of a reply.
+const MAX_PAGE_COMMANDS: usize = 1000;
+
 pub async fn journal(context: &Context, arguments: &JournalArguments) -> Result<(), Failure> {
     let Context { client, output } = context;
     if arguments.as_experiment {
         return as_experiment(context, arguments).await;
     }
-    let mut reply = fetch(client, &arguments.name, arguments.after).await?;
-    let lost = lost(&reply.result, arguments.after);
-    let entries = &mut reply.result.entries;
-    if let Some(limit) = arguments.limit {
-        entries.drain(..entries.len().saturating_sub(limit));
-    }
+    let JournalArguments {
+        name, after, limit, ..
+    } = arguments;
+    let parameters = parameters(arguments);
+    let mut pages = Pages {
+        client,
+        swarm: name,
+        after: *after,
+        parameters: &parameters,
+    };
+    let newest = pages.newest(limit.unwrap_or(usize::MAX)).await;
+    let (reply, mut lost) = newest.map_err(with_remedy)?;
+    let Journal { entries, .. } = &reply.result;
     if output.json {
         // One document, however many replies it took.
         return output.document(&reply);
     }
     if entries.is_empty() {
-        let note = match arguments.after {
-            0 => format!("{} has applied no command yet", reply.swarm),
-            after => format!("{} has applied no command after seq {after}", reply.swarm),
+        let of = match parameters.is_empty() {
+            true => "command",
+            false => "such command",
+        };
+        let note = match after {
+            0 => format!("{} has applied no {of} yet", reply.swarm),
+            after => format!("{} has applied no {of} after seq {after}", reply.swarm),
         };
         output.note(&note);
         return Ok(());
+    }
+    if !parameters.is_empty() {
+        // Of all commands, not of those that were selected.
+        pages.parameters = "";
+        lost = self::lost(&pages.page(*after, 1, None).await?.result, *after);
     }
     if let Some(seq) = lost {
         output.note(&format!("the commands up to seq {seq} are no longer kept"));
     }
     output.data(&table::of(
-        &reply.result.entries,
+        entries,
         [
             ("seq", |it| it.seq.to_string()),
             ("when", |it| format::when(it.unix_secs)),
@@ -111,9 +131,15 @@ pub struct FullJournal {
 
 /// All commands that the journal of a swarm still has.
 pub async fn full_journal(client: &Client, swarm: &str) -> Result<FullJournal, Failure> {
-    let Reply { seq, result, .. } = fetch(client, swarm, 0).await?;
+    let pages = Pages {
+        client,
+        swarm,
+        after: 0,
+        parameters: "",
+    };
+    let (Reply { seq, result, .. }, lost) = pages.newest(usize::MAX).await?;
     let lost = match result.entries.first() {
-        Some(_) => lost(&result, 0).unwrap_or(0),
+        Some(_) => lost.unwrap_or(0),
         None => seq,
     };
     Ok(FullJournal {
@@ -123,27 +149,127 @@ pub async fn full_journal(client: &Client, swarm: &str) -> Result<FullJournal, F
     })
 }
 
-/// Fetches the entries after a seq, page by page.
-async fn fetch(client: &Client, swarm: &str, after: u64) -> Result<Reply<Journal>, Failure> {
-    let page = async |after: u64| -> Result<Reply<Journal>, Failure> {
-        let noun = format!("journal?after={after};limit=1000");
-        Ok(client.get(swarm, &noun).await?.read()?)
-    };
-    let mut whole = page(after).await?;
-    while let Some(last) = whole.result.entries.last() {
-        if last.seq >= whole.result.newest {
-            break;
-        }
-        let mut next = page(last.seq).await?;
-        if next.result.entries.is_empty() {
-            break;
-        }
-        let mut entries = std::mem::take(&mut whole.result.entries);
-        entries.append(&mut next.result.entries);
-        whole = next;
-        whole.result.entries = entries;
+/// The parameters of the query that select commands, each after a `;`.
+fn parameters(arguments: &JournalArguments) -> String {
+    let JournalArguments {
+        from_step,
+        to_step,
+        verb,
+        client,
+        ..
+    } = arguments;
+    let step = |step: &Option<u64>| step.map(|it| it.to_string());
+    [
+        ("from_step", step(from_step)),
+        ("to_step", step(to_step)),
+        ("verb", verb.clone()),
+        ("client", client.clone()),
+    ]
+    .into_iter()
+    .filter_map(|(name, value)| Some(format!(";{name}={}", value?)))
+    .collect()
+}
+
+/// The error of a daemon that does not select commands, with the remedy.
+fn with_remedy(failure: Failure) -> Failure {
+    let parameters = ["from_step", "to_step", "verb", "client"];
+    let is_older = failure.rejection().is_some_and(|error| {
+        let field = error.details.get("field").and_then(Value::as_str);
+        error.details.contains_key("known") && field.is_some_and(|it| parameters.contains(&it))
+    });
+    match is_older {
+        true => failure.with_advice(Some(
+            "the daemon is of an earlier version, which lists all commands only: upgrade it, or \
+             search the output of --json"
+                .into(),
+        )),
+        false => failure,
     }
-    Ok(whole)
+}
+
+/// The commands after a seq, and the parameters that select some of them.
+struct Pages<'a> {
+    client: &'a Client,
+    swarm: &'a str,
+    after: u64,
+    parameters: &'a str,
+}
+
+impl Pages<'_> {
+    async fn page(
+        &self,
+        after: u64,
+        limit: usize,
+        line: Option<u64>,
+    ) -> Result<Reply<Journal>, Failure> {
+        let line = line.map_or_else(String::new, |line| format!(";line={line}"));
+        let noun = format!(
+            "journal?after={after};limit={limit}{}{line}",
+            self.parameters
+        );
+        Ok(self.client.get(self.swarm, &noun).await?.read()?)
+    }
+
+    /// The newest `limit` commands, and the last seq after `after` that is no longer kept; with
+    /// parameters that is not known.
+    async fn newest(&self, limit: usize) -> Result<(Reply<Journal>, Option<u64>), Failure> {
+        let first = self.page(self.after, MAX_PAGE_COMMANDS, None).await?;
+        let newest = first.result.newest;
+        let (mut lost, mut span) = (None, u64::MAX);
+        if self.parameters.is_empty() {
+            lost = self::lost(&first.result, self.after);
+            // Each command takes a seq, and a batch several.
+            span = limit as u64;
+        }
+        let is_last = first
+            .result
+            .entries
+            .last()
+            .is_none_or(|it| it.seq >= newest);
+        loop {
+            let after = newest.saturating_sub(span).max(self.after);
+            if after == self.after || is_last {
+                return Ok((self.with_the_rest(first, limit).await?, lost));
+            }
+            let pages = Pages { after, ..*self };
+            let begin = pages.page(after, MAX_PAGE_COMMANDS, None).await?;
+            let reply = pages.with_the_rest(begin, limit).await?;
+            if reply.result.entries.len() == limit {
+                return Ok((reply, lost));
+            }
+            span = span.saturating_mul(4);
+        }
+    }
+
+    /// The newest `limit` commands of a page and all later ones.
+    async fn with_the_rest(
+        &self,
+        first: Reply<Journal>,
+        limit: usize,
+    ) -> Result<Reply<Journal>, Failure> {
+        let (mut reply, mut line) = (first, 0);
+        let mut newest = VecDeque::new();
+        loop {
+            let page = std::mem::take(&mut reply.result.entries);
+            let last = page.last().map(|it| it.seq);
+            newest.extend(page);
+            newest.drain(..newest.len().saturating_sub(limit));
+            reply = match (reply.result.next, last) {
+                (Some(next), _) if next > line => {
+                    line = next;
+                    self.page(self.after, MAX_PAGE_COMMANDS, Some(next)).await?
+                }
+                // An earlier version sends no next line.
+                (None, Some(seq)) if self.parameters.is_empty() && seq < reply.result.newest => {
+                    self.page(seq, MAX_PAGE_COMMANDS, None).await?
+                }
+                _ => break,
+            };
+        }
+        reply.result.entries = newest.into();
+        reply.result.next = None;
+        Ok(reply)
+    }
 }
 
 /// The last seq after `after` that is no longer kept.

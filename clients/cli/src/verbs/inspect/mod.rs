@@ -1,5 +1,6 @@
 //! The verbs that read the state of swarms and daemons and change nothing.
 
+mod audit;
 mod controllers;
 mod journal;
 mod measures;
@@ -8,6 +9,7 @@ mod parameters;
 mod show;
 mod top;
 
+pub use self::audit::audit;
 pub use self::controllers::controllers;
 pub use self::journal::{FullJournal, full_journal, journal};
 pub use self::measures::{list_measures, measures};

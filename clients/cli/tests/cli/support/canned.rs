@@ -19,8 +19,9 @@ const SWARMS: [&str; 5] = ["demo", "twin", "test-1", "test-2", "pair"];
 
 /// Differences from the fixtures: a fixture or the end of a key, the place in the reply, the value. The
 /// fixtures have pages with a next page, and a status of another step than the state.
-const CHANGES: [(&str, &str, &str); 4] = [
+const CHANGES: [(&str, &str, &str); 5] = [
     ("get/journal", "/result/newest", "3"),
+    ("get/journal", "/result/next", "null"),
     ("get/events", "/result/newest", "7"),
     ("status.reply", "/step", "51"),
     ("experiment/small/order", "/next", "null"),

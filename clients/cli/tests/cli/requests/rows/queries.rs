@@ -54,6 +54,50 @@ pub fn inspecting() -> Vec<Row> {
         )
         .says("return=\"state\"")
         .says_not("inform"),
+        row(
+            "journal <name>demo --from-step 3 --to-step 90 --verb inform --client ada",
+            &[
+                "demo/get/journal?after=0;limit=1000;from_step=3;to_step=90;verb=inform;client=ada",
+                "demo/get/journal?after=0;limit=1",
+            ],
+        )
+        .says("inform"),
+        // The reply has the same next line again, after which there is none.
+        row(
+            "journal <name>demo",
+            &[
+                "demo/get/journal?after=0;limit=1000",
+                "demo/get/journal?after=0;limit=1000;line=5",
+            ],
+        )
+        .with("get/journal", "/result/next", json!(5)),
+        // The reply has the lines 7 to 9, and names an earlier one.
+        row(
+            "audit",
+            &[
+                "@node/test/get/audit?before=18446744073709551615;limit=100",
+                "@node/test/get/audit?before=7;limit=97",
+            ],
+        )
+        .says("2026-11-24T14:40:01Z")
+        .says("experiment cancel")
+        .says("ok 57, conflict 2, unknown 1"),
+        row(
+            "audit --limit 3 --user olga --client ada --verb delete --name school \
+             --since 2026-11-28T07:00 --until 2026-11-28T07:00:00.5Z",
+            &[
+                "@node/test/get/audit?before=18446744073709551615;limit=3;user=olga;client=ada;\
+                 verb=delete;name=school;from_time=1795849200;to_time=1795849200.5",
+            ],
+        ),
+        row(
+            "audit --all",
+            &[
+                "@node/test/get/audit?before=18446744073709551615;limit=1000",
+                "@node/test/get/audit?before=7;limit=1000",
+            ],
+        )
+        .says("permission_denied"),
         row("nodes", &["@node/test/get/hello", "@node/test/get/status"]).says("test"),
         row("events <name>demo", &["demo/get/events?after=0;limit=1000"])
             .says("step return=\"none\"")
