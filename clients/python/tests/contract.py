@@ -13,6 +13,7 @@ import msgspec
 import numpy as np
 
 import jostle
+from jostle._audit import Audit
 from jostle._controller_messages import Controllers, Joined
 from jostle._events import Events, Journal
 from jostle._messages import (
@@ -51,6 +52,7 @@ READ: dict[str, type[Any]] = {
     "join.reply": Joined,
     "journal.reply": Journal,
     "leave.reply": jostle.Reply,
+    "node.audit.reply": Audit,
     "node.experiments.reply": Experiments,
     "node.hello.reply": jostle.Hello,
     "node.metrics.reply": jostle.Metrics,

@@ -265,7 +265,7 @@ class Recorder:
             case ["get", "events"]:
                 return _page(fixture("events.reply"), "events", "number", parameters)
             case ["get", "journal"]:
-                return _page(fixture("journal.reply"), "entries", "seq", parameters)
+                return _journal_page(parameters)
             case ["get", "snapshot"]:
                 return cbor2.dumps(cbor_fixture("snapshot.reply"))
             case ["get", "controllers"]:
@@ -326,6 +326,18 @@ def _page(
     reply["result"]["newest"] = entries[-1][number]
     after = int(parameters["after"])
     reply["result"][name] = [it for it in entries if it[number] > after][:_PAGE]
+    return reply
+
+
+def _journal_page(parameters: dict[str, str]) -> dict[str, Any]:
+    """A page of the commands after `after`; the first command is line 1 of the journal."""
+    reply = fixture("journal.reply")
+    result = reply["result"]
+    entries = [it for it in result["entries"] if it["seq"] > int(parameters["after"])]
+    start = int(parameters.get("line", 1)) - 1
+    result["newest"] = result["entries"][-1]["seq"]
+    result["entries"] = entries[start : start + _PAGE]
+    result["next"] = start + _PAGE + 1 if start + _PAGE < len(entries) else None
     return reply
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+from datetime import UTC, datetime, timedelta, timezone
 from typing import Any
 
 import numpy as np
@@ -264,6 +265,38 @@ CLIENTS = [
                 cmd("batch", it["args"], swarm=PLAYED, at_step=it["at_step"])
                 for it in EXPANDED["commands"]
             ),
+        ],
+    ),
+    # The reply has the lines 7 to 9, and names an earlier one.
+    Row(
+        "Client.audit",
+        call(),
+        [
+            node_get(f"get/audit?before={before};limit={limit}")
+            for before, limit in ((2**64 - 1, 100), (7, 97))
+        ],
+    ),
+    Row(
+        "Client.audit",
+        call(limit=None),
+        [node_get(f"get/audit?before={before};limit=1000") for before in (2**64 - 1, 7)],
+    ),
+    Row(
+        "Client.audit",
+        call(
+            user="olga",
+            client="ada",
+            verb="delete",
+            name="school",
+            since=datetime(2026, 11, 28, 7, tzinfo=UTC),
+            until=datetime(2026, 11, 28, 8, 0, 0, 500_000, tzinfo=timezone(timedelta(hours=1))),
+            limit=np.int64(3),
+        ),
+        [
+            node_get(
+                f"get/audit?before={2**64 - 1};limit=3;user=olga;client=ada;verb=delete"
+                ";name=school;from_time=1795849200.0;to_time=1795849200.5"
+            )
         ],
     ),
     *(

@@ -184,9 +184,14 @@ QUESTIONS = [
     Row(
         "Swarm.journal",
         call(),
-        [get(f"get/journal?after={after};limit=1000") for after in (0, 2)],
+        [get(f"get/journal?after=0;limit=1000{line}") for line in ("", ";line=3")],
     ),
     Row("Swarm.journal", call(after=2), [get("get/journal?after=2;limit=1000")]),
+    Row(
+        "Swarm.journal",
+        call(2, from_step=np.int64(3), to_step=90, verb="set", client="olga"),
+        [get("get/journal?after=2;limit=1000;from_step=3;to_step=90;verb=set;client=olga")],
+    ),
     Row(
         "Swarm.wait",
         call(step=60),

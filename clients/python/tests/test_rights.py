@@ -8,6 +8,7 @@ import re
 import subprocess
 import time
 from collections.abc import Iterator
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
@@ -111,6 +112,41 @@ def test_whoami_lists_the_permissions_of_each_role(lab: Daemon, auth: Path) -> N
         assert (who.verbs, who.node_verbs) == (verbs, node_verbs)
         for verb in [*SWARM_VERBS, *NODE_VERBS]:
             assert who.may(verb) == (verb in verbs or verb in node_verbs), verb
+
+
+def test_the_audit_log_says_who_did_what_to_operators_only(lab: Daemon, auth: Path) -> None:
+    with (
+        enter(lab, auth, "olga") as olga,
+        enter(lab, auth, "cleo") as cleo,
+        enter(lab, auth, "vera") as vera,
+    ):
+        swarm = olga.create("audited", {"n": 3})
+        cleo.swarm("audited").annotate("ready")
+        swarm.set(pi3=1.1)
+        assert [entry.verb for entry in swarm.journal()] == ["annotate", "set"]
+        assert [entry.verb for entry in swarm.journal(client="cleo")] == ["annotate"]
+        assert [entry.verb for entry in swarm.journal(verb="set", from_step=0)] == ["set"]
+        assert swarm.journal(to_step=0, verb="step") == []
+        with pytest.raises(jostle.InvalidArgument, match="no verb of a swarm"):
+            swarm.journal(verb="sets")
+        swarm.delete()
+        lines = olga.audit(name="audited")
+        assert [(line.user, line.client, line.verb, line.count) for line in lines] == [
+            ("olga", olga._session.client, "create", 1),
+            ("cleo", cleo._session.client, "annotate", 1),
+            ("olga", olga._session.client, "set", 1),
+            ("olga", olga._session.client, "delete", 1),
+        ]
+        assert all(line.outcomes == [jostle.AuditOutcome(outcome="ok", count=1)] for line in lines)
+        now = datetime.now(UTC)
+        assert all(timedelta(0) < now - line.when < timedelta(minutes=5) for line in lines)
+        assert olga.audit(name="audited", verb="delete", user="olga") == lines[3:]
+        assert olga.audit(name="audited", limit=2, since=timedelta(minutes=5)) == lines[2:]
+        assert olga.audit(name="audited", until=now - timedelta(hours=1)) == []
+        for client, role in ((vera, "vera, a viewer"), (cleo, "cleo, a controller")):
+            with pytest.raises(jostle.PermissionDenied) as caught:
+                client.audit()
+            assert f"you are {role}, and audit takes an operator" in str(caught.value)
 
 
 def test_states_and_events_reach_a_viewer(lab: Daemon, auth: Path) -> None:

@@ -30,6 +30,7 @@ from ._arguments import (
     within,
 )
 from ._at_step import AtStep
+from ._audit import AuditLine, AuditOutcome
 from ._changes import Change, Inform, Inject, Remove, Set, Uninform
 from ._client import Client, connect, experiment
 from ._commands import Options
@@ -117,6 +118,8 @@ __all__ = [
     "AlreadyExists",
     "Arrived",
     "AtStep",
+    "AuditLine",
+    "AuditOutcome",
     "Awaited",
     "BatchResult",
     "Busy",

@@ -304,6 +304,21 @@ def check_measure(name: str) -> str:
     return name
 
 
+def check_parameter(what: str, text: str) -> str:
+    """Returns `text` if a query may have it as the value of a parameter.
+
+    Raises:
+        InvalidArgument: It is not a text of 1 to 256 bytes, or has a `;`, which separates
+            parameters.
+    """
+    check_label(what, text)
+    if ";" in text:
+        raise invalid(
+            what, f"{what} is {text[:40]!r}, and a `;` cannot be sent: search the result instead"
+        )
+    return text
+
+
 def measure_names(names: Sequence[str]) -> list[str]:
     """The names of published measures as a list; the daemon knows the measures.
 

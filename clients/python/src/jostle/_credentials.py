@@ -91,6 +91,17 @@ def zenoh_auth(credentials: Credentials, folder: Path) -> dict[str, Any]:
 _OF_CONTROLLERS = ("join", "advance", "leave", "annotate")
 
 
+# The queries that require an operator, and the verbs that they are rejected for.
+_QUERIES_OF_OPERATORS = {"recording": "record", "audit": "audit"}
+
+
+def restricted_verb(selector: str) -> str | None:
+    """The verb for which a role may be rejected; None for a query of every role."""
+    key = selector.partition("?")[0]
+    _, is_command, verb = key.partition("/cmd/")
+    return verb if is_command else _QUERIES_OF_OPERATORS.get(key.partition("/get/")[2])
+
+
 def denial_reason(who: WhoAmI, verb: str) -> str:
     """The message for a verb that requires another role, with the daemon's words."""
     takes = "a controller" if verb in _OF_CONTROLLERS else "an operator"

@@ -123,7 +123,7 @@ class JournalEntry(Dated, frozen=True, kw_only=True):
         client: The name of the client that sent it.
         request_id: The id of the request.
         skipped: Number of commands between the previous entry and this that the daemon no longer
-            lists.
+            stores; 0 if only some commands were selected.
     """
 
     seq: int
@@ -138,14 +138,17 @@ class JournalEntry(Dated, frozen=True, kw_only=True):
 
 
 class Journal(Reply, frozen=True, kw_only=True):
-    """A page of the commands that a daemon lists of a swarm.
+    """A page of the commands that a daemon stores of a swarm.
 
     Attributes:
         entries: The entries of the page, oldest first.
-        oldest: The `seq` of the oldest listed entry; None if there is none.
+        oldest: The `seq` of the oldest stored entry; None if there is none.
         newest: The `seq` of the newest entry; 0 before the first.
+        next: The line of the journal at which the next page begins; None after the last page, and
+            from an earlier daemon.
     """
 
     entries: list[JournalEntry]
     oldest: int | None = None
     newest: int
+    next: int | None = None

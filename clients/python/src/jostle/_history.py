@@ -9,7 +9,7 @@ import msgspec
 
 from ._decode import read_event
 from ._errors import Conflict, JostleError
-from ._events import Event, JournalEntry
+from ._events import Event, Journal, JournalEntry
 
 T = TypeVar("T")
 R = TypeVar("R", Event, JournalEntry)
@@ -32,6 +32,31 @@ def pages(
         page, _ = request(number(page[-1]))
         records = records + page
     return records, newest
+
+
+def journal_entries(
+    request: Callable[[str], Journal], after: int, parameters: str
+) -> list[JournalEntry]:
+    """Queries the commands after a `seq` that `parameters` select, up to the newest."""
+    start = f"after={after};limit=1000{parameters}"
+    page = request(start)
+    entries = list(page.entries)
+    line = 0
+    while True:
+        if page.next is not None and page.next > line:
+            line = page.next
+            page = request(f"{start};line={line}")
+        elif (
+            not parameters
+            and page.next is None
+            and page.entries[-1:]
+            and (page.entries[-1].seq < page.newest)
+        ):
+            # An earlier daemon sends no next line.
+            page = request(f"after={page.entries[-1].seq};limit=1000")
+        else:
+            return entries
+        entries += page.entries
 
 
 def mark_gaps(records: list[R], last: int) -> list[R]:

@@ -15,7 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import _cancel
-from ._arguments import check_measure, check_name, check_seconds, whole, whole_from_0
+from ._arguments import (
+    check_measure,
+    check_name,
+    check_parameter,
+    check_seconds,
+    whole,
+    whole_from_0,
+)
 from ._atomic_file import atomic_file
 from ._controller_messages import Controllers, ControllerSummary
 from ._decode import read_events, read_json, read_reply
@@ -29,7 +36,7 @@ from ._errors import (
     late,
 )
 from ._events import Event, Journal, JournalEntry
-from ._history import mark_gaps, pages
+from ._history import journal_entries, mark_gaps, pages
 from ._messages import (
     ExperimentFile,
     Measures,
@@ -227,26 +234,56 @@ class Queries:
         known = whole_from_0("after", after)
         return HtmlList(mark_gaps(self._events_after(known)[0], known))
 
-    def journal(self, after: SupportsIndex = 0) -> HtmlList[JournalEntry]:
-        """The commands that were applied, oldest first, as far back as the daemon lists them.
+    def journal(
+        self,
+        after: SupportsIndex = 0,
+        *,
+        from_step: SupportsIndex | None = None,
+        to_step: SupportsIndex | None = None,
+        verb: str | None = None,
+        client: str | None = None,
+    ) -> HtmlList[JournalEntry]:
+        """The commands that were applied, oldest first, as far back as the daemon stores them.
 
-        The spec and these commands determine the state. The daemon lists about a thousand.
+            for entry in swarm.journal(verb="set", client="olga"):
+                print(entry.when, entry.client, entry.step, entry.args)
+
+        The spec and these commands determine the state.
 
         Args:
             after: Only commands of a higher `seq`. The first entry returned has in `skipped` the
-                number of commands that the daemon no longer lists.
+                number of commands that the daemon no longer stores.
+            from_step: Only commands applied at this step or later, of any epoch.
+            to_step: Only commands applied at this step or earlier, of any epoch.
+            verb: Only commands with this verb.
+            client: Only commands of this client, or of all clients of this user.
 
         Raises:
-            InvalidArgument: `after` is not a whole number, or below 0.
+            InvalidArgument: A number is not whole, or below 0, or no swarm has such a verb.
             NotFound: There is no such swarm.
+            Unavailable: The daemon is of an earlier version, which only lists all commands.
         """
-
-        def request(seq: int) -> tuple[list[JournalEntry], int]:
-            page = read_reply(self._get(f"get/journal?after={seq};limit=1000"), Journal)
-            return page.entries, page.newest
-
         known = whole_from_0("after", after)
-        return HtmlList(mark_gaps(pages(request, lambda it: it.seq, known)[0], known))
+        selected = {
+            "from_step": None if from_step is None else whole_from_0("from_step", from_step),
+            "to_step": None if to_step is None else whole_from_0("to_step", to_step),
+            "verb": None if verb is None else check_parameter("verb", verb),
+            "client": None if client is None else check_parameter("client", client),
+        }
+        parameters = "".join(f";{key}={it}" for key, it in selected.items() if it is not None)
+
+        def request(page: str) -> Journal:
+            try:
+                return read_reply(self._get(f"get/journal?{page}"), Journal)
+            except InvalidArgument as error:
+                if "known" in error.details and error.details.get("field") in selected:
+                    raise Unavailable(
+                        "the daemon is of an earlier version, which only lists all commands"
+                    ) from error
+                raise
+
+        entries = journal_entries(request, known, parameters)
+        return HtmlList(entries if parameters else mark_gaps(entries, known))
 
     def as_experiment(
         self, path: str | os.PathLike[str] | None = None, *, replicates: int | None = None

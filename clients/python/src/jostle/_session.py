@@ -15,7 +15,7 @@ import zenoh
 from . import _cancel
 from ._arguments import check_label, check_seconds, to_json
 from ._claims import Claim, contested_error, read_claims, unserved_error
-from ._credentials import WhoAmI, denial_reason
+from ._credentials import WhoAmI, denial_reason, restricted_verb
 from ._decode import read_reply
 from ._errors import (
     Busy,
@@ -482,8 +482,8 @@ class Session:
             return self.disconnected()
         if swarm is None or self.alive(self.swarm_key(swarm, "alive/*")):
             who = f"node {nodes[0]!r}" if swarm is None else f"swarm {swarm!r}"
-            _, is_command, verb = selector.partition("/cmd/")
-            if is_command and (reason := self._denial_reason(verb)) is not None:
+            verb = restricted_verb(selector)
+            if verb is not None and (reason := self._denial_reason(verb)) is not None:
                 return PermissionDenied(reason, details={"is_silence": True})
             return PermissionDenied(
                 f"{who} exists but does not reply: this client is not permitted to send that "
@@ -501,7 +501,7 @@ class Session:
         key = self.node_key("*", "get/whoami")
         for reply in self.query_all(key, _LIVELINESS_TIMEOUT_SECS):
             who = read_reply(reply, WhoAmI)
-            if not who.may(verb):
+            if not (who.may(verb) or who.role == "operator"):
                 return denial_reason(who, verb)
         return None
 

@@ -333,6 +333,7 @@ class Client(_Context[jostle.Client]):
     status = _awaited(jostle.Client.status)
     schema = _awaited(jostle.Client.schema)
     metrics = _awaited(jostle.Client.metrics)
+    audit = _awaited(jostle.Client.audit)
 
     def swarm(self, name: str) -> Swarm:
         """The swarm of that name; sends nothing, so it may not exist."""

@@ -1,0 +1,157 @@
+"""The audit log of a daemon: who sent which commands, and with what outcome."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
+from typing import SupportsIndex
+
+import msgspec
+
+from ._arguments import check_name, check_parameter, whole
+from ._errors import JostleError, NotFound, Unavailable, invalid
+from ._repr import HtmlList, HtmlStruct
+
+# The most lines of a page.
+_MAX_PAGE = 1000
+# No line has a higher number: the page before it has the newest lines.
+_MAX_NUMBER = 2**64 - 1
+
+
+class AuditOutcome(HtmlStruct, frozen=True, kw_only=True):
+    """How commands ended.
+
+    Attributes:
+        outcome: `ok`, or the code of the error, such as `permission_denied`.
+        count: Number of commands that ended so.
+    """
+
+    outcome: str
+    count: int
+
+
+class AuditLine(HtmlStruct, frozen=True, kw_only=True):
+    """Equal commands of one client within a minute.
+
+    Attributes:
+        number: The number of the line, from 1.
+        unix_secs: The daemon's wall clock when it received the first of them, seconds since 1970,
+            UTC. `when` is the same as a datetime.
+        last_unix_secs: The same for the last of them.
+        count: Number of commands.
+        user: The user of the token; None from a daemon without users, and for an unknown token.
+        client: The name that the client gives itself; None if it gives none.
+        verb: The verb.
+        action: What an `experiment`, `record` or `replay` does, such as `cancel`; None for other
+            verbs.
+        name: The swarm, experiment or recording; of `create`, `restore` and `replay` the new swarm.
+        outcomes: How the commands ended. Those missing to `count` had no outcome when the line was
+            stored.
+    """
+
+    number: int
+    unix_secs: float
+    last_unix_secs: float
+    count: int
+    user: str | None = None
+    client: str | None = None
+    verb: str
+    action: str | None = None
+    name: str | None = None
+    outcomes: list[AuditOutcome]
+
+    @property
+    def when(self) -> datetime:
+        """`unix_secs` as an aware datetime, UTC."""
+        return datetime(1970, 1, 1, tzinfo=UTC) + timedelta(seconds=self.unix_secs)
+
+
+class Audit(msgspec.Struct, frozen=True, kw_only=True):
+    """A page of the audit log.
+
+    Attributes:
+        node: The daemon's name.
+        lines: The lines of the page, oldest first.
+        oldest: The number of the oldest stored line; None if there is none.
+        newest: The number of the newest line; 0 before the first.
+        damaged: Number of selected lines that are damaged, and left out.
+    """
+
+    node: str
+    lines: list[AuditLine]
+    oldest: int | None = None
+    newest: int
+    damaged: int
+
+
+def selection(
+    user: str | None,
+    client: str | None,
+    verb: str | None,
+    name: str | None,
+    since: datetime | timedelta | None,
+    until: datetime | timedelta | None,
+) -> str:
+    """The parameters of a query that select lines, each after a `;`."""
+    parameters = {
+        "user": None if user is None else check_parameter("user", user),
+        "client": None if client is None else check_parameter("client", client),
+        "verb": None if verb is None else check_parameter("verb", verb),
+        "name": None if name is None else check_name("name", name),
+        "from_time": None if since is None else _unix_secs("since", since),
+        "to_time": None if until is None else _unix_secs("until", until),
+    }
+    return "".join(f";{key}={value}" for key, value in parameters.items() if value is not None)
+
+
+def newest_lines(
+    request: Callable[[str], Audit], parameters: str, limit: SupportsIndex | None
+) -> HtmlList[AuditLine]:
+    """The newest lines, at most `limit`, oldest first; `request` sends a query for a page."""
+    most = None if limit is None else whole("limit", limit)
+    if most is not None and most < 1:
+        raise invalid("limit", f"limit is {most}, but must be above 0, or None for all lines")
+    lines: list[AuditLine] = []
+    damaged = 0
+    before = _MAX_NUMBER
+    while most is None or len(lines) < most:
+        wanted = _MAX_PAGE if most is None else min(most - len(lines), _MAX_PAGE)
+        try:
+            page = request(f"get/audit?before={before};limit={wanted}{parameters}")
+        except NotFound as error:
+            raise _of_earlier_version(error) from error
+        damaged += page.damaged
+        earlier = [line for line in page.lines if line.number < before]
+        if not earlier:
+            break
+        lines = earlier + lines
+        before = lines[0].number
+        if page.oldest is None or page.oldest >= before:
+            break
+    if damaged:
+        warnings.warn(
+            f"{damaged} lines of the audit log cannot be read and are left out: check the disk of "
+            "the daemon",
+            RuntimeWarning,
+            stacklevel=3,
+        )
+    return HtmlList(lines)
+
+
+def _of_earlier_version(error: NotFound) -> JostleError:
+    if "known" in error.details:
+        return Unavailable("the daemon is of an earlier version, which has no audit log")
+    return error
+
+
+def _unix_secs(what: str, when: datetime | timedelta) -> float:
+    if isinstance(when, timedelta):
+        when = datetime.now(UTC) - when
+    if not isinstance(when, datetime) or when.tzinfo is None:
+        raise invalid(
+            what,
+            f"{what} is {when!r}, but must be a datetime with a time zone, such as "
+            "datetime(2026, 11, 28, tzinfo=UTC), or how long ago, such as timedelta(hours=2)",
+        )
+    return round(max(when.timestamp(), 0.0), 3)
