@@ -2,7 +2,7 @@
 
 use serde_json::{Value, json};
 
-use crate::support::{Canned, Running, object};
+use crate::support::{Canned, Running, Terminal, object};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_daemon_of_an_earlier_version_is_reported_with_the_remedy() {
@@ -62,6 +62,26 @@ async fn damaged_and_missing_lines_are_reported_on_stderr() {
         .await
         .assert_stderr(0, "did you mean `fork`?");
     assert_eq!(of("audit").await.stdout, "");
+    canned.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_table_fits_a_terminal_of_80_columns() {
+    let canned = Canned::start().await;
+    let name = "a-client-with-a-name-of-some-forty-letters";
+    canned.reply_with(&[("get/audit", "/result/lines/1/client", json!(name))]);
+    let terminal = Terminal::begin(&canned.endpoint, "audit --limit 3");
+    terminal.until_seen("over.").await;
+    let seen = terminal.seen();
+    let table = seen.split("when").nth(1).unwrap();
+    let table = table.split("code 0.").next().unwrap();
+    for line in table.lines() {
+        assert!(line.trim_end().chars().count() <= 80, "{seen}");
+    }
+    // It takes more lines than in a pipe, and the times are whole.
+    assert!(table.lines().count() > 4, "{seen}");
+    assert!(table.contains("2026-11-24T14:40:41Z"), "{seen}");
+    assert_eq!(terminal.code().await, "0");
     canned.stop().await;
 }
 
