@@ -247,6 +247,7 @@ class Queries:
 
             for entry in swarm.journal(verb="set", client="olga"):
                 print(entry.when, entry.client, entry.step, entry.args)
+            newest = swarm.journal(after=max(0, swarm.status().seq - 10))
 
         The spec and these commands determine the state.
 
