@@ -182,13 +182,13 @@ async fn a_journal_of_many_pages_is_fetched_completely_or_from_its_end() {
     client.close().await;
     daemon.said("set demo pi3=3").await;
     for (line, expected) in [
-        ("", (1..=2_102).collect::<Vec<u64>>()),
-        ("--limit 1500", (603..=2_102).collect()),
-        ("--limit 3", (2_100..=2_102).collect()),
-        ("--verb set", vec![1, 2_102]),
-        ("--from-step 2099", vec![2_101, 2_102]),
+        ("journal demo", (1..=2_102).collect::<Vec<u64>>()),
+        ("journal demo --limit 1500", (603..=2_102).collect()),
+        ("journal demo --limit 3", (2_100..=2_102).collect()),
+        ("journal demo --verb set", vec![1, 2_102]),
+        ("journal demo --from-step 2099", vec![2_101, 2_102]),
     ] {
-        let journal = daemon.reply(&format!("journal demo {line}")).await;
+        let journal = daemon.reply(line).await;
         let entries = journal["result"]["entries"].as_array().unwrap().iter();
         let seqs: Vec<u64> = entries.map(|it| it["seq"].as_u64().unwrap()).collect();
         assert_eq!(seqs, expected, "{line}");
