@@ -181,12 +181,18 @@ async fn a_journal_of_many_pages_is_fetched_completely_or_from_its_end() {
     }
     client.close().await;
     daemon.said("set demo pi3=3").await;
+    // A batch of five changes is one command of five seqs.
+    let change = json!({"verb": "set", "args": {"pi3": 2}}).to_string();
+    let changes = format!("[{}]", vec![change; 5].join(","));
+    let ended = daemon.jostle_with("batch demo -", &changes).await;
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+    let from = |seq: u64| (seq..=1_102).chain([1_107]).collect();
     for (line, expected) in [
-        ("journal demo", (1..=1_102).collect::<Vec<u64>>()),
-        ("journal demo --limit 1050", (53..=1_102).collect()),
-        ("journal demo --limit 3", (1_100..=1_102).collect()),
+        ("journal demo", from(1)),
+        ("journal demo --limit 1050", from(54)),
+        ("journal demo --limit 3", from(1_101)),
         ("journal demo --verb set", vec![1, 1_102]),
-        ("journal demo --from-step 1099", vec![1_101, 1_102]),
+        ("journal demo --from-step 1099", from(1_101)),
     ] {
         let journal = daemon.reply(line).await;
         let entries = journal["result"]["entries"].as_array().unwrap().iter();
