@@ -212,6 +212,11 @@ class Recorder:
                 for recording in reply["result"]["recordings"]:
                     recording["parts"] = _PARTS
                 return reply
+            case ["get", "audit"]:
+                # It has the lines 1 to 4.
+                reply = fixture("node.audit.reply")
+                reply["result"]["oldest"] = 0
+                return reply
             case ["get", noun]:
                 return fixture(f"node.{noun}.reply")
             case ["cmd", "replay"] if "upload" in body["args"]:

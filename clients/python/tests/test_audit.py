@@ -72,6 +72,8 @@ def test_times_have_a_zone_or_are_so_long_ago() -> None:
     for when in (datetime(2026, 11, 28), 1795849200.0):
         with pytest.raises(jostle.InvalidArgument, match="with a time zone"):
             selection(None, None, None, None, when, None)  # type: ignore[arg-type]
+    with pytest.raises(jostle.InvalidArgument, match="which is before since"):
+        selection(None, None, None, None, timedelta(hours=2), timedelta(hours=3))
     for text in ("a;limit=1", "", "a" * 257):
         with pytest.raises(jostle.InvalidArgument, match="user is"):
             selection(text, None, None, None, None, None)

@@ -35,17 +35,17 @@ async fn damaged_and_missing_lines_are_reported_on_stderr() {
     let canned = Canned::start().await;
     let damaged = ("get/audit", "/result/damaged", json!(2));
     canned.reply_with(std::slice::from_ref(&damaged));
-    let ended = Running::begin(&canned.endpoint, "audit --limit 3", "")
+    let ended = Running::begin(&canned.endpoint, "audit --limit 4", "")
         .end()
         .await;
     let text = "2 lines of the audit log cannot be read and are left out: check the disk of lab";
     ended.assert_stderr(0, text);
-    assert_eq!(ended.stdout.lines().count(), 4, "{ended:?}");
-    let line = "--json audit --limit 3";
+    assert_eq!(ended.stdout.lines().count(), 5, "{ended:?}");
+    let line = "--json audit --limit 4";
     let ended = Running::begin(&canned.endpoint, line, "").end().await;
     ended.assert_stderr(0, text);
     assert_eq!(object(&ended)["result"]["damaged"], 2);
-    canned.reply_with(&[]);
+    canned.reply_with(&[("get/audit", "/result/oldest", json!(3))]);
     let ended = Running::begin(&canned.endpoint, "audit --all", "")
         .end()
         .await;
@@ -62,6 +62,11 @@ async fn damaged_and_missing_lines_are_reported_on_stderr() {
         .await
         .assert_stderr(0, "did you mean `fork`?");
     assert_eq!(of("audit").await.stdout, "");
+    let backwards = of("audit --since 2h --until 3h").await;
+    backwards.assert_stderr(2, "--until: it is before --since");
+    of("audit --since 3h --until 2h")
+        .await
+        .assert_stderr(0, "no such command");
     canned.stop().await;
 }
 
@@ -70,7 +75,7 @@ async fn the_table_fits_a_terminal_of_80_columns() {
     let canned = Canned::start().await;
     let name = "a-client-with-a-name-of-some-forty-letters";
     canned.reply_with(&[("get/audit", "/result/lines/1/client", json!(name))]);
-    let terminal = Terminal::begin(&canned.endpoint, "audit --limit 3");
+    let terminal = Terminal::begin(&canned.endpoint, "audit --limit 4");
     terminal.until_seen("over.").await;
     let seen = terminal.seen();
     let table = seen.split("when").nth(1).unwrap();
@@ -79,8 +84,8 @@ async fn the_table_fits_a_terminal_of_80_columns() {
         assert!(line.trim_end().chars().count() <= 80, "{seen}");
     }
     // It takes more lines than in a pipe, and the times are whole.
-    assert!(table.lines().count() > 4, "{seen}");
-    assert!(table.contains("2026-11-24T14:40:41Z"), "{seen}");
+    assert!(table.lines().count() > 5, "{seen}");
+    assert_eq!(table.matches("2026-11-24T14:40:01Z").count(), 4, "{seen}");
     assert_eq!(terminal.code().await, "0");
     canned.stop().await;
 }
@@ -97,15 +102,15 @@ async fn a_client_cannot_forge_lines_by_its_name() {
             json!("noise\u{9b}2J\u{202e}"),
         ),
     ]);
-    let line = "audit --limit 3";
+    let line = "audit --limit 4";
     let ended = Running::begin(&canned.endpoint, line, "").end().await;
-    assert_eq!(ended.stdout.lines().count(), 4, "{ended:?}");
+    assert_eq!(ended.stdout.lines().count(), 5, "{ended:?}");
     assert!(ended.stdout.contains(r"x\n2026-11-24"), "{ended:?}");
     assert!(
         !ended.stdout.contains(['\u{1b}', '\u{9b}', '\u{202e}']),
         "{ended:?}"
     );
-    let line = "--json audit --limit 3";
+    let line = "--json audit --limit 4";
     let ended = Running::begin(&canned.endpoint, line, "").end().await;
     let client: &Value = &object(&ended)["result"]["lines"][0]["client"];
     assert_eq!(client, name);

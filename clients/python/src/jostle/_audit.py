@@ -94,13 +94,17 @@ def selection(
     until: datetime | timedelta | None,
 ) -> str:
     """The parameters of a query that select lines, each after a `;`."""
+    begin = None if since is None else _unix_secs("since", since)
+    end = None if until is None else _unix_secs("until", until)
+    if begin is not None and end is not None and begin > end:
+        raise invalid("until", f"until is {until!r}, which is before since, {since!r}")
     parameters = {
         "user": None if user is None else check_parameter("user", user),
         "client": None if client is None else check_parameter("client", client),
         "verb": None if verb is None else check_parameter("verb", verb),
         "name": None if name is None else check_name("name", name),
-        "from_time": None if since is None else _unix_secs("since", since),
-        "to_time": None if until is None else _unix_secs("until", until),
+        "from_time": begin,
+        "to_time": end,
     }
     return "".join(f";{key}={value}" for key, value in parameters.items() if value is not None)
 

@@ -20,6 +20,13 @@ const MAX_PAGE_LINES: usize = 1000;
 
 pub async fn audit(context: &Context, arguments: &AuditArguments) -> Result<(), Failure> {
     let Context { client, output } = context;
+    if let (Some(since), Some(until)) = (arguments.since, arguments.until)
+        && since > until
+    {
+        let problem = "it is before --since; a duration is that long ago, so --since 3h --until 2h \
+                       is an hour";
+        return Err(Failure::argument("--until", problem));
+    }
     let limit = match arguments.all {
         true => usize::MAX,
         false => arguments.limit.unwrap_or(DEFAULT_LIMIT),

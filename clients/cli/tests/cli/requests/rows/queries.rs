@@ -71,17 +71,19 @@ pub fn inspecting() -> Vec<Row> {
             ],
         )
         .with("get/journal", "/result/next", json!(5)),
-        // The reply has the lines 7 to 9, and names an earlier one.
+        // The reply has the lines 1 to 4, and names an earlier one.
         row(
             "audit",
             &[
                 "@node/test/get/audit?before=18446744073709551615;limit=100",
-                "@node/test/get/audit?before=7;limit=97",
+                "@node/test/get/audit?before=1;limit=96",
             ],
         )
+        .with("get/audit", "/result/oldest", json!(0))
+        .with("get/audit", "/result/lines/2/count", json!(60))
         .says("2026-11-24T14:40:01Z")
         .says("experiment cancel")
-        .says("ok 57, conflict 2, unknown 1"),
+        .says("ok 1, conflict 1, unknown 58"),
         row(
             "audit --limit 3 --user olga --client ada --verb delete --name school \
              --since 2026-11-28T07:00 --until 2026-11-28T07:00:00.5Z",
@@ -94,9 +96,10 @@ pub fn inspecting() -> Vec<Row> {
             "audit --all",
             &[
                 "@node/test/get/audit?before=18446744073709551615;limit=1000",
-                "@node/test/get/audit?before=7;limit=1000",
+                "@node/test/get/audit?before=1;limit=1000",
             ],
         )
+        .with("get/audit", "/result/oldest", json!(0))
         .says("permission_denied"),
         row("nodes", &["@node/test/get/hello", "@node/test/get/status"]).says("test"),
         row("events <name>demo", &["demo/get/events?after=0;limit=1000"])
