@@ -10,8 +10,10 @@ from typing import SupportsIndex
 import msgspec
 
 from ._arguments import check_name, check_parameter, whole
+from ._decode import read_reply
 from ._errors import JostleError, NotFound, Unavailable, invalid
 from ._repr import HtmlList, HtmlStruct
+from ._session import Session
 
 # The most lines of a page.
 _MAX_PAGE = 1000
@@ -83,6 +85,53 @@ class Audit(msgspec.Struct, frozen=True, kw_only=True):
     oldest: int | None = None
     newest: int
     damaged: int
+
+
+class Auditor:
+    """The part of a `Client` that reads the audit log."""
+
+    _session: Session
+    _node: str
+
+    def audit(
+        self,
+        *,
+        user: str | None = None,
+        client: str | None = None,
+        verb: str | None = None,
+        name: str | None = None,
+        since: datetime | timedelta | None = None,
+        until: datetime | timedelta | None = None,
+        limit: SupportsIndex | None = 100,
+    ) -> HtmlList[AuditLine]:
+        """Who sent which commands to the daemon, and with what outcome; oldest first.
+
+            for line in client.audit(verb="delete", since=timedelta(days=3)):
+                print(line.when, line.user, line.client, line.name, line.outcomes)
+
+        The log has the commands that the daemon accepted or rejected by permission, also those on
+        swarms that were deleted since. It requires an operator.
+
+        Args:
+            user: Only commands of this user.
+            client: Only commands of the client that gives itself this name.
+            verb: Only commands with this verb.
+            name: Only commands on the swarm, experiment or recording of this name.
+            since: Only commands since this time, a datetime with a time zone, or since so long ago.
+            until: Only commands until this time, in the same forms.
+            limit: Only the newest lines, at most this many; None is all that the daemon stores.
+
+        Raises:
+            InvalidArgument: An argument is invalid.
+            PermissionDenied: The client is not an operator.
+            Unavailable: The daemon is of an earlier version, which has no audit log.
+        """
+
+        def request(rest: str) -> Audit:
+            key = self._session.node_key(self._node, rest)
+            return read_reply(self._session.get(key, swarm=None), Audit)
+
+        return newest_lines(request, selection(user, client, verb, name, since, until), limit)
 
 
 def selection(

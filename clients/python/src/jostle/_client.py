@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import os
 from collections.abc import Mapping
-from datetime import datetime, timedelta
 from html import escape
 from pathlib import Path
 from typing import Any, Self, SupportsIndex, TypeVar
@@ -13,7 +12,7 @@ from typing import Any, Self, SupportsIndex, TypeVar
 import msgspec
 
 from ._arguments import check_name, whole
-from ._audit import Audit, AuditLine, newest_lines, selection
+from ._audit import Auditor
 from ._connect import open_session
 from ._credentials import WhoAmI, read_credentials
 from ._decode import read_reply
@@ -107,7 +106,7 @@ def experiment(
     return client._submit(files, name, None, None)
 
 
-class Client(Player):
+class Client(Player, Auditor):
     """A connection to a daemon; `connect` makes one.
 
         with jostle.connect() as client:
@@ -471,46 +470,6 @@ class Client(Player):
     def metrics(self) -> Metrics:
         """The metrics of the daemon and of its swarms."""
         return self._get("metrics", Metrics)
-
-    def audit(
-        self,
-        *,
-        user: str | None = None,
-        client: str | None = None,
-        verb: str | None = None,
-        name: str | None = None,
-        since: datetime | timedelta | None = None,
-        until: datetime | timedelta | None = None,
-        limit: SupportsIndex | None = 100,
-    ) -> HtmlList[AuditLine]:
-        """Who sent which commands to the daemon, and with what outcome; oldest first.
-
-            for line in client.audit(verb="delete", since=timedelta(days=3)):
-                print(line.when, line.user, line.client, line.name, line.outcomes)
-
-        The log has the commands that the daemon accepted or rejected by permission, also those on
-        swarms that were deleted since. It requires an operator.
-
-        Args:
-            user: Only commands of this user.
-            client: Only commands of the client that gives itself this name.
-            verb: Only commands with this verb.
-            name: Only commands on the swarm, experiment or recording of this name.
-            since: Only commands since this time, a datetime with a time zone, or since so long ago.
-            until: Only commands until this time, in the same forms.
-            limit: Only the newest lines, at most this many; None is all that the daemon stores.
-
-        Raises:
-            InvalidArgument: An argument is invalid.
-            PermissionDenied: The client is not an operator.
-            Unavailable: The daemon is of an earlier version, which has no audit log.
-        """
-
-        def request(rest: str) -> Audit:
-            key = self._session.node_key(self._node, rest)
-            return read_reply(self._session.get(key, swarm=None), Audit)
-
-        return newest_lines(request, selection(user, client, verb, name, since, until), limit)
 
     def close(self) -> None:
         """Closes every stream and the connection; a second call does nothing."""
