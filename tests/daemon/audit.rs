@@ -4,7 +4,7 @@ use jostle_proto::keys;
 use serde_json::{Value, json};
 
 use crate::support::daemon_process::{self, DaemonProcess, killed, start};
-use crate::support::{Client, Daemon, NODE, PREFIX};
+use crate::support::{Client, Daemon, NODE, PREFIX, until};
 
 /// The lines of the audit log that the parameters select.
 async fn lines(client: &Client, parameters: &str) -> Vec<Value> {
@@ -110,7 +110,7 @@ async fn every_command_has_a_line_that_outlives_what_it_concerns() {
         "- - delete - school 1: ok 1",
     ];
     // A line of several commands is written once a second.
-    crate::support::until("all outcomes are stored", async || {
+    until("all outcomes are stored", async || {
         shorts(client, "limit=1000").await == expected
     })
     .await;
@@ -207,4 +207,39 @@ async fn many_equal_commands_of_a_minute_share_a_line() {
     client.ok("school", "step", json!({})).await;
     assert_eq!(lines(client, "verb=step").await.len(), 2);
     daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn on_a_full_disk_the_log_of_the_daemon_has_the_lines() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut command = daemon_process::daemon(folder.path());
+    command.env("FAILPOINTS", "store-full=20*off->return");
+    let mut process = DaemonProcess::start(&mut command).unwrap();
+    let client = Client::open(&process.endpoint).await;
+    client.create("school", json!({"n": 3})).await;
+    until("the disk is full", async || {
+        let set = by("ada", json!({"pi3": 1.5}));
+        client.cmd("school", "set", set).await.is_err()
+    })
+    .await;
+    for k in 0..3 {
+        let remove = json!({"select": {"count": 1}});
+        let request = by(&format!("mallory-{k}"), remove);
+        client.err("school", "remove", request).await;
+    }
+    let log = daemon_process::log(folder.path());
+    let lines = log
+        .lines()
+        .filter(|line| line.contains("which the audit log lacks"));
+    let lines: Vec<_> = lines.collect();
+    for k in 0..3 {
+        let name = format!("mallory-{k}");
+        let is_it = |line: &&&str| line.contains(&name) && line.contains("remove");
+        let found = lines.iter().find(is_it);
+        assert!(
+            found.is_some_and(|line| line.contains("school")),
+            "{lines:#?}"
+        );
+    }
+    process.kill();
 }

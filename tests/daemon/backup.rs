@@ -16,7 +16,7 @@ use serde_json::{Value, json};
 
 use crate::support::daemon_process::{DaemonProcess, daemon, log};
 use crate::support::small_disk::SmallDisk;
-use crate::support::{NODE, PREFIX, until};
+use crate::support::{Client, NODE, PREFIX, until};
 
 use fixture::{
     EXPERIMENT, RUNNING, STANDING, arguments, begin, content, create_swarms, experiment, hash_at,
@@ -78,6 +78,15 @@ async fn a_backup_under_load_is_restored_with_every_swarm_at_a_state_that_it_had
     assert_eq!(restored["files"], taken["files"]);
     let (mut old, client) = begin(&data, points).await;
     let (mut new, again) = begin(&elsewhere, points).await;
+    // The audit log is there.
+    let created = async |client: &Client| {
+        let key = keys::node_get(PREFIX, NODE, "audit?verb=create");
+        let page = client.query(&key, None).await.unwrap();
+        page["result"]["lines"].clone()
+    };
+    let lines = created(&again).await;
+    assert_eq!(lines.as_array().unwrap().len(), 4, "{lines}");
+    assert_eq!(lines, created(&client).await);
     for swarm in RUNNING.into_iter().chain([STANDING]) {
         let [before, after] = [journal(&client, swarm).await, journal(&again, swarm).await];
         assert!(after.len() < before.len(), "{swarm}: {}", after.len());

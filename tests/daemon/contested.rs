@@ -374,9 +374,12 @@ async fn after_a_cut_both_reject_everything_until_one_ends() {
     let metrics = node(&client, "a", "metrics").await;
     assert_eq!(metrics["contested"], 1);
 
-    second.stop();
-    second.end();
-    // Until it serves, queries and commands are rejected as a hand-over, for 400 ms.
+    // Until the first serves, queries and commands are rejected as a hand-over, for 400 ms: they are
+    // sent while the second ends, too.
+    let ending = tokio::task::spawn_blocking(move || {
+        second.stop();
+        second.end()
+    });
     let mut handed_over = 0;
     until("the first serves by itself", async || {
         let key = keys::get(PREFIX, "school", "status");
@@ -392,6 +395,7 @@ async fn after_a_cut_both_reject_everything_until_one_ends() {
         matches!(set(&client, "school", "healed", 3.0).await[..], [Ok(_)])
     })
     .await;
+    ending.await.unwrap();
     assert!(handed_over > 0, "no query was rejected");
     assert_eq!(node(&client, "a", "metrics").await["contested"], 0);
     first.stop();
