@@ -477,13 +477,14 @@ fn credentials(config: &Config, core: &Core) -> Result<Credentials, ServerError>
 async fn recover(core: &Core, recordings: &Recordings) -> Result<(), ServerError> {
     let (registry, store) = (core.registry.clone(), core.store.clone());
     let (idempotency, recordings) = (core.idempotency.clone(), recordings.clone());
+    let has_users = core.rights.current().users().is_some();
     let recovered = spawn_blocking(move || -> Result<(), StoreError> {
         let resume = recordings.clone();
         let on_recovered: OnRecovered = Arc::new(move |handle, now, resets| {
             let resets: Vec<_> = resets.iter().map(|it| Position::from(*it)).collect();
             resume.resume(handle, now, &resets);
         });
-        recovery::recover(&registry, &store, &idempotency, &on_recovered)?;
+        recovery::recover(&registry, &store, &idempotency, &on_recovered, has_users)?;
         let stored = store.swarms()?;
         recordings.end_interrupted(|swarm| stored.iter().any(|(name, _)| name == swarm));
         Ok(())

@@ -42,20 +42,26 @@ pub type OnRecovered = Arc<dyn Fn(&Handle, &Arc<Frame>, &[(u64, u64)]) + Send + 
 
 /// Recovers every swarm, and waits until all are replayed. Returns their number.
 ///
-/// A swarm that cannot be recovered is logged and stays in the store. Returns an error only if the
+/// On a daemon without users, `has_users` is false, and the swarms belong to nobody. A swarm that cannot be
+/// recovered is logged and stays in the store. Returns an error only if the
 /// list of swarms or the replies cannot be read.
 pub fn recover(
     registry: &Arc<SwarmRegistry>,
     store: &Store,
     replies: &impl ReplyCache,
     on_recovered: &OnRecovered,
+    has_users: bool,
 ) -> Result<usize, StoreError> {
     replies.fill(store.replies()?);
     let (replayed, all_replayed) = channel();
     let mut count = 0;
     for (swarm, metadata) in store.swarms()? {
         let started = load(store, replies, &swarm, &metadata).and_then(|loaded| {
-            let (about, source, resets) = loaded;
+            let ((spec, creation), source, resets) = loaded;
+            let creation = creation.map(|it| Creation {
+                owner: it.owner.filter(|_| has_users),
+                ..it
+            });
             let (replayed, on_recovered) = (replayed.clone(), on_recovered.clone());
             let answer = move || {
                 ReplyTo::new(move |_| {
@@ -64,7 +70,7 @@ pub fn recover(
             };
             let on_recovered: registry::OnRecovered =
                 Box::new(move |handle, now| on_recovered(handle, now, &resets));
-            Ok(registry.recover(&swarm, about, source, on_recovered, answer)?)
+            Ok(registry.recover(&swarm, (spec, creation), source, on_recovered, answer)?)
         });
         match started {
             Ok(()) => count += 1,

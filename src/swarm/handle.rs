@@ -262,6 +262,11 @@ impl Handle {
         }
     }
 
+    /// The user to whom it belongs; `None` is nobody.
+    pub(crate) fn owner(&self) -> Option<&str> {
+        self.creation.as_ref()?.owner.as_deref()
+    }
+
     /// Logs who created it.
     pub(crate) fn log_creation(&self) {
         if let Some(creation) = &self.creation {

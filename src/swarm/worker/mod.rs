@@ -142,7 +142,7 @@ impl Worker {
         let (now, state) = (Instant::now(), &simulation.state);
         let mut worker = Worker {
             pace: Pace::new(checkpoint.rate, state.parameters.dt, now),
-            cpu_share: handle.cores.share(handle.waker()),
+            cpu_share: handle.cores.share(handle.owner(), handle.waker()),
             journal: Journal::new(
                 writer,
                 checkpoint.lines,

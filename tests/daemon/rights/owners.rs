@@ -1,4 +1,10 @@
-//! Whose swarms they are: the events and the log say who created and deleted them, also after a kill.
+//! Whose swarms they are: the events and the log say who created and deleted them, also after a kill, and
+//! users have equal shares of the cores.
+
+use std::fs;
+use std::num::NonZero;
+use std::ops::RangeInclusive;
+use std::thread;
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
@@ -7,7 +13,8 @@ use serde_json::{Value, json};
 
 use super::UserSession;
 use super::live::process::AuthProcess;
-use crate::support::{PREFIX, TIMEOUT, until};
+use crate::support::process::{Process, jostled};
+use crate::support::{NODE, PREFIX, TIMEOUT, until};
 
 const EXPERIMENT: &str = "name = \"grid\"\nseeds = [1]\nduration = 1\nspec = { n = 3 }\n";
 
@@ -172,4 +179,78 @@ async fn events_and_the_log_name_who_created_and_deleted_a_swarm_also_after_a_ki
         }
     }
     daemon.end();
+}
+
+/// The processor time of the threads of swarms whose names begin so, in ticks of the kernel.
+fn ticks(process: &Process, names: &str) -> u64 {
+    let tasks = fs::read_dir(format!("/proc/{}/task", process.0.id())).unwrap();
+    let stats = tasks.filter_map(|it| fs::read_to_string(it.unwrap().path().join("stat")).ok());
+    let of_one = |stat: String| {
+        // The name is in parentheses; the 12th and 13th field after it are the user and system time.
+        let (name, fields) = stat.split_once('(')?.1.rsplit_once(") ")?;
+        let fields = fields.split(' ').skip(11).take(2);
+        name.starts_with(&format!("swarm-{names}"))
+            .then(|| fields.map(|it| it.parse::<u64>().unwrap()).sum::<u64>())
+    };
+    stats.filter_map(of_one).sum::<u64>()
+}
+
+fn cores() -> usize {
+    thread::available_parallelism().map_or(1, NonZero::get)
+}
+
+/// Waits until olga's swarms take a part in this range of the processor time of olga's and otto's, over a
+/// second for each core. While other programs use the cores, the kernel prefers threads that have slept: those
+/// of the user with more swarms.
+async fn until_part_of_olga(process: &Process, range: RangeInclusive<f64>, what: &str) {
+    let taken = || ["olga", "otto"].map(|names| ticks(process, names));
+    let mut before = taken();
+    until(what, async || {
+        let now = taken();
+        let [olga, both] = [now[0] - before[0], (0..2).map(|k| now[k] - before[k]).sum()];
+        if both < 100 * cores() as u64 {
+            return false;
+        }
+        before = now;
+        let part = olga as f64 / both as f64;
+        println!("{what}: {part:.3}");
+        range.contains(&part)
+    })
+    .await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_user_with_one_swarm_gets_as_much_of_the_cores_as_one_with_four() {
+    let daemon = AuthProcess::start(&[("otto", Role::Operator)]).await;
+    // Each user could use all cores but one.
+    let of_olga = cores().div_ceil(2);
+    for (user, count) in [("olga", of_olga), ("otto", 4 * of_olga)] {
+        for k in 0..count {
+            let spec = json!({"name": format!("{user}{k}"), "spec": {"n": 100, "rate": null}});
+            let create = json!({"client": "sweep", "args": spec}).to_string();
+            assert_eq!(daemon.http("POST /api/node/create", user, &create).0, 200);
+        }
+    }
+    for (user, count) in [("olga", of_olga), ("otto", 4 * of_olga)] {
+        for k in 0..count {
+            // Whoever lets it run: it belongs to the user who created it.
+            let run = format!("POST /api/cmd/{user}{k}/run");
+            assert_eq!(daemon.http(&run, "olga", "{}").0, 200);
+        }
+    }
+    // Wrong shares are a fifth, or a quarter if the kernel decides.
+    until_part_of_olga(&daemon.process, 0.34..=0.64, "about half").await;
+    let daemon = daemon.killed().await;
+    until_part_of_olga(&daemon.process, 0.34..=0.64, "about half after a kill").await;
+
+    // Without users the swarms belong to nobody.
+    let data = daemon.base.path().join("data");
+    let mut process = daemon.process;
+    process.signal("-KILL");
+    process.end();
+    let mut command = jostled(&["serve", "--listen", "tcp/127.0.0.1:0", "--node", NODE]);
+    let mut open = Process::of(command.arg("--data-dir").arg(data));
+    until_part_of_olga(&open, 0.1..=0.28, "a fifth without users").await;
+    open.signal("-KILL");
+    open.end();
 }
