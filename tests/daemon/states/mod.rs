@@ -31,7 +31,7 @@ pub type Observation = BTreeMap<&'static str, Value>;
 /// - `as made`: as when the thing was made, which differs from before the change
 /// - `+N`: greater by N than before the change
 /// - `goes on`: a number that has not decreased, or a list or map that has what it had before
-/// - `anew`: a map with nothing under the names that it had before
+/// - `anew`: a map with nothing that it had before under the same names
 /// - `agrees`: a map that has under the names that it had before what it had, or nothing
 /// - `starts over`: a number that is 0 or 1, and was greater
 /// - `absent`: `null`, and was something
@@ -179,7 +179,7 @@ fn holds(cell: &str, made: &Value, before: &Value, after: &Value) -> Result<(), 
             let [before, after] = [before, after].map(|it| it.as_object().unwrap());
             shows(!before.is_empty() && !after.is_empty())?;
             is(after.iter().all(|(name, it)| match before.get(name) {
-                Some(before) => cell == "agrees" && before == it,
+                Some(before) => (cell == "agrees") == (before == it),
                 None => true,
             }))
         }
@@ -302,6 +302,7 @@ fn a_cell_that_is_wrong_or_shows_nothing_is_reported() {
             &json!({"b": 2, "a": 1}),
         ),
         ("anew", &json!({}), &json!({"1": 1}), &json!({"2": 1})),
+        ("anew", &json!({}), &json!({"1": 1}), &json!({"1": 2})),
         (
             "agrees",
             &json!({}),
