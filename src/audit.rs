@@ -7,7 +7,7 @@
 use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 use std::thread;
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use parking_lot::Mutex;
 use serde::{Deserialize, Serialize};
@@ -15,7 +15,6 @@ use thiserror::Error;
 use tracing::info;
 
 use crate::store::{AuditLine, Store, StoreError, Write};
-use crate::swarm::frame::unix_secs;
 
 /// How long equal commands are counted on one line.
 const LINE: Duration = Duration::from_secs(60);
@@ -130,7 +129,8 @@ impl AuditLog {
     /// Adds a command that is about to be executed.
     #[must_use]
     pub fn begin(&self, command: AuditCommand) -> AuditTicket {
-        let now = (unix_secs().unwrap_or(0.0) * 1000.0) as u64;
+        let now = SystemTime::now().duration_since(UNIX_EPOCH);
+        let now = now.map_or(0, |it| u64::try_from(it.as_millis()).unwrap_or(u64::MAX));
         let mut state = self.0.state.lock();
         let State {
             number,

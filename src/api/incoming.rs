@@ -3,6 +3,7 @@
 use std::ops::Deref;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::time::Duration;
 
 use jostle_proto::{Request, keys};
 
@@ -341,11 +342,12 @@ pub(super) fn page_of_audit<'a>(
 fn milliseconds(field: &'static str, value: &str) -> Result<u64, CommandError> {
     let secs: Option<f64> = value.parse().ok();
     let secs = secs.filter(|secs| (0.0..=MAX_UNIX_SECS).contains(secs));
-    let secs = secs.ok_or(CommandError::Field {
+    let time = secs.and_then(|secs| Duration::try_from_secs_f64(secs).ok());
+    let ms = time.and_then(|time| u64::try_from(time.as_millis()).ok());
+    ms.ok_or(CommandError::Field {
         field,
         problem: "is not a time in seconds since 1970; separate parameters with `;`",
-    })?;
-    Ok((secs * 1000.0) as u64)
+    })
 }
 
 /// The run of an experiment, and a page of at most `max` of its records.
@@ -423,7 +425,6 @@ pub(super) mod fixture {
     #![expect(clippy::unwrap_used, reason = "tests")]
 
     use std::sync::mpsc::{Receiver, Sender, channel};
-    use std::time::Duration;
 
     use serde_json::Value;
 

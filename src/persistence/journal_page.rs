@@ -40,6 +40,20 @@ pub struct JournalFilter {
 }
 
 impl JournalFilter {
+    /// Whether an earlier version could have sent it.
+    fn is_of_an_earlier_version(&self) -> bool {
+        let JournalFilter {
+            after: _,
+            limit: _,
+            line,
+            from_step,
+            to_step,
+            verb,
+            client,
+        } = self;
+        line.or(*from_step).or(*to_step).is_none() && verb.is_none() && client.is_none()
+    }
+
     /// Whether a page has this command.
     pub fn selects(&self, entry: &Entry) -> bool {
         let client = entry.sender.client.as_deref();
@@ -93,7 +107,9 @@ pub fn read_page(
         None if filter.after == 0 => first,
         None => journal.line_after(filter.after, first, last)?,
     };
-    let end = last.min(begin.saturating_add(MAX_LINES - 1));
+    // Clients of earlier versions take an empty page for the end, and do not know `next`.
+    let reads_on = filter.is_of_an_earlier_version();
+    let mut end = last.min(begin.saturating_add(MAX_LINES - 1));
     let (mut entries, mut bytes, mut line) = (Vec::new(), 0, begin);
     let is_full = |entries: &Vec<Entry>, bytes| entries.len() >= filter.limit || bytes >= MAX_BYTES;
     'page: while line <= end {
@@ -102,6 +118,9 @@ pub fn read_page(
             Some(row) => row.number + 1,
             None => end + 1,
         };
+        if reads_on && line > end && entries.is_empty() {
+            end = last.min(end.saturating_add(MAX_LINES));
+        }
         for row in rows {
             let Some(input) = journal.applied(&row)? else {
                 continue;
@@ -403,6 +422,12 @@ mod tests {
         assert!(page.entries.is_empty());
         assert_eq!(page.next, Some(MAX_LINES + 1));
         assert_eq!(read_all(&store, &set), (vec![5], 3));
+        // A client of an earlier version takes an empty page for the end.
+        let late = vec![Record::Hash([0; 32]); 24_999].into_iter();
+        let late = late.chain([input(Some(1), "set", "cleo")]).collect();
+        let (_late_folder, late) = stored(1, late);
+        let page = read_page(&late, "a", 0.5, &all(10)).unwrap();
+        assert_eq!((page.entries.len(), page.next), (1, None));
         // The search for a command skips the lines before it.
         for after in 0..5 {
             let filter = JournalFilter { after, ..all(1) };

@@ -195,8 +195,6 @@ impl Counted {
 
 #[cfg(test)]
 mod tests {
-    #![expect(clippy::unwrap_used, reason = "tests")]
-
     use super::*;
 
     fn counted() -> Counted {
