@@ -41,7 +41,9 @@ async fn node(client: &Client, verb: &str, request: Value) -> Result<Value, Stri
 }
 
 fn by(client: &str, args: Value) -> Value {
-    json!({"client": client, "args": args})
+    let mut request = json!({"client": client});
+    request["args"] = args;
+    request
 }
 
 #[tokio::test(flavor = "multi_thread")]

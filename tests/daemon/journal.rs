@@ -32,7 +32,7 @@ fn verbs(entries: &[Value]) -> Vec<&str> {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn thousands_of_commands_push_none_out_and_each_is_found() {
-    const EXCHANGES: u64 = 3000;
+    const EXCHANGES: usize = 3000;
     let folder = tempfile::tempdir().unwrap();
     let mut daemon = start(folder.path()).await;
     let client = &daemon.1;
@@ -51,9 +51,9 @@ async fn thousands_of_commands_push_none_out_and_each_is_found() {
     for epoch in 1..=2 {
         let client = &daemon.1;
         let all = entries(client, "school", "", 1000).await;
-        let count = EXCHANGES as usize + 2;
+        let count = EXCHANGES + 2;
         let seqs: Vec<u64> = all.iter().map(|it| it["seq"].as_u64().unwrap()).collect();
-        assert_eq!(seqs, (1..=count as u64).collect::<Vec<_>>());
+        assert_eq!(seqs, (1..=3002).collect::<Vec<u64>>());
         assert_eq!(
             (&all[0]["verb"], &all[0]["client"]),
             (&json!("inform"), &json!("olga"))

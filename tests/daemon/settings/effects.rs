@@ -284,7 +284,7 @@ const AUDIT_LINES: u64 = 4000;
 /// Writes lines of the audit log that take more than a MiB: the first ten days old, the last one day.
 pub fn write_audit_lines(folder: &Path) {
     let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap();
-    let days_ago = |days: u64| now.as_millis() as u64 - days * 24 * 60 * 60 * 1000;
+    let days_ago = |days: u64| (now.as_secs() - days * 24 * 60 * 60) * 1000;
     let store = Store::open(folder, Settings::default(), Box::new(|_| {})).unwrap();
     let lines = (1..=AUDIT_LINES).map(|number| {
         let ms = days_ago(if number < AUDIT_LINES { 10 } else { 1 });
