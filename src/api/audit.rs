@@ -9,9 +9,8 @@ use serde_json::value::RawValue;
 use crate::api::context::Context;
 use crate::api::incoming::Incoming;
 use crate::api::responder::Responder;
-use crate::audit::{self, AuditCommand};
+use crate::audit::AuditCommand;
 use crate::auth::{Rights, split_signed};
-use crate::convert::Payload;
 use crate::convert::commands::truncate;
 
 /// The longest request that is parsed although it is not permitted.
@@ -102,18 +101,5 @@ fn subject(
             (Some(action), name.or(recording).or(swarm).or_else(in_file))
         }
         _ => (None, named(text).name),
-    }
-}
-
-/// The outcome of a command that got this reply.
-pub(super) fn outcome(reply: &Result<Payload, Payload>) -> String {
-    #[derive(Deserialize)]
-    struct Code {
-        code: String,
-    }
-    match reply {
-        Ok(_) => audit::OK.to_owned(),
-        Err(payload) => serde_json::from_slice::<Code>(&payload.bytes)
-            .map_or_else(|_| "internal".to_owned(), |error| error.code),
     }
 }

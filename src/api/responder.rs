@@ -12,14 +12,14 @@ use std::time::Duration;
 
 use fail::fail_point;
 use parking_lot::Mutex;
+use serde::Deserialize;
 use tokio::runtime::Handle as Runtime;
 use tokio::task::AbortHandle;
 use tokio::time::{Instant, sleep_until};
 use tracing::error;
 
-use crate::api::audit;
 use crate::api::incoming::Incoming;
-use crate::audit::AuditTicket;
+use crate::audit::{self, AuditTicket};
 use crate::convert::Payload;
 use crate::convert::error::CommandError;
 use crate::metrics::Activity;
@@ -379,11 +379,24 @@ impl Outgoing {
             slot.write(&reply);
         }
         if let Some(ticket) = audit {
-            ticket.lock().finish(&audit::outcome(&reply));
+            ticket.lock().finish(&outcome(&reply));
         }
         if let Some((incoming, key)) = incoming {
             incoming.peer.reply(&key, reply);
         }
+    }
+}
+
+/// The outcome of a command that got this reply.
+fn outcome(reply: &Result<Payload, Payload>) -> String {
+    #[derive(Deserialize)]
+    struct Code {
+        code: String,
+    }
+    match reply {
+        Ok(_) => audit::OK.to_owned(),
+        Err(payload) => serde_json::from_slice::<Code>(&payload.bytes)
+            .map_or_else(|_| "internal".to_owned(), |error| error.code),
     }
 }
 

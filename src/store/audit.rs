@@ -9,9 +9,7 @@ use rusqlite::{Connection, OptionalExtension, Result as SqlResult, params, param
 use super::Store;
 use super::error::StoreError;
 use super::integrity;
-
-/// Bytes that a line counts for besides its texts.
-const LINE_BYTES: usize = 256;
+use super::record::AuditLine;
 
 /// Lines that are deleted for their age when one is written.
 const MAX_AGED: usize = 16;
@@ -27,39 +25,6 @@ pub(super) const TABLES: &str = "
      CREATE TABLE audit_use (
          user TEXT PRIMARY KEY NOT NULL, lines INTEGER NOT NULL, bytes INTEGER NOT NULL
      ) WITHOUT ROWID;";
-
-/// The columns that [`integrity::audit_line`] decodes.
-pub(super) const COLUMNS: &str = "number, user, client, verb, name, first_ms, last_ms, seal, body";
-
-/// A line of the audit log.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct AuditLine {
-    /// Its number, from 1.
-    pub number: u64,
-    /// The user; empty if nobody known.
-    pub user: String,
-    /// What the client calls itself.
-    pub client: Option<String>,
-    /// The verb.
-    pub verb: String,
-    /// What it concerns.
-    pub name: Option<String>,
-    /// The wall-clock time of its first command, in milliseconds since 1970.
-    pub first_ms: u64,
-    /// The same for the last one.
-    pub last_ms: u64,
-    /// The rest, opaque to the store.
-    pub body: Vec<u8>,
-}
-
-impl AuditLine {
-    /// Bytes that it counts for.
-    pub(super) fn bytes(&self) -> usize {
-        let text = |text: &Option<String>| text.as_ref().map_or(0, String::len);
-        let texts = self.user.len() + self.verb.len() + text(&self.client) + text(&self.name);
-        LINE_BYTES + texts
-    }
-}
 
 /// Which lines are read; those without a value are not compared.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -152,8 +117,9 @@ impl Store {
             };
             values.push(Value::from(signed(filter.limit as u64)));
             let mut statement = snapshot.prepare_cached(&format!(
-                "SELECT {COLUMNS} FROM audit NOT INDEXED WHERE {condition}
-                 ORDER BY number {order} LIMIT ?"
+                "SELECT {} FROM audit NOT INDEXED WHERE {condition}
+                 ORDER BY number {order} LIMIT ?",
+                integrity::AUDIT
             ))?;
             let mut cursor = statement.query(params_from_iter(values))?;
             let mut page = AuditPage::default();

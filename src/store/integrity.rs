@@ -30,8 +30,7 @@ use rusqlite::{
     Row as SqlRow, Rows as SqlRows, params,
 };
 
-use super::audit::{self, AuditLine};
-use super::record::{Checkpoint, CheckpointInfo, Row, StoredReply};
+use super::record::{AuditLine, Checkpoint, CheckpointInfo, Row, StoredReply};
 
 /// The columns that [`row`] decodes.
 pub(super) const ROW: &str = "number, epoch, step, kind, seal, body";
@@ -45,6 +44,9 @@ pub(super) const CHECKPOINT: &str = "number, epoch, step, seal, digest, body";
 /// The columns that [`reply`] decodes.
 pub(super) const REPLY_COLUMNS: &str =
     "id, client, request_id, digest, swarm, number, is_ok, encoding, seal, body";
+
+/// The columns that [`audit_line`] decodes.
+pub(super) const AUDIT: &str = "number, user, client, verb, name, first_ms, last_ms, seal, body";
 
 /// The id of the extent of the replies; swarms count from 1.
 pub(super) const REPLIES: i64 = 0;
@@ -410,8 +412,7 @@ pub(super) fn insert_audit_line(
     let [number, first, last] = [line.number, line.first_ms, line.last_ms].map(u64::cast_signed);
     connection
         .prepare_cached(&format!(
-            "INSERT INTO audit ({}, bytes) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
-            audit::COLUMNS
+            "INSERT INTO audit ({AUDIT}, bytes) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)"
         ))?
         .execute(params![
             number,
@@ -437,7 +438,7 @@ pub(super) fn update_audit_line(connection: &Connection, line: &AuditLine) -> Sq
     Ok(updated > 0)
 }
 
-/// Decodes [`audit::COLUMNS`]; `None` if the line is damaged.
+/// Decodes [`AUDIT`]; `None` if the line is damaged.
 pub(super) fn audit_line(record: &SqlRow<'_>) -> SqlResult<Option<AuditLine>> {
     let decode = || {
         let line = AuditLine {

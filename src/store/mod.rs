@@ -49,12 +49,12 @@ use rusqlite::Connection;
 use rustix::fs::{FlockOperation, flock};
 use rustix::io::Errno;
 
-pub use audit::{AuditFilter, AuditLine, AuditPage, AuditSize};
+pub use audit::{AuditFilter, AuditPage, AuditSize};
 pub use copy::copy;
 pub use error::{StoreError, StoreFault};
 pub use health::Health;
 pub use notes::note_bytes;
-pub use record::{Checkpoint, CheckpointInfo, Row, Rows, StoredReply, Write};
+pub use record::{AuditLine, Checkpoint, CheckpointInfo, Row, Rows, StoredReply, Write};
 pub use schema::{FILE, KNOWN as SCHEMA, NOTE};
 
 use health::Meter;

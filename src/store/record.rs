@@ -1,6 +1,7 @@
 //! Records and writes, and what they count for against a quota.
 
-use super::audit::AuditLine;
+/// Bytes that a line of the audit log counts for besides its texts.
+const LINE_BYTES: usize = 256;
 
 /// Size of a record in the file besides its body.
 const OVERHEAD_BYTES: usize = 64;
@@ -72,6 +73,36 @@ pub struct StoredReply {
     pub encoding: String,
     /// The reply.
     pub body: Vec<u8>,
+}
+
+/// A line of the audit log.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct AuditLine {
+    /// Its number, from 1.
+    pub number: u64,
+    /// The user; empty if nobody known.
+    pub user: String,
+    /// What the client calls itself.
+    pub client: Option<String>,
+    /// The verb.
+    pub verb: String,
+    /// What it concerns.
+    pub name: Option<String>,
+    /// The wall-clock time of its first command, in milliseconds since 1970.
+    pub first_ms: u64,
+    /// The same for the last one.
+    pub last_ms: u64,
+    /// The rest, opaque to the store.
+    pub body: Vec<u8>,
+}
+
+impl AuditLine {
+    /// Bytes that it counts for.
+    pub(super) fn bytes(&self) -> usize {
+        let text = |text: &Option<String>| text.as_ref().map_or(0, String::len);
+        let texts = self.user.len() + self.verb.len() + text(&self.client) + text(&self.name);
+        LINE_BYTES + texts
+    }
 }
 
 /// A change to the store. The name of a swarm may be any text.

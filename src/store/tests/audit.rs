@@ -1,7 +1,6 @@
 //! The audit log, and the quota of notes.
 
 use super::*;
-use crate::store::audit::{AuditFilter, AuditLine};
 
 /// A line of a user.
 pub(super) fn line(number: u64, user: &str) -> AuditLine {
