@@ -341,7 +341,7 @@ mod tests {
             outcome(4, Some(8)),
             input(None, "set", "olgaline"),
             outcome(8, None),
-            input(None, "annotate", "cleo"),
+            input(None, "annotate", "olgaline"),
             outcome(10, Some(9)),
             input(Some(10), "advance", "cleo:x"),
         ];
@@ -371,7 +371,8 @@ mod tests {
         };
         assert_eq!(seqs(of("olga")), [7, 8]);
         assert_eq!(seqs(of("cleo:x")), [10]);
-        assert_eq!(seqs(of("olgaline")), [0; 0]);
+        assert_eq!(seqs(of("olgaline")), [9]);
+        assert_eq!(seqs(of("olg")), [0; 0]);
         assert_eq!(
             seqs(JournalFilter {
                 verb: Some("annotate".into()),
