@@ -343,7 +343,8 @@ fn milliseconds(field: &'static str, value: &str) -> Result<u64, CommandError> {
     let secs: Option<f64> = value.parse().ok();
     let secs = secs.filter(|secs| (0.0..=MAX_UNIX_SECS).contains(secs));
     let time = secs.and_then(|secs| Duration::try_from_secs_f64(secs).ok());
-    let ms = time.and_then(|time| u64::try_from(time.as_millis()).ok());
+    // To the nearest: no double is most milliseconds.
+    let ms = time.and_then(|time| u64::try_from((time.as_micros() + 500) / 1000).ok());
     ms.ok_or(CommandError::Field {
         field,
         problem: "is not a time in seconds since 1970; separate parameters with `;`",

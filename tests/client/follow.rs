@@ -6,7 +6,7 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use jostle_client::{Client, ConnectOptions, Error, EventsFrom, Follow, FollowOptions, Update};
-use jostle_proto::verbs::{AnnotateArgs, CreateArgs, DeleteArgs, RunArgs};
+use jostle_proto::verbs::{AnnotateArgs, CreateArgs, DeleteArgs, RunArgs, SetArgs};
 use jostle_proto::{EventKind, Spec};
 use tempfile::TempDir;
 
@@ -233,17 +233,19 @@ async fn events_without_gaps_and_errors_with_their_variant() {
     let mut updates = client.follow("demo", options).await.unwrap();
     // More than the queue of events holds.
     for number in 0..200 {
-        client
-            .execute("demo", &note(&number.to_string()))
-            .await
-            .unwrap();
+        let set = SetArgs {
+            pi3: Some(1.0 + f64::from(number) / 1000.0),
+            ..SetArgs::default()
+        };
+        client.execute("demo", &set).await.unwrap();
     }
+    client.execute("demo", &note("last")).await.unwrap();
     let mut numbers = Vec::new();
     until(&mut updates, |it| {
         if let Update::Event(event) = it {
             numbers.push(event.number);
         }
-        is_note(it, "199")
+        is_note(it, "last")
     })
     .await;
     let expected: Vec<u64> = (1..=numbers.len() as u64).collect();
