@@ -3,7 +3,7 @@
 //! 1. The step is due: [`Pace`] keeps the rate by the monotonic clock. A swarm without a rate, or that
 //!    is behind its rate, is always due.
 //! 2. Its [`Share`] has a turn. Of the swarms that are behind their rate, a few compute at once;
-//!    the threads of the others sleep in a [`Queue`]. So shares do not depend on how the kernel orders
+//!    the threads of the others sleep in a queue. So shares do not depend on how the kernel orders
 //!    many runnable threads, and a command to a waiting swarm wakes a sleeping thread. Users have equal
 //!    numbers of turns, and take turns by the processor time that their swarms took if there are fewer
 //!    turns. The waiters of a user are ordered by virtual time, the processor time that a swarm took
