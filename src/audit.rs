@@ -22,7 +22,8 @@ const LINE: Duration = Duration::from_secs(60);
 /// How often lines of several commands are written.
 const WRITE_INTERVAL: Duration = Duration::from_secs(1);
 
-/// Lines to which commands may be added; beyond it, new ones are begun.
+/// Lines to which commands may be added; beyond it, new ones are begun. While the store is not writable,
+/// at most twice as many wait for it.
 const MAX_OPEN: usize = 4096;
 
 /// The outcome of a command that succeeded.
@@ -76,15 +77,19 @@ struct Inner {
 }
 
 struct State {
-    /// The number of the newest line.
+    /// The number of the newest line in the store.
     number: u64,
+    /// How many lines have been begun.
+    begun: u64,
     /// Those to which commands are added.
     open: HashMap<AuditCommand, u64>,
-    /// By number, those that are open, have a ticket, or are to be written.
+    /// In the order in which they were begun, those that are open, have a ticket, or are to be written.
     lines: BTreeMap<u64, Line>,
 }
 
 struct Line {
+    /// In the store; `None` before it is queued.
+    number: Option<u64>,
     command: AuditCommand,
     begun: Instant,
     first_ms: u64,
@@ -94,6 +99,8 @@ struct Line {
     tickets: u64,
     is_open: bool,
     is_to_be_written: bool,
+    /// Whether it is to be written once the store is writable.
+    is_behind: bool,
 }
 
 /// A command in the audit log whose outcome may change.
@@ -112,6 +119,7 @@ impl AuditLog {
     pub fn open(store: Store) -> Result<Self, AuditError> {
         let state = Mutex::new(State {
             number: store.newest_audit_line()?,
+            begun: 0,
             open: HashMap::new(),
             lines: BTreeMap::new(),
         });
@@ -134,6 +142,7 @@ impl AuditLog {
         let mut state = self.0.state.lock();
         let State {
             number,
+            begun,
             open,
             lines,
         } = &mut *state;
@@ -144,6 +153,9 @@ impl AuditLog {
                 known.body.count += 1;
                 known.tickets += 1;
                 known.is_to_be_written = true;
+                if known.number.is_none() && self.0.store.is_writable() {
+                    self.write(known, number);
+                }
                 line
             }
             None => {
@@ -152,8 +164,9 @@ impl AuditLog {
                     lines.values_mut().for_each(|line| line.is_open = false);
                     lines.retain(|_, line| line.is_needed());
                 }
-                *number += 1;
-                let line = Line {
+                *begun += 1;
+                let mut line = Line {
+                    number: None,
                     begun: Instant::now(),
                     first_ms: now,
                     last_ms: now,
@@ -165,13 +178,13 @@ impl AuditLog {
                     tickets: 1,
                     is_open: true,
                     is_to_be_written: false,
+                    is_behind: false,
                     command: command.clone(),
                 };
-                // While the state is locked, so that lines are written in the order of their numbers.
-                self.write(*number, &line);
-                open.insert(command, *number);
-                lines.insert(*number, line);
-                *number
+                self.write(&mut line, number);
+                open.insert(command, *begun);
+                lines.insert(*begun, line);
+                *begun
             }
         };
         AuditTicket {
@@ -183,11 +196,17 @@ impl AuditLog {
 
     /// Writes what has changed, and ends lines that are older than a minute.
     pub fn write_changes(&self) {
+        let is_writable = self.0.store.is_writable();
         let mut state = self.0.state.lock();
-        let State { open, lines, .. } = &mut *state;
-        for (number, line) in lines.iter_mut() {
-            if std::mem::take(&mut line.is_to_be_written) {
-                self.write(*number, line);
+        let State {
+            number,
+            open,
+            lines,
+            ..
+        } = &mut *state;
+        for line in lines.values_mut() {
+            if line.is_to_be_written || line.is_behind && is_writable {
+                self.write(line, number);
             }
             if line.is_open && line.begun.elapsed() > LINE {
                 line.is_open = false;
@@ -195,11 +214,18 @@ impl AuditLog {
             }
         }
         lines.retain(|_, line| line.is_needed());
+        let mut excess = lines.len().saturating_sub(2 * MAX_OPEN);
+        lines.retain(|_, line| {
+            let is_kept = excess == 0 || line.is_open || line.tickets > 0;
+            excess -= usize::from(!is_kept);
+            is_kept
+        });
     }
 
-    fn finish(&self, number: u64, before: Option<&str>, outcome: &str) {
+    fn finish(&self, line: u64, before: Option<&str>, outcome: &str) {
         let mut state = self.0.state.lock();
-        let Some(line) = state.lines.get_mut(&number) else {
+        let State { number, lines, .. } = &mut *state;
+        let Some(line) = lines.get_mut(&line) else {
             return;
         };
         if let Some(before) = before
@@ -210,13 +236,16 @@ impl AuditLog {
         line.body.outcomes.retain(|_, count| *count > 0);
         *line.body.outcomes.entry(outcome.to_owned()).or_default() += 1;
         match line.body.count {
-            1 => self.write(number, line),
+            1 => self.write(line, number),
             _ => line.is_to_be_written = true,
         }
     }
 
-    /// Queues a line for the store, or logs it if that cannot write.
-    fn write(&self, number: u64, line: &Line) {
+    /// Queues a line for the store, or logs it if that cannot write. The state is locked, so that lines
+    /// are queued in the order of their numbers.
+    fn write(&self, line: &mut Line, newest: &mut u64) {
+        line.is_to_be_written = false;
+        line.is_behind = !self.0.store.is_writable();
         let AuditCommand {
             user,
             client,
@@ -224,11 +253,16 @@ impl AuditLog {
             name,
             ..
         } = &line.command;
-        if !self.0.store.is_writable() {
+        if line.is_behind {
             let action = &line.command.action;
-            info!(user, client, verb, action, name, body = ?line.body, "a command, which the audit log lacks");
+            let problem = "a command that the audit log lacks until the store is writable";
+            info!(user, client, verb, action, name, body = ?line.body, problem);
             return;
         }
+        let number = *line.number.get_or_insert_with(|| {
+            *newest += 1;
+            *newest
+        });
         let mut body = Vec::new();
         // Writing to memory does not fail.
         let _ = serde_json::to_writer(&mut body, &line.body);
@@ -248,7 +282,7 @@ impl AuditLog {
 
 impl Line {
     fn is_needed(&self) -> bool {
-        self.is_open || self.tickets > 0 || self.is_to_be_written
+        self.is_open || self.tickets > 0 || self.is_to_be_written || self.is_behind
     }
 }
 

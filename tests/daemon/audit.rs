@@ -212,16 +212,18 @@ async fn many_equal_commands_of_a_minute_share_a_line() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn on_a_full_disk_the_log_of_the_daemon_has_the_lines() {
+async fn on_a_full_disk_the_log_of_the_daemon_has_the_lines_until_there_is_space() {
     let folder = tempfile::tempdir().unwrap();
     let mut command = daemon_process::daemon(folder.path());
-    command.env("FAILPOINTS", "store-full=20*off->return");
+    command.env("FAILPOINTS", "store-full=20*off->40*return->off");
     let mut process = DaemonProcess::start(&mut command).unwrap();
     let client = Client::open(&process.endpoint).await;
     client.create("school", json!({"n": 3})).await;
+    let mut set = 0;
     until("the disk is full", async || {
-        let set = by("ada", json!({"pi3": 1.5}));
-        client.cmd("school", "set", set).await.is_err()
+        set += 1;
+        let request = by("ada", json!({"pi3": 1.5}));
+        client.cmd("school", "set", request).await.is_err()
     })
     .await;
     for k in 0..3 {
@@ -232,7 +234,7 @@ async fn on_a_full_disk_the_log_of_the_daemon_has_the_lines() {
     let log = daemon_process::log(folder.path());
     let lines = log
         .lines()
-        .filter(|line| line.contains("which the audit log lacks"));
+        .filter(|line| line.contains("that the audit log lacks"));
     let lines: Vec<_> = lines.collect();
     for k in 0..3 {
         let name = format!("mallory-{k}");
@@ -242,6 +244,44 @@ async fn on_a_full_disk_the_log_of_the_daemon_has_the_lines() {
             found.is_some_and(|line| line.contains("school")),
             "{lines:#?}"
         );
+    }
+    let mut before = 0;
+    until("there is space", async || {
+        let remove = by("mallory-0", json!({"select": {"count": 1}}));
+        let outcome = client.cmd("school", "remove", remove).await;
+        before += u32::from(outcome.is_err());
+        outcome.is_ok()
+    })
+    .await;
+    assert!(before > 0, "the disk was full for no repeated command");
+    // What happened meanwhile is written without another command.
+    let (ok, full) = (set - 1, before + 1);
+    let expected = [
+        (
+            "ada",
+            format!("- ada set - school {set}: ok {ok}, storage_full 1"),
+        ),
+        (
+            "mallory-0",
+            format!(
+                "- mallory-0 remove - school {}: ok 1, storage_full {full}",
+                full + 1
+            ),
+        ),
+        (
+            "mallory-1",
+            "- mallory-1 remove - school 1: storage_full 1".to_owned(),
+        ),
+        (
+            "mallory-2",
+            "- mallory-2 remove - school 1: storage_full 1".to_owned(),
+        ),
+    ];
+    for (name, expected) in expected {
+        until("the line is complete", async || {
+            shorts(&client, &format!("client={name}")).await == [expected.clone()]
+        })
+        .await;
     }
     process.kill();
 }

@@ -54,7 +54,10 @@ fn layout(columns: &[(&str, Vec<String>)], width: Option<u16>) -> String {
     let header = columns.iter().map(|(name, _)| *name);
     table.load_style(NOTHING).set_header(header);
     let rows = columns.first().map_or(0, |(_, cells)| cells.len());
-    table.add_rows((0..rows).map(|row| columns.iter().map(move |(_, cells)| &cells[row])));
+    table.add_rows((0..rows).map(|row| {
+        let cells = columns.iter().map(move |(_, cells)| &cells[row]);
+        cells.map(|cell| format::printable(cell))
+    }));
     // Numbers are aligned to the right.
     let is_number =
         |text: &String| text == format::NONE || text == "max" || text.parse::<f64>().is_ok();
@@ -300,6 +303,12 @@ fn pairs(pairs: &[(&str, String)]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_text_of_a_client_stays_in_its_cell() {
+        let columns = [("client", vec!["a\nb\u{202e}c\u{1b}[2J".to_owned()])];
+        assert_eq!(layout(&columns, None), "client\na\\nb\\u{202e}c\\u{1b}[2J");
+    }
 
     #[test]
     fn a_fitted_table_is_as_wide_as_the_terminal_at_most() {

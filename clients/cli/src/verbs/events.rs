@@ -120,7 +120,7 @@ pub fn describe(kind: &EventKind) -> String {
         Some(client) => format!(", by {client}"),
         None => String::new(),
     };
-    match kind {
+    let what = match kind {
         EventKind::Created { verb, client, .. } => {
             let verb = verb.as_deref().filter(|it| *it != "create");
             let verb = verb.map_or(String::new(), |verb| format!(" ({verb})"));
@@ -166,7 +166,8 @@ pub fn describe(kind: &EventKind) -> String {
             format!("recording {recording} failed: {reason}")
         }
         EventKind::Deleted { client, .. } => format!("deleted{}", by(client)),
-    }
+    };
+    format::printable(&what)
 }
 
 #[cfg(test)]
@@ -188,6 +189,12 @@ mod tests {
             })
         };
         assert_eq!(described(of("created")), "created (set), by ada");
+        let note = json!({
+            "kind": "command", "verb": "annotate", "args": {"text": "a\nb\u{202e}c"},
+            "client": "ada\u{9b}2J", "seq": 3, "request_id": null,
+        });
+        let line = r#"annotate "a\nb\u{202e}c" (seq 3, by ada\u{9b}2J)"#;
+        assert_eq!(described(note), line);
         // As earlier versions send it.
         assert_eq!(described(json!({"kind": "created"})), "created");
         assert_eq!(described(json!({"kind": "deleted"})), "deleted");

@@ -73,10 +73,10 @@ pub async fn audit(context: &Context, arguments: &AuditArguments) -> Result<(), 
         lines,
         [
             ("when", |it| format::when_secs(it.unix_secs)),
-            ("user", |it| text(it.user.as_deref())),
-            ("client", |it| text(it.client.as_deref())),
+            ("user", |it| format::or_none(it.user.as_ref())),
+            ("client", |it| format::or_none(it.client.as_ref())),
             ("command", command),
-            ("name", |it| text(it.name.as_deref())),
+            ("name", |it| format::or_none(it.name.as_ref())),
             ("count", |it| it.count.to_string()),
             ("outcome", outcome),
         ],
@@ -173,12 +173,7 @@ fn with_remedy(failure: Failure) -> Failure {
 /// The verb with its action.
 fn command(line: &AuditLine) -> String {
     let action = line.action.iter().map(|action| format!(" {action}"));
-    format::printable(&format!("{}{}", line.verb, action.collect::<String>()))
-}
-
-/// A rejected command may have had any text.
-fn text(text: Option<&str>) -> String {
-    format::or_none(text.map(format::printable))
+    format!("{}{}", line.verb, action.collect::<String>())
 }
 
 /// How the commands ended; with the numbers if there are several outcomes.
