@@ -8,6 +8,7 @@ use fail::fail_point;
 use jostle_proto::{Arguments, Claimant, Request, Role, Schemas, keys};
 use serde_json::Value;
 
+use crate::api::admission::User;
 use crate::api::idempotency::IdempotencyCache;
 use crate::api::incoming::{Incoming, Target};
 use crate::api::responder::{Replies, Responder};
@@ -246,6 +247,17 @@ impl Context {
             (rights, _) => {
                 let user = rights.owner(&incoming.token);
                 user.map_or("", |user| user.name.as_str()).into()
+            }
+        }
+    }
+
+    /// The user as whose a request with this token is counted.
+    pub(crate) fn counted_as(&self, token: &[u8]) -> User {
+        match &*self.rights.current() {
+            Rights::Open => None,
+            rights => {
+                let user = rights.owner(token);
+                Some(user.map_or("", |user| user.name.as_str()).into())
             }
         }
     }

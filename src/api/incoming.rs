@@ -1,12 +1,13 @@
-//! Requests as a transport received them, and the limits of those that have no reply yet.
+//! Requests as a transport received them.
 
 use std::ops::Deref;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
 use jostle_proto::{Request, keys};
 
+use crate::api::admission::Permit;
 use crate::convert::Payload;
 use crate::convert::commands::{selector, truncate};
 use crate::convert::error::CommandError;
@@ -22,55 +23,12 @@ const JSON_ENCODINGS: [&str; 5] = [
     "zenoh/bytes",
 ];
 
-/// Maximum unanswered requests to one queryable; further ones are rejected with `busy`. This many get
-/// a reply within a few milliseconds. The delay of requests to other swarms is twice as long with 256,
-/// and no shorter with 64 or 16. A hundred concurrent requests are served.
-const MAX_UNANSWERED: usize = 128;
-
-/// Bytes of all unanswered requests; further ones are rejected with `busy`.
-const MAX_UNANSWERED_BYTES: usize = 64 * 1024 * 1024;
-
 /// The default and the largest limit of a page of numbered records.
 const PAGE_RECORDS: usize = 256;
 const MAX_PAGE_RECORDS: usize = 1000;
 
 /// The latest time of a selector: the end of the year 9999.
 const MAX_UNIX_SECS: f64 = 253_402_300_800.0;
-
-/// Counts the bytes of all unanswered requests.
-#[derive(Default)]
-pub struct Admission(Arc<AtomicUsize>);
-
-/// Counts a request as unanswered until it is dropped.
-pub struct Permit {
-    bytes: usize,
-    all_bytes: Arc<AtomicUsize>,
-    unanswered: Arc<AtomicUsize>,
-}
-
-impl Admission {
-    /// Admits a request of so many bytes, unless the limits are reached. `unanswered` counts the
-    /// requests to its queryable.
-    pub fn admit(&self, bytes: usize, unanswered: &Arc<AtomicUsize>) -> Option<Permit> {
-        let others = unanswered.fetch_add(1, Ordering::Relaxed);
-        let other_bytes = self.0.fetch_add(bytes, Ordering::Relaxed);
-        // Dropping it restores both counts.
-        let permit = Permit {
-            bytes,
-            all_bytes: self.0.clone(),
-            unanswered: unanswered.clone(),
-        };
-        let is_full = bytes > 0 && other_bytes >= MAX_UNANSWERED_BYTES;
-        (others < MAX_UNANSWERED && !is_full).then_some(permit)
-    }
-}
-
-impl Drop for Permit {
-    fn drop(&mut self) {
-        self.all_bytes.fetch_sub(self.bytes, Ordering::Relaxed);
-        self.unanswered.fetch_sub(1, Ordering::Relaxed);
-    }
-}
 
 /// The connection to the client that sent a request.
 pub trait Peer: Send + Sync {
@@ -430,6 +388,7 @@ pub(super) mod fixture {
     use serde_json::Value;
 
     use super::*;
+    use crate::api::admission::{Admission, Unanswered};
 
     pub(crate) const LONG: Duration = Duration::from_secs(20);
 
@@ -461,7 +420,9 @@ pub(super) mod fixture {
             token: Vec::new(),
             peer: Box::new(Client(sender)),
         };
-        let permit = Admission::default().admit(0, &Arc::default()).unwrap();
+        let permit = Admission::default()
+            .admit(0, None, &Unanswered::default())
+            .unwrap();
         (Incoming::new(received, permit), replies)
     }
 

@@ -4,6 +4,7 @@
 //! [`commands`] or [`queries`] parses it, sends a message to a swarm or a job to an executor, and
 //! replies by a [`Responder`](responder::Responder).
 
+pub mod admission;
 mod audit;
 pub mod commands;
 pub mod context;

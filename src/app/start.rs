@@ -15,9 +15,9 @@ use tokio_rustls::TlsAcceptor;
 use tracing::{error, info, warn};
 use zenoh::{Session, Wait};
 
+use crate::api::admission::Admission;
 use crate::api::context::Context;
 use crate::api::idempotency::IdempotencyCache;
-use crate::api::incoming::Admission;
 use crate::api::responder::Replies;
 use crate::api::{commands, queries};
 use crate::app::data_folder;

@@ -9,6 +9,7 @@ mod matrix;
 mod owners;
 mod requests;
 pub mod secrets;
+mod shares;
 mod start;
 mod table;
 

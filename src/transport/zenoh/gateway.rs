@@ -12,8 +12,9 @@ use zenoh::key_expr::KeyExpr;
 use zenoh::query::{Query, Queryable};
 use zenoh::{Session, Wait};
 
+use crate::api::admission::{Admission, Unanswered};
 use crate::api::context::{Context, Peers};
-use crate::api::incoming::{Admission, Incoming, Peer, Received, Target};
+use crate::api::incoming::{Incoming, Peer, Received, Target};
 use crate::convert::Payload;
 use crate::convert::error::CommandError;
 use crate::swarm::handle::DeferredReply;
@@ -133,7 +134,7 @@ pub(super) fn queryable(
     gateway: &Arc<Gateway>,
 ) -> zenoh::Result<Queryable<()>> {
     let gateway = gateway.clone();
-    let unanswered = Arc::new(AtomicUsize::new(0));
+    let unanswered = Unanswered::default();
     let used = AtomicU32::new(0);
     let busy = Payload::json(&CommandError::Busy.to_wire(None));
     let (busy, encoding) = (ZBytes::from(busy.bytes), busy.encoding);
@@ -149,7 +150,11 @@ pub(super) fn queryable(
                     .try_send(DispatchMessage::FirstUse(swarm.clone(), verb));
             }
             let bytes = query.payload().map_or(0, ZBytes::len);
-            let permit = gateway.admission.admit(bytes, &unanswered);
+            let token = query.attachment().map(ZBytes::to_bytes);
+            let user = gateway
+                .context
+                .counted_as(token.as_deref().unwrap_or_default());
+            let permit = gateway.admission.admit(bytes, user, &unanswered);
             let is_admitted = permit.is_some_and(|permit| {
                 let received = received(&target, query.clone(), guard.clone(), &gateway.open);
                 let incoming = Incoming::new(received, permit);
