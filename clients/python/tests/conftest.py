@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import json
 import os
 import re
 import selectors
 import signal
 import socket
 import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -202,6 +204,48 @@ class Wire:
                     target.sendall(data)
         with contextlib.suppress(OSError):
             target.shutdown(socket.SHUT_RDWR)
+
+
+ROUTER = """
+import json, sys, zenoh
+config = zenoh.Config()
+for key, value in json.loads(sys.argv[1]).items():
+    config.insert_json5(key, json.dumps(value))
+session = zenoh.open(config)
+print("there", flush=True)
+sys.stdin.read()
+"""
+
+
+class Router:
+    """A zenoh router in a separate process, which retries its connections."""
+
+    def __init__(self, *endpoints: str, listen: str | None = None) -> None:
+        self.endpoint = find_free_endpoint() if listen is None else listen
+        config = {
+            "mode": "router",
+            "listen/endpoints": [self.endpoint],
+            "connect/endpoints": endpoints,
+            "connect/exit_on_failure": False,
+            "connect/retry": {
+                "period_init_ms": 100,
+                "period_max_ms": 200,
+                "period_increase_factor": 2,
+            },
+            "scouting/multicast/enabled": False,
+        }
+        self.process = subprocess.Popen(
+            [sys.executable, "-c", ROUTER, json.dumps(config)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+        )
+        assert self.process.stdout is not None
+        assert self.process.stdout.readline() == b"there\n"
+
+    def close(self) -> None:
+        """Ends the process."""
+        self.process.kill()
+        self.process.communicate()
 
 
 @pytest.fixture

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -17,52 +14,12 @@ import jostle
 from conftest import (
     MAX_WAIT_SECS,
     Daemon,
+    Router,
     Wire,
     eventually,
     find_free_endpoint,
     zenoh_session,
 )
-
-ROUTER = """
-import json, sys, zenoh
-config = zenoh.Config()
-for key, value in json.loads(sys.argv[1]).items():
-    config.insert_json5(key, json.dumps(value))
-session = zenoh.open(config)
-print("there", flush=True)
-sys.stdin.read()
-"""
-
-
-class Router:
-    """A zenoh router in a separate process, which retries its connections."""
-
-    def __init__(self, *endpoints: str) -> None:
-        self.endpoint = find_free_endpoint()
-        config = {
-            "mode": "router",
-            "listen/endpoints": [self.endpoint],
-            "connect/endpoints": endpoints,
-            "connect/exit_on_failure": False,
-            "connect/retry": {
-                "period_init_ms": 100,
-                "period_max_ms": 200,
-                "period_increase_factor": 2,
-            },
-            "scouting/multicast/enabled": False,
-        }
-        self.process = subprocess.Popen(
-            [sys.executable, "-c", ROUTER, json.dumps(config)],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-        )
-        assert self.process.stdout is not None
-        assert self.process.stdout.readline() == b"there\n"
-
-    def close(self) -> None:
-        """Ends the process."""
-        self.process.kill()
-        self.process.communicate()
 
 
 class Fleet:
