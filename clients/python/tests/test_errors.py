@@ -280,15 +280,15 @@ def test_a_wait_that_the_daemon_ends_early_is_sent_again(
 ) -> None:
     swarm = create(n=2)
     link = swarm._session
-    get = link.get
+    get_once = link.get_once
     sent: list[str] = []
 
-    def spy(selector: str, *, swarm: str | None, timeout: float | None = None) -> bytes:
+    def spy(selector: str, *, swarm: str | None, timeout: float) -> bytes:
         if "/get/wait?" in selector:
             sent.append(selector)
-        return get(selector, swarm=swarm, timeout=timeout)
+        return get_once(selector, swarm=swarm, timeout=timeout)
 
-    monkeypatch.setattr(link, "get", spy)
+    monkeypatch.setattr(link, "get_once", spy)
     selector = f"jostle/{swarm.name}/get/wait?phase=running;timeout_secs=30"
     with zenoh_session(daemon.endpoint) as session, ThreadPoolExecutor(1) as pool:
         held: list[zenoh.Handler[zenoh.Reply]] = []
@@ -375,13 +375,16 @@ def test_alive_but_silent_is_not_permitted(free_endpoint: str) -> None:
 
 def test_a_killed_daemon_is_unavailable_until_it_is_restarted(own_daemon: Daemon) -> None:
     folder = own_daemon.log.parent
-    with jostle.connect(own_daemon.endpoint) as client:
-        swarm = client.create("lost", jostle.Spec(n=2))
+    with (
+        jostle.connect(own_daemon.endpoint) as client,
+        jostle.connect(own_daemon.endpoint, timeout=0.5) as brief,
+    ):
+        client.create("lost", jostle.Spec(n=2))
         own_daemon.kill()
         with pytest.raises(jostle.Unavailable):
-            swarm.status()
+            brief.swarm("lost").status()
         with pytest.raises(jostle.Unavailable):
-            client.swarms()
+            brief.swarms()
         again = Daemon(folder, own_daemon.endpoint)
         try:
             eventually("the client finds the daemon again", lambda: answers(client))

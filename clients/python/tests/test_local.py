@@ -10,6 +10,7 @@ import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -99,8 +100,8 @@ def test_a_private_daemon_runs_while_any_object_of_it_is_referenced() -> None:
     swarm = jostle.local().create("school", jostle.Spec(n=3))
     gc.collect()
     assert swarm.step(3).step == 3
-    held = swarm._session.keepalive
-    pid = int(held.pid)  # type: ignore[attr-defined]
+    held: Any = swarm._session.keepalive
+    pid = int(held.pid)
     del swarm, held
     gc.collect()
     eventually("it ends", lambda: not is_running(pid))

@@ -6,16 +6,18 @@ import gc
 import subprocess
 import sys
 import threading
+import time
 import weakref
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 import jostle
-from conftest import MAX_WAIT_SECS, Daemon, eventually
+from conftest import MAX_WAIT_SECS, Daemon, Wire, eventually
 from jostle._state import FrameReader
 
 Create = Callable[..., jostle.Swarm]
@@ -145,18 +147,86 @@ def test_every_stream_ends_when_the_swarm_is_deleted(
 
 
 @pytest.mark.parametrize("politely", [True, False])
-def test_a_daemon_that_ends_is_an_error(own_daemon: Daemon, politely: bool) -> None:
-    with jostle.connect(own_daemon.endpoint) as client, ThreadPoolExecutor(2) as pool:
-        swarm = client.create("lost", jostle.Spec(n=3, rate=None))
-        work = [pool.submit(list[object], stream) for stream in (swarm.states(), swarm.events())]
-        swarm.run()
+def test_a_stream_goes_on_with_a_restarted_daemon(own_daemon: Daemon, politely: bool) -> None:
+    folder, endpoint = own_daemon.log.parent, own_daemon.endpoint
+    with jostle.connect(endpoint, timeout=MAX_WAIT_SECS) as client:
+        swarm = client.create("kept", jostle.Spec(n=3))
+        states, events = swarm.states(timeout=0.1), swarm.events(timeout=0.1)
+        before = next(states)
         if politely:
             assert own_daemon.stop() == 0
         else:
             own_daemon.kill()
-        for stream in work:
-            with pytest.raises(jostle.Unavailable):
-                stream.result(MAX_WAIT_SECS)
+        for stream in (states, events):
+            eventually("it is reported", lambda: is_unreachable(stream))  # noqa: B023
+        again = Daemon(folder, endpoint)
+        try:
+            swarm.annotate("back")
+            state = eventually_next(states)
+            assert (state.epoch, state.step) == (before.epoch + 1, 0)
+            while (event := eventually_next(events)).verb != "annotate":
+                assert event.epoch > before.epoch
+        finally:
+            again.kill()
+
+
+def is_unreachable(stream: jostle.Stream[Any]) -> bool:
+    """Whether the stream has noticed that the daemon is not reachable."""
+    try:
+        next(stream)
+    except jostle.DeadlineExceeded as error:
+        return "is not reachable" in str(error)
+    return False
+
+
+def eventually_next(stream: jostle.Stream[Any]) -> Any:
+    """The next item of a stream with a short timeout."""
+    deadline = time.monotonic() + MAX_WAIT_SECS
+    while True:
+        try:
+            return next(stream)
+        except jostle.DeadlineExceeded:
+            assert time.monotonic() < deadline
+
+
+def test_a_daemon_that_comes_back_without_the_swarm_ends_its_streams(
+    own_daemon: Daemon, tmp_path: Path
+) -> None:
+    endpoint, another = own_daemon.endpoint, tmp_path / "another"
+    another.mkdir()
+    with jostle.connect(endpoint, timeout=MAX_WAIT_SECS) as client, ThreadPoolExecutor(2) as pool:
+        swarm = client.create("lost", jostle.Spec(n=3))
+        work = [pool.submit(list[object], stream) for stream in (swarm.states(), swarm.events())]
+        own_daemon.kill()
+        daemon = Daemon(another, endpoint)
+        try:
+            for stream in work:
+                with pytest.raises(jostle.NotFound, match="back, but without swarm 'lost'"):
+                    stream.result(MAX_WAIT_SECS)
+        finally:
+            daemon.kill()
+
+
+def test_a_stream_goes_on_with_another_swarm_of_the_name(
+    wire: Wire, client: jostle.Client, create: Create
+) -> None:
+    swarm = create(n=3)
+    swarm.step(20)
+    with jostle.connect(wire.endpoint) as far:
+        mine = far.swarm(swarm.name)
+        streams: list[jostle.Stream[Any]] = [mine.states(timeout=0.1), mine.events(timeout=0.1)]
+        orders = mine.orders(timeout=0.1)
+        assert next(streams[0]).step == 20
+        wire.unplug()
+        for stream in (*streams, orders):
+            eventually("it is noticed", lambda: is_unreachable(stream))  # noqa: B023
+        swarm.delete()
+        client.create(swarm.name, jostle.Spec(n=4))
+        wire.plug()
+        assert eventually_next(streams[0]).n == 4
+        assert eventually_next(streams[1]).kind == "created"
+        swarm.set(pi3=2.0)
+        assert eventually_next(orders).n == 4
 
 
 def test_closing_from_another_thread_ends_the_loop(daemon: Daemon, create: Create) -> None:

@@ -11,7 +11,10 @@ _STANDINGS = ("waiting", "serving", "changed")
 
 
 class Claim(NamedTuple):
-    """A daemon's claim to a swarm's name, and whether the daemon serves that name."""
+    """A daemon's claim to a name, and whether the daemon serves that name.
+
+    `instance` is one run of the daemon.
+    """
 
     instance: str
     node: str
@@ -24,10 +27,16 @@ class Claim(NamedTuple):
 
 
 def read_claims(keys: Iterable[str]) -> list[Claim]:
-    """The claims in the keys of tokens, such as `jostle/demo/claim/lab/0191-ab/serving`."""
+    """The claims in the keys of tokens.
+
+    Such as `jostle/demo/claim/lab/0191-ab/serving` of a swarm, and
+    `jostle/@node/lab/claim/0191-ab/serving` of a daemon.
+    """
     claims = []
     for key in keys:
-        node, instance, standing = key.split("/")[-3:]
+        before, node, instance, standing = key.split("/")[-4:]
+        if node == "claim":
+            node = before
         if standing in _STANDINGS:
             claims.append(Claim(instance, node, standing))
     return sorted(claims)

@@ -113,8 +113,8 @@ class Client(Player, Auditor):
             swarm = client.create("school", jostle.Spec(n=50, seed=1))
 
     Leaving its `with` block closes it and every stream of its swarms. Several threads may use it.
-    While the daemon is disconnected its methods raise `Unavailable`; when the daemon is back the
-    client works again.
+    While the daemon is not reachable, such as during a restart, requests are sent again within
+    their timeout, and then raise `Unavailable`; streams and waits go on when it is back.
     """
 
     def __init__(self, session: Session, node: str) -> None:

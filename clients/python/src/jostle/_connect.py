@@ -51,6 +51,8 @@ def open_session(
     session = Session(opened, endpoint, prefix, client, seconds, token)
     try:
         hello = _hello(session, node)
+        # A command that gets no reply is sent again to the same daemon only.
+        session.check_claims(session.node_key(hello.node, ""), None, session.connected(), 0.0)
     except BaseException:
         session.close()
         raise

@@ -32,6 +32,7 @@ from ._controller_messages import (
 from ._decode import read_reply
 from ._errors import (
     Conflict,
+    Contested,
     DeadlineExceeded,
     IncorrectState,
     InvalidArgument,
@@ -459,14 +460,11 @@ class Controller:
                     self._explain(error)
                     raise
                 resent_to, backoff = daemon, None
-            except (Unavailable, NotFound, PermissionDenied) as error:
-                is_silence = isinstance(error, Unavailable) or error.details.get("is_silence")
-                if not is_silence or not self._session.is_open():
-                    raise
+            except (Unavailable, NotFound, PermissionDenied, Contested) as error:
                 # A daemon that is being restarted causes these errors.
                 resent_to = None
                 backoff = backoff or Backoff(time.monotonic(), seconds, self._session.timeout)
-                backoff.sleep(error)
+                self._session.pause(backoff, error)
 
     def _catch_up(self, seconds: float) -> None:
         """Sends the unsaved advances again after a crash of the daemon.

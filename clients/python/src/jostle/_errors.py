@@ -137,7 +137,7 @@ class Internal(JostleError):
 
 
 class Unavailable(JostleError):
-    """No daemon answers, or it disconnected."""
+    """No daemon has answered within the timeout, or it ended while it executed a command."""
 
     code = "unavailable"
 

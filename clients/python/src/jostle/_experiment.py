@@ -26,6 +26,7 @@ from ._errors import (
     Unavailable,
     invalid,
 )
+from ._outage import RECONNECT_TIMEOUT_SECS, Outage
 from ._progress import Bar
 from ._repr import HtmlList, error_html
 from ._results import (
@@ -45,8 +46,6 @@ if TYPE_CHECKING:
     import pandas
 
 _POLL_INTERVAL_SECS = 0.5
-# How long a disconnected daemon is waited for: the experiment continues when it is back.
-_RECONNECT_TIMEOUT_SECS = 60.0
 
 EXPERIMENT = "experiment.toml"
 """The name of an experiment's file in a folder of results."""
@@ -110,21 +109,25 @@ class Experiment:
             DeadlineExceeded: Not within `timeout`; it continues.
             IncorrectState: It was cancelled.
             Faulted: It failed.
-            Unavailable: The daemon is disconnected for more than a minute.
+            Unavailable: The daemon is not reachable for more than a minute.
         """
         seconds = None if timeout is None else check_seconds("timeout", timeout)
         began = time.monotonic()
         lost: float | None = None
+        outage = Outage(self._session.endpoint, f"the wait for experiment {self._name!r}")
         with Bar(self._name, show) as bar:
             while True:
                 left = None if seconds is None else began + seconds - time.monotonic()
                 try:
                     progress = self._progress(left)
                     lost = None
+                    outage.end()
                 except Unavailable:
                     lost = lost or time.monotonic()
-                    if time.monotonic() - lost > _RECONNECT_TIMEOUT_SECS:
+                    is_over = self._session.is_over()
+                    if is_over or time.monotonic() - lost > RECONNECT_TIMEOUT_SECS:
                         raise
+                    outage.begin()
                 else:
                     bar.show(progress.share, progress._summary())
                     if progress.is_over:

@@ -120,6 +120,14 @@ class EventReader:
         """The events that were lost since the last message."""
         return self._follow(self._missed())
 
+    def refresh(self) -> list[Event]:
+        """The events that were missed, or all of another swarm of the name."""
+        events, newest = self._request(self._last)
+        if newest < self._last:
+            self._last = 0
+            events, _ = self._request(0)
+        return self._follow(events)
+
     def _missed(self) -> list[Event]:
         try:
             return self._request(self._last)[0]

@@ -160,6 +160,10 @@ class Daemon:
         """Whether this process started it, not one that this process was forked from."""
         return os.getpid() == self._owner
 
+    def has_ended(self) -> bool:
+        """Whether its process has ended."""
+        return self._process is None or self._process.poll() is not None
+
     def stop(self) -> None:
         """Stops it and deletes a temporary folder; a second call does nothing."""
         if not self.is_ours():

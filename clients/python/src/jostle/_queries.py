@@ -40,9 +40,11 @@ from ._messages import (
     Verified,
     WhenReply,
 )
+from ._outage import RECONNECT_TIMEOUT_SECS, Outage
 from ._past import Past
 from ._progress import Bar
 from ._repr import HtmlList
+from ._retry import FAILED, Backoff
 from ._session import Session
 from ._snapshot import Snapshot, read_snapshot
 from ._spec import Spec
@@ -52,6 +54,8 @@ from ._state import State, read_state
 _MAX_WAIT_SECS = 30.0
 # The daemon replies early if too many clients wait for the swarm; it is sent again after this.
 _DISPLACED_WAIT_SECS = 0.5
+# That of the first `get/wait` after an outage.
+_FIRST_WAIT_SECS = 0.05
 # The interval of `get/wait` while a progress bar is shown.
 _BAR_INTERVAL_SECS = 0.25
 # The daemon replies that a verification takes longer after an hour.
@@ -275,7 +279,9 @@ class Queries(Past):
             swarm.wait("drift > 0.9 for 20", timeout=60.0)
             swarm.wait(step=10_000, timeout=60.0)
 
-        Give exactly one of the three. A condition waits in the daemon, as one of the 16 of `when`,
+        Give exactly one of the three. If the daemon is not reachable, such as during a restart, the
+        wait goes on when it is back within a minute, and logs both to the logger `jostle`. A
+        condition waits in the daemon, as one of the 16 of `when`,
         and does not change the swarm; it is removed if this call ends before it holds.
 
         Args:
@@ -296,6 +302,7 @@ class Queries(Past):
                 or `reset`.
             PermissionDenied: A condition requires the role operator.
             ResourceExhausted: 16 conditions wait already.
+            Unavailable: The daemon is not reachable for more than a minute.
         """
         if (condition is not None) + (step is not None) + (phase is not None) != 1:
             what = "wait for a condition, for a `step` or for a `phase`: exactly one of them"
@@ -360,22 +367,36 @@ class Queries(Past):
 
     def _wait(self, condition: str, seconds: float | None, bar: Bar, target: int) -> Status:
         """Sends `get/wait` until the condition holds; `bar` shows the progress to `target`."""
-        deadline = math.inf if seconds is None else time.monotonic() + seconds
+        began = time.monotonic()
+        deadline = math.inf if seconds is None else began + seconds
+        outage = Outage(self._session.endpoint, f"the wait for {condition} of swarm {self._name!r}")
+        backoff = Backoff(began, deadline - began, RECONNECT_TIMEOUT_SECS)
         first: int | None = None
         longest = _BAR_INTERVAL_SECS if bar.is_wanted else _MAX_WAIT_SECS
         while True:
-            wait = max(min(longest, deadline - time.monotonic()), 0.001)
+            # After an outage the daemon replies at once, so that its end is logged.
+            most = _FIRST_WAIT_SECS if outage.is_ongoing else longest
+            wait = max(min(most, deadline - time.monotonic()), 0.001)
             selector = f"get/wait?{condition};timeout_secs={wait:.3f}"
             end = time.monotonic() + wait
+            key = self._session.swarm_key(self._name, selector)
             try:
-                return read_reply(self._get(selector, timeout=wait), Status)
+                payload = self._session.get_once(key, swarm=self._name, timeout=wait)
+            except FAILED as error:
+                self._session.pause(backoff, error, outage)
+                continue
             except DeadlineExceeded as error:
+                outage.end()
+                backoff.reset()
                 if seconds is not None and time.monotonic() >= deadline:
                     where = "" if error.step is None else f" (it is at step {error.step})"
                     what = f"swarm {self._name!r} did not reach {condition}{where}"
                     remedy = "a longer `timeout=` waits longer"
                     raise late(what, seconds, remedy, error) from error
                 step = error.step
+            else:
+                outage.end()
+                return read_reply(payload, Status)
             # The reply is early if too many clients wait for the swarm: let others wait.
             if (early := end - time.monotonic()) > 0.0:
                 _cancel.sleep(min(early, _DISPLACED_WAIT_SECS))

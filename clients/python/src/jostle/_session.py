@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-import os
 import time
 import uuid
-import weakref
-from collections.abc import Iterator
-from typing import Any, Protocol, SupportsIndex, TypeVar
+from typing import Any, SupportsIndex, TypeVar
 
 import msgspec
-import zenoh
 
-from . import _cancel
 from ._arguments import check_label, check_seconds, to_json
 from ._claims import Claim, contested_error, read_claims, unserved_error
 from ._credentials import WhoAmI, denial_reason, restricted_verb
@@ -26,10 +21,10 @@ from ._errors import (
     ResourceExhausted,
     Unavailable,
     late,
-    read_error,
 )
-from ._retry import Backoff
-from ._shutdown import forked, open_sessions
+from ._link import LIVELINESS_TIMEOUT_SECS, POLL_INTERVAL_SECS, Link
+from ._outage import Outage
+from ._retry import FAILED, Backoff
 
 T = TypeVar("T")
 
@@ -40,99 +35,23 @@ REPLY_MARGIN_SECS = 2.0
 # loses a query that is sent while its connection breaks.
 _FIRST_RESEND_SECS = 1.0
 _MAX_RESEND_SECS = 30.0
-# zenoh reconnects with a daemon that is running within this time.
-_RECONNECT_TIMEOUT_SECS = 2.0
-_POLL_INTERVAL_SECS = 0.02
-_LIVELINESS_TIMEOUT_SECS = 2.0
-
-# A query that ends without a reply after this share of its timeout ended because of it.
-_LATE_SHARE = 0.9
 # How long two daemons that were just connected may both claim to serve a name: they settle it
 # within 0.4 s, and a busy machine may take longer.
 _CONTEST_TIMEOUT_SECS = 1.0
 _MAX_CHECKED = 1024
 
 
-class _Stream(Protocol):
-    """A stream of the session."""
+class Session(Link):
+    """A session that sends requests: queries and commands, each until it has a reply.
 
-    subscribers: list[zenoh.Subscriber[zenoh.Handler[zenoh.Sample]]]
+    What fails because the daemon is busy or not reachable is sent again, see `_retry`.
+    """
 
-    def close(self) -> None:
-        """Unsubscribes."""
-
-
-class Session:
-    """A zenoh session with the daemons at one endpoint, and what every request contains."""
-
-    def __init__(
-        self,
-        zenoh_session: zenoh.Session,
-        endpoint: str,
-        prefix: str,
-        client: str,
-        timeout: float,
-        token: str | None = None,
-    ) -> None:
-        self.zenoh = zenoh_session
-        self.endpoint = endpoint
-        self.prefix = prefix
-        self.client = client
-        self.timeout = timeout
-        self._token = token
-        self.max_message_bytes: int | None = None
-        # An object that lives as long as the session, such as a private daemon.
-        self.keepalive: object = None
-        self.streams: weakref.WeakSet[_Stream] = weakref.WeakSet()
-        # Controllers, whose liveliness tokens are zenoh's.
-        self.controllers: weakref.WeakSet[object] = weakref.WeakSet()
-        # The swarms whose claims were checked, each with the zenoh nodes connected at that time.
-        self._checked: set[tuple[str, frozenset[str]]] = set()
-        self._owner = os.getpid()
-        open_sessions.add(self)
-
-    def close(self) -> None:
-        """Closes every stream and the session; a second call does nothing."""
-        if not self.is_ours():
-            return
-        for stream in list(self.streams):
-            stream.close()
-        self.zenoh.close()
-
-    def is_ours(self) -> bool:
-        """Whether this process opened it, not one that this process was forked from.
-
-        A forked process has none of zenoh's threads, and would wait for them forever.
-        """
-        return os.getpid() == self._owner
-
-    def is_open(self) -> bool:
-        """Whether this process opened it and has not closed it."""
-        return self.is_ours() and not self.zenoh.is_closed()
-
-    def check_not_forked(self) -> None:
-        """Raises in a process that was forked from the one that opened it.
-
-        Raises:
-            Unavailable: This is such a process.
-        """
-        if not self.is_ours():
-            raise forked()
-
-    def zenoh_objects(self) -> Iterator[object]:
-        """The objects whose destructors call zenoh."""
-        for stream in list(self.streams):
-            yield from stream.subscribers
-        yield from list(self.controllers)
-        yield self.zenoh
-
-    def swarm_key(self, swarm: str, rest: str) -> str:
-        """A key of a swarm, such as `jostle/demo/get/status`."""
-        return f"{self.prefix}/{swarm}/{rest}"
-
-    def node_key(self, node: str, rest: str) -> str:
-        """A key of a daemon, such as `jostle/@node/main/get/hello`."""
-        return f"{self.prefix}/@node/{node}/{rest}"
+    def __init__(self, *arguments: Any) -> None:
+        super().__init__(*arguments)
+        # The claims of the daemons that serve a swarm or a node, as read once for each set of
+        # connected zenoh nodes.
+        self._servers: dict[tuple[str, frozenset[str]], frozenset[Claim]] = {}
 
     def command(
         self,
@@ -178,14 +97,17 @@ class Session:
         }
         request = {name: value for name, value in request.items() if value is not None}
         began = time.monotonic()
-        before = self.connected() or self._await_connection(seconds)
+        before = self.connected()
+        was_interrupted = not before
+        if was_interrupted:
+            before = self.await_connection(min(seconds, self.timeout))
         wait = _FIRST_RESEND_SECS if seconds > _FIRST_RESEND_SECS else seconds + REPLY_MARGIN_SECS
         try:
             try:
                 return self._query(key, swarm, wait, self._encode(request), before)
-            except (Busy, Unavailable) as error:
+            except FAILED as error:
                 # Lock-step sends thousands of commands a second, and the first attempt succeeds.
-                backoff = Backoff(began, seconds, self.timeout)
+                backoff = Backoff(began, seconds, self.timeout, was_interrupted=was_interrupted)
                 return self._resend(key, swarm, request, before, backoff, error)
         except DeadlineExceeded as error:
             waits = "" if swarm is None else ", and `Swarm.wait` waits for a step"
@@ -228,63 +150,87 @@ class Session:
         failure: JostleError,
     ) -> bytes:
         """Sends a command again until it is replied to, after the first attempt failed."""
+        name = self._claims_of(key, swarm)
+        connected, servers = before, self._servers.get((name, before))
+        if not connected:
+            raise failure
         resend_secs = _FIRST_RESEND_SECS
         while True:
             if not failure.details.get("is_late"):
-                left = backoff.sleep(failure)
-            elif (left := backoff.remaining) > 0.0:
+                before = self.pause(backoff, failure)
+            elif backoff.remaining > 0.0:
                 # The command takes long; the connection is fine.
                 backoff.reset()
                 resend_secs = min(2.0 * resend_secs, _MAX_RESEND_SECS)
             else:
-                raise self._late(backoff.elapsed) from failure
-            # Another daemon, even of the same name, does not know which commands were executed.
-            if isinstance(failure, Unavailable) and (
-                not before or self._await_connection(left) != before
-            ):
-                raise self.disconnected() from failure
-            # The daemon rejects a timeout of 0.
-            remaining = max(backoff.remaining, 0.001)
-            payload = self._encode({**request, "timeout_secs": remaining})
-            wait = resend_secs if remaining > resend_secs else remaining + REPLY_MARGIN_SECS
+                raise self.late(backoff.elapsed) from failure
             try:
+                # Another daemon, even of the same name, does not know which commands were executed.
+                if not isinstance(failure, Busy) and not (
+                    self._is_same(name, servers) if servers else before == connected
+                ):
+                    break
+                # The daemon rejects a timeout of 0.
+                remaining = max(backoff.remaining, 0.001)
+                payload = self._encode({**request, "timeout_secs": remaining})
+                wait = resend_secs if remaining > resend_secs else remaining + REPLY_MARGIN_SECS
                 return self._query(key, swarm, wait, payload, before)
-            except (Busy, Unavailable) as error:
+            except FAILED as error:
                 failure = error
+        raise self.disconnected() from failure
 
     def get(self, selector: str, *, swarm: str | None, timeout: float | None = None) -> bytes:
         """Sends a query that changes nothing, and returns the payload of the reply.
 
-        If the daemon is busy, the query is sent again.
+        If the daemon is busy or not reachable, the query is sent again.
 
         Raises:
             JostleError: The daemon's error, or the cause of its silence.
         """
         seconds = self.timeout if timeout is None else timeout
+        began = time.monotonic()
         before = self.connected()
         backoff: Backoff | None = None
         while True:
+            wait = max(began + seconds - time.monotonic(), 0.0) + REPLY_MARGIN_SECS
             try:
-                return self._query(selector, swarm, seconds + REPLY_MARGIN_SECS, None, before)
-            except Busy as error:
-                backoff = backoff or Backoff(time.monotonic(), seconds, self.timeout)
-                backoff.sleep(error)
+                return self._query(selector, swarm, wait, None, before)
+            except FAILED as error:
+                backoff = backoff or Backoff(began, seconds, self.timeout)
+                before = self.pause(backoff, error)
             except DeadlineExceeded as error:
                 raise late(
                     "not done", seconds, "a longer `timeout=` waits longer", error
                 ) from error
 
-    def _await_connection(self, seconds: float) -> frozenset[str]:
-        """The connected zenoh nodes; waits for a moment while zenoh reconnects.
+    def get_once(self, selector: str, *, swarm: str | None, timeout: float) -> bytes:
+        """Sends a query as `get` does, once.
 
         Raises:
-            Unavailable: The session is closed.
+            JostleError: The daemon's error, or the cause of its silence.
         """
-        if self.zenoh.is_closed():
-            raise self._closed()
-        deadline = time.monotonic() + min(seconds, _RECONNECT_TIMEOUT_SECS)
-        while not (connected := self.connected()) and time.monotonic() < deadline:
-            _cancel.sleep(_POLL_INTERVAL_SECS)
+        return self._query(selector, swarm, timeout + REPLY_MARGIN_SECS, None, self.connected())
+
+    def pause(
+        self, backoff: Backoff, error: JostleError, outage: Outage | None = None
+    ) -> frozenset[str]:
+        """Waits before another attempt of a request, and returns the connected zenoh nodes.
+
+        `outage` begins if the daemon is not reachable.
+
+        Raises:
+            JostleError: `error`, if another attempt cannot help or there is no time for it.
+        """
+        if self.is_over():
+            raise error
+        if outage is not None and isinstance(error, Unavailable):
+            outage.begin()
+        left = backoff.sleep(error)
+        connected = self.connected()
+        if not connected:
+            if outage is not None:
+                outage.begin()
+            connected = self.await_connection(left)
         return connected
 
     def _encode(self, request: dict[str, Any]) -> bytes:
@@ -317,152 +263,59 @@ class Session:
         Raises:
             JostleError: The daemon's error, or the cause of its silence.
         """
-        if swarm is not None:
-            self._check_contested(swarm, before, min(_CONTEST_TIMEOUT_SECS, wait_secs))
-        for reply in self.query_all(selector, wait_secs, payload):
-            return reply
-        error = self.explain_silence(swarm, before, selector)
-        if not isinstance(error, PermissionDenied):
-            raise error
-        # A new connection does not know the daemon's keys yet, and then sends nothing. By now it
-        # does: a query that was really rejected is rejected again.
+        self.check_claims(selector, swarm, before, min(_CONTEST_TIMEOUT_SECS, wait_secs))
         for reply in self.query_all(selector, wait_secs, payload):
             return reply
         raise self.explain_silence(swarm, before, selector)
 
-    def _check_contested(self, swarm: str, connected: frozenset[str], seconds: float) -> None:
-        """Checks once per connection that no two daemons serve a swarm's name.
+    def _claims_of(self, selector: str, swarm: str | None) -> str:
+        """The key of the claims to the name that a request is for: a swarm's or a daemon's."""
+        if swarm is not None:
+            return self.swarm_key(swarm, "claim/*/*/*")
+        _, _, rest = selector.partition("/@node/")
+        return self.node_key(rest.partition("/")[0], "claim/*/*")
+
+    def check_claims(
+        self, selector: str, swarm: str | None, connected: frozenset[str], seconds: float
+    ) -> None:
+        """Reads once per connection which daemon serves a name, and checks that no two do.
 
         While the daemons can reach each other, they reject commands themselves.
 
         Raises:
-            Contested: Several daemons serve the name for longer than `seconds`, and each would
-                execute a command.
+            Contested: Several daemons serve the swarm's name for longer than `seconds`, and each
+                would execute a command.
         """
-        checked = (swarm, connected)
-        if checked in self._checked:
+        name = self._claims_of(selector, swarm)
+        if (name, connected) in self._servers:
             return
         deadline = time.monotonic() + seconds
-        while (error := contested_error(swarm, self._claims(swarm))) is not None:
+        claims = read_claims(self.alive(name))
+        while swarm is not None and (error := contested_error(swarm, claims)) is not None:
             if time.monotonic() >= deadline:
                 raise error
-            time.sleep(_POLL_INTERVAL_SECS)
-        if len(self._checked) >= _MAX_CHECKED:
-            self._checked.clear()
-        self._checked.add(checked)
+            time.sleep(POLL_INTERVAL_SECS)
+            claims = read_claims(self.alive(name))
+        if len(self._servers) >= _MAX_CHECKED:
+            self._servers.clear()
+        # A daemon behind a router that was just connected may have declared none yet.
+        if serving := frozenset(claim for claim in claims if claim.serves):
+            self._servers[(name, connected)] = serving
 
-    def _claims(self, swarm: str) -> list[Claim]:
-        return read_claims(self.alive(self.swarm_key(swarm, "claim/*/*/*")))
-
-    def query_all(
-        self, selector: str, wait_secs: float, payload: bytes | None = None
-    ) -> Iterator[bytes]:
-        """Sends a query and yields the payload of every reply; none if there is no reply.
+    def _is_same(self, name: str, servers: frozenset[Claim]) -> bool:
+        """Whether a name is served by the same run of a daemon as before, or was deleted by it.
 
         Raises:
-            JostleError: A daemon's error, or `Unavailable` if one is connected and too late.
+            Unavailable: The daemon is not reachable.
         """
-        self.check_not_forked()
-        began = time.monotonic()
-        try:
-            replies = self.zenoh.get(
-                selector,
-                payload=payload,
-                encoding=None if payload is None else zenoh.Encoding.APPLICATION_JSON,
-                timeout=wait_secs,
-                attachment=self._token,
-                consolidation=zenoh.ConsolidationMode.NONE,
-                cancellation_token=_cancel.token(),
-            )
-        except zenoh.ZError as error:
-            raise self._failed(error) from error
-        has_reply = False
-        for reply in replies:
-            has_reply = True
-            if reply.ok is not None:
-                yield reply.ok.payload.to_bytes()
-            elif reply.err is not None:
-                sent = read_error(reply.err.payload.to_bytes())
-                raise self._late(time.monotonic() - began) if sent is None else sent
-        # A cancelled query ends like one without a reply.
-        _cancel.check()
-        # zenoh ends a query on both sides at its timeout. If the daemon's side is first, the query
-        # ends without an error. A query without a receiver ends at once.
-        elapsed = time.monotonic() - began
-        if not has_reply and elapsed >= _LATE_SHARE * wait_secs:
-            raise self._late(elapsed)
-
-    def _late(self, seconds: float) -> Unavailable:
-        return Unavailable(
-            f"the daemon at {self.endpoint} is connected but sent no reply within "
-            f"{seconds:.1f} s; the request may still be executed",
-            details={"is_late": True},
-        )
-
-    def put(self, key: str, payload: bytes) -> None:
-        """Publishes JSON, which has no reply.
-
-        Raises:
-            Unavailable: The session is closed.
-        """
-        self.check_not_forked()
-        try:
-            # A daemon that removed people since its start requires the token with set-points.
-            self.zenoh.put(
-                key, payload, encoding=zenoh.Encoding.APPLICATION_JSON, attachment=self._token
-            )
-        except zenoh.ZError as error:
-            raise self._failed(error) from error
-
-    def declare_token(self, key: str) -> zenoh.LivelinessToken:
-        """Declares a liveliness token, which exists while it is referenced and connected.
-
-        Raises:
-            Unavailable: The session is closed.
-        """
-        self.check_not_forked()
-        try:
-            return self.zenoh.liveliness().declare_token(key)
-        except zenoh.ZError as error:
-            raise self._failed(error) from error
-
-    def alive(self, key: str) -> list[str]:
-        """The keys of the liveliness tokens that match `key`, sorted.
-
-        Raises:
-            Unavailable: The session is closed, or the list did not arrive within 2 s.
-        """
-        self.check_not_forked()
-        began = time.monotonic()
-        try:
-            replies = self.zenoh.liveliness().get(
-                key, timeout=_LIVELINESS_TIMEOUT_SECS, cancellation_token=_cancel.token()
-            )
-        except zenoh.ZError as error:
-            raise self._failed(error) from error
-        keys = []
-        for reply in replies:
-            # The only error is the timeout, after which tokens may be missing.
-            if reply.ok is None:
-                raise self._late(time.monotonic() - began)
-            keys.append(str(reply.ok.key_expr))
-        _cancel.check()
-        return sorted(keys)
-
-    def nodes(self) -> list[str]:
-        """The names of the connected daemons.
-
-        Raises:
-            Unavailable: The session is closed.
-        """
-        return [key.split("/")[-2] for key in self.alive(self.node_key("*", "alive"))]
-
-    def disconnected(self) -> Unavailable:
-        """The error when the daemon is no longer connected."""
-        return Unavailable(
-            f"the daemon at {self.endpoint} is gone; the request may or may not have been "
-            "executed. This client works again when the daemon is back"
-        )
+        nodes = {claim.node for claim in servers}
+        instances = {claim.instance for claim in servers}
+        keys = [key for node in nodes for key in self.alive(self.node_key(node, "claim/*/*"))]
+        present = {claim.instance for claim in read_claims(keys)}
+        if not present:
+            raise self.disconnected()
+        serving = {claim.instance for claim in read_claims(self.alive(name)) if claim.serves}
+        return not present.isdisjoint(instances) and serving <= instances
 
     def explain_silence(
         self, swarm: str | None, before: frozenset[str] | None = None, selector: str = ""
@@ -475,10 +328,17 @@ class Session:
         dropped query, `whoami` reports whether the verb in `selector` is permitted.
         """
         nodes = self.nodes()
-        waiting = None if swarm is None else unserved_error(swarm, self._claims(swarm))
+        name = self._claims_of(selector, swarm)
+        waiting = None if swarm is None else unserved_error(swarm, read_claims(self.alive(name)))
         if waiting is not None and not self.alive(self.swarm_key(swarm or "", "alive/*")):
+            waiting.details["is_silence"] = True
             return waiting
-        if not nodes or (before is not None and before != self.connected()):
+        if before is None:
+            before = self.connected()
+        # Others may be connected, behind the same router.
+        servers = {claim.node for claim in self._servers.get((name, before), ())}
+        is_gone = bool(servers) and servers.isdisjoint(nodes)
+        if not nodes or before != self.connected() or is_gone:
             return self.disconnected()
         if swarm is None or self.alive(self.swarm_key(swarm, "alive/*")):
             who = f"node {nodes[0]!r}" if swarm is None else f"swarm {swarm!r}"
@@ -499,25 +359,8 @@ class Session:
     def _denial_reason(self, verb: str) -> str | None:
         """Why the daemons do not permit `verb`; None if they do, or do not reply."""
         key = self.node_key("*", "get/whoami")
-        for reply in self.query_all(key, _LIVELINESS_TIMEOUT_SECS):
+        for reply in self.query_all(key, LIVELINESS_TIMEOUT_SECS):
             who = read_reply(reply, WhoAmI)
             if not (who.may(verb) or who.role == "operator"):
                 return denial_reason(who, verb)
         return None
-
-    def connected(self) -> frozenset[str]:
-        """The ids of the connected zenoh nodes; a daemon that was restarted has another id."""
-        self.check_not_forked()
-        try:
-            info = self.zenoh.info
-            return frozenset(map(str, (*info.routers_zid(), *info.peers_zid())))
-        except zenoh.ZError as error:
-            raise self._failed(error) from error
-
-    def _failed(self, error: zenoh.ZError) -> Unavailable:
-        if self.zenoh.is_closed():
-            return self._closed()
-        return Unavailable(f"the session with {self.endpoint} failed: {error}")
-
-    def _closed(self) -> Unavailable:
-        return Unavailable("this client is closed: connect again")

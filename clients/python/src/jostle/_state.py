@@ -226,6 +226,16 @@ class FrameReader(Generic[S]):
         """Nothing: a lost frame counts as skipped."""
         return []
 
+    def refresh(self) -> list[S]:
+        """The present frame, if there is one before those that are published, and it is new."""
+        frame = self._query_first()
+        # An earlier frame is one of another swarm of that name.
+        if self._position is not None and (
+            frame is None or (frame.epoch, frame.step) < self._position[:2]
+        ):
+            self._position = None
+        return [] if frame is None else self._admit(frame)
+
     def _admit(self, frame: S) -> list[S]:
         position = (frame.epoch, frame.step, frame.frame)
         if self._position is not None and position <= self._position:

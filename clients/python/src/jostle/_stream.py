@@ -6,23 +6,23 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from typing import Generic, Protocol, Self, TypeVar
+from typing import Generic, NamedTuple, Protocol, Self, TypeVar
 
 import zenoh
 
 from ._arguments import check_seconds
 from ._decode import read_event
-from ._errors import DeadlineExceeded, Internal, Unavailable
+from ._errors import Busy, DeadlineExceeded, Internal, NotFound, PermissionDenied, Unavailable
+from ._outage import Outage
+from ._presence import Change, Presence
 from ._session import Session
 from ._threads import listen
 
 T = TypeVar("T")
 T_co = TypeVar("T_co", covariant=True)
 
-# When a swarm's token is undeclared without the event `deleted`, its daemon's token is watched for
-# this long: a daemon that stops undeclares both, one after the other.
-_TOKEN_TIMEOUT_SECS = 1.0
-_POLL_INTERVAL_SECS = 0.05
+# A private daemon that is not reachable may have ended, which no token shows.
+_AWAY_INTERVAL_SECS = 0.2
 # The last message may be lost, and no later one shows that: after this time without a message the
 # daemon is queried.
 _SILENCE_SECS = 5.0
@@ -40,6 +40,21 @@ class Reader(Protocol[T_co]):
     def poll(self) -> Iterable[T_co]:
         """The items that may have been lost since the last message."""
 
+    def refresh(self) -> Iterable[T_co]:
+        """The items that may have been lost while the daemon was not reachable.
+
+        Meanwhile the swarm may have been replaced by another of its name.
+        """
+
+
+class _Token(NamedTuple):
+    """A liveliness token of the swarm, or of a daemon, that appeared or disappeared."""
+
+    node: str
+    is_swarm: bool
+    is_alive: bool
+    at: float
+
 
 class _Inbox:
     """The queue between the subscriber threads and the iterating thread.
@@ -52,7 +67,7 @@ class _Inbox:
         self.payloads: deque[zenoh.ZBytes] = deque(maxlen=capacity)
         self.closed = False
         self.deleted = False
-        self.token_undeclared = False
+        self.tokens: deque[_Token] = deque()
 
     def on_sample(self, sample: zenoh.Sample) -> None:
         with self.changed:
@@ -66,9 +81,7 @@ class _Inbox:
             # A stream of events raises it in the iterating thread; this thread must continue.
             return
         if kind == "deleted":
-            with self.changed:
-                self.deleted = True
-                self.changed.notify_all()
+            self.end()
 
     def on_event(self, sample: zenoh.Sample) -> None:
         # In one thread: the last event is queued before the end.
@@ -76,17 +89,24 @@ class _Inbox:
         self.on_end(sample)
 
     def on_token(self, sample: zenoh.Sample) -> None:
+        # `jostle/school/alive/main` or `jostle/@node/main/alive`.
+        *_, owner, last = str(sample.key_expr).split("/")
+        is_swarm = last != "alive"
+        is_alive = sample.kind == zenoh.SampleKind.PUT
         with self.changed:
-            self.token_undeclared = sample.kind == zenoh.SampleKind.DELETE
+            node = last if is_swarm else owner
+            self.tokens.append(_Token(node, is_swarm, is_alive, time.monotonic()))
             self.changed.notify_all()
 
     def has_news(self) -> bool:
         """Whether there is anything to handle; called with `changed` locked."""
-        return bool(self.payloads) or self.closed or self.deleted or self.token_undeclared
+        return bool(self.payloads or self.tokens) or self.closed or self.deleted
 
-    def is_resolved(self) -> bool:
-        """Whether the token is back or the stream is at its end; called with `changed` locked."""
-        return self.closed or self.deleted or not self.token_undeclared
+    def end(self) -> None:
+        """The swarm was deleted."""
+        with self.changed:
+            self.deleted = True
+            self.changed.notify_all()
 
     def close(self) -> None:
         with self.changed:
@@ -100,9 +120,14 @@ class Stream(Generic[T]):
         with swarm.events(timeout=10.0) as events:
             deleted = next(event for event in events if event.kind == "deleted")
 
-    It is an iterator. It ends when the swarm is deleted or the stream is closed, and raises
-    `Unavailable` when the daemon disconnects. `close()` closes it, and so does leaving its `with`
-    block, closing its swarm or client, or dropping the last reference.
+    It is an iterator. It ends when the swarm is deleted or the stream is closed. `close()` closes
+    it, and so does leaving its `with` block, closing its swarm or client, or dropping the last
+    reference.
+
+    While the daemon is not reachable, such as during a restart, it waits for it without a limit,
+    and goes on with what it missed. It logs a warning when that begins and when it ends, to the
+    logger `jostle`. It raises `NotFound` if the daemon comes back without the swarm, and
+    `Unavailable` if it was a private one that has ended.
     """
 
     def __init__(
@@ -119,6 +144,13 @@ class Stream(Generic[T]):
         self._swarm = swarm
         self._reader = reader
         self._inbox = _Inbox(capacity)
+        self._presence = Presence()
+        self._outage = Outage(session.endpoint, f"the stream of {noun}s of swarm {swarm!r}")
+        # The daemon of the swarm, once its token is known.
+        self._node: str | None = None
+        # When the token of the swarm disappeared.
+        self._lost_at: float | None = None
+        self._is_stale = False
         self._ready: deque[T] = deque()
         self._silent_since = time.monotonic()
         self.subscribers: list[zenoh.Subscriber[zenoh.Handler[zenoh.Sample]]] = []
@@ -133,6 +165,10 @@ class Stream(Generic[T]):
             # connection removed it.
             tokens = session.zenoh.liveliness().declare_subscriber(
                 session.swarm_key(swarm, "alive/*"), history=True
+            )
+            self._listen(tokens, inbox.on_token)
+            tokens = session.zenoh.liveliness().declare_subscriber(
+                session.node_key("*", "alive"), history=True
             )
             self._listen(tokens, inbox.on_token)
             if noun != "event":
@@ -180,47 +216,106 @@ class Stream(Generic[T]):
         """The next items; None at the end."""
         inbox = self._inbox
         while True:
-            silence_ends = self._silent_since + _SILENCE_SECS
-            until = silence_ends if deadline is None else min(deadline, silence_ends)
+            until = min(it for it in self._deadlines(deadline) if it is not None)
             with inbox.changed:
-                has_news = inbox.changed.wait_for(inbox.has_news, until - time.monotonic())
+                inbox.changed.wait_for(inbox.has_news, until - time.monotonic())
                 if inbox.closed or (inbox.deleted and not inbox.payloads):
                     return None
                 payload = inbox.payloads.popleft() if inbox.payloads else None
+                tokens = list(inbox.tokens)
+                inbox.tokens.clear()
+            for token in tokens:
+                self._see(token)
             if payload is not None:
                 self._silent_since = time.monotonic()
                 return self._reader.read(payload.to_bytes())
-            if has_news:
-                self._await_token()
-            elif time.monotonic() >= silence_ends:
-                self._silent_since = time.monotonic()
+            if tokens:
+                # Others may follow.
+                continue
+            if (items := self._recover()) is not None:
+                return items
+            now = time.monotonic()
+            if self._presence.is_present and now >= self._silent_since + _SILENCE_SECS:
+                self._silent_since = now
                 return self._reader.poll()
-            elif deadline is not None and time.monotonic() >= deadline:
-                raise DeadlineExceeded(
-                    f"swarm {self._swarm!r} published nothing within {self._timeout:g} s: "
-                    "it may be paused"
-                )
+            if deadline is not None and now >= deadline:
+                raise self._timed_out()
 
-    def _await_token(self) -> None:
-        """Waits until it is known why the swarm's token was undeclared.
+    def _deadlines(self, deadline: float | None) -> tuple[float | None, ...]:
+        """When to look again, although nothing was received."""
+        now = time.monotonic()
+        silence_ends = self._silent_since + _SILENCE_SECS if self._presence.is_present else None
+        stale = now if self._is_stale else None
+        away = now + _AWAY_INTERVAL_SECS if self._presence.is_away else None
+        return deadline, silence_ends, stale, away, self._presence.deadline
 
-        The swarm was deleted, its token is back, or its daemon disconnected.
+    def _timed_out(self) -> DeadlineExceeded:
+        why = "it may be paused"
+        if self._outage.is_ongoing:
+            why = f"the daemon at {self._session.endpoint} is not reachable"
+        what = f"swarm {self._swarm!r} published nothing within {self._timeout:g} s"
+        return DeadlineExceeded(f"{what}: {why}")
+
+    def _see(self, token: _Token) -> None:
+        if not token.is_swarm:
+            if self._node in (None, token.node):
+                self._presence.node_token(token.is_alive, token.at)
+            return
+        if token.is_alive:
+            self._node = token.node
+        elif self._presence.is_present:
+            self._lost_at = token.at
+        if self._presence.swarm_token(token.is_alive, token.at):
+            self._is_stale = True
+            # It may have begun and ended before this thread read the first token.
+            self._outage.begin(self._lost_at)
+            self._outage.end()
+
+    def _recover(self) -> Iterable[T] | None:
+        """What was missed, if the swarm is back; nothing if that cannot be queried.
 
         Raises:
-            Unavailable: Its daemon disconnected.
+            NotFound: Its daemon came back without it.
+            Unavailable: Its daemon cannot come back.
         """
-        inbox = self._inbox
-        deadline = time.monotonic() + _TOKEN_TIMEOUT_SECS
-        while True:
-            if not self._session.nodes():
-                self.close()
-                raise self._session.disconnected()
-            with inbox.changed:
-                if inbox.changed.wait_for(inbox.is_resolved, _POLL_INTERVAL_SECS):
-                    return
-                if time.monotonic() > deadline:
-                    inbox.deleted = True
-                    return
+        if self._is_stale:
+            self._is_stale = False
+            try:
+                return self._reader.refresh()
+            except (Busy, NotFound, PermissionDenied, Unavailable):
+                # If it is an outage, the tokens show it; if not, the next message has the present.
+                return None
+        if self._presence.is_away and self._session.is_over():
+            self.close()
+            raise self._session.disconnected()
+        until = self._presence.deadline
+        if until is not None and time.monotonic() >= until:
+            self._judge()
+        return None
+
+    def _judge(self) -> None:
+        """Decides what has become of a swarm whose token disappeared."""
+        session, now = self._session, time.monotonic()
+        try:
+            if tokens := session.alive(session.swarm_key(self._swarm, "alive/*")):
+                # Another daemon has taken it over, or its token is about to be received.
+                self._see(_Token(tokens[0].split("/")[-1], True, True, now))
+                return
+            nodes = session.nodes()
+        except Unavailable:
+            # Without a reply the daemon is not reachable.
+            nodes = []
+        change = self._presence.judge(bool(nodes) if self._node is None else self._node in nodes)
+        if change is Change.AWAY:
+            self._outage.begin(self._lost_at)
+        elif change is Change.DELETED:
+            self._inbox.end()
+        elif change is Change.NOT_RECOVERED:
+            self.close()
+            raise NotFound(
+                f"the daemon is back, but without swarm {self._swarm!r}: create it again",
+                details={"swarm": self._swarm},
+            )
 
     def close(self) -> None:
         """Unsubscribes; a second call does nothing."""

@@ -217,8 +217,7 @@ class Swarm(Commands):
                 at most the client's `timeout`.
 
         Raises:
-            NotFound: There is no such swarm. Iteration raises `Unavailable` when the daemon
-                disconnects.
+            NotFound: There is no such swarm. `Stream` lists the errors of iteration.
         """
         reader = FrameReader(lambda payload: self._with_pi1(read_state(payload)), self.state)
         return self._stream("state", reader, capacity=1, timeout=timeout)
@@ -233,8 +232,7 @@ class Swarm(Commands):
             timeout: As in `states`.
 
         Raises:
-            NotFound: There is no such swarm. Iteration raises `Unavailable` when the daemon
-                disconnects.
+            NotFound: There is no such swarm. `Stream` lists the errors of iteration.
         """
 
         def check_exists() -> None:
@@ -260,8 +258,7 @@ class Swarm(Commands):
             timeout: As in `states`.
 
         Raises:
-            NotFound: There is no such swarm. Iteration raises `Unavailable` when the daemon
-                disconnects.
+            NotFound: There is no such swarm. `Stream` lists the errors of iteration.
             Conflict: The swarm has had fewer events than `after`: it is another one of that name.
             InvalidArgument: `after` is not a whole number, or below 0.
         """

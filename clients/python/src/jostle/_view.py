@@ -36,7 +36,7 @@ class View:
         swarm.view()           # as the last expression of a cell
 
     It starts when a notebook displays it, and continues while other cells run. It ends after its
-    duration, with `stop()`, or when the swarm is deleted or its daemon disconnects.
+    duration, with `stop()`, or when the swarm is deleted.
     """
 
     def __init__(self, swarm: _Swarm, seconds: float, hz: float) -> None:

@@ -1,0 +1,48 @@
+"""What is said about a daemon that is not reachable, by calls that wait for it."""
+
+from __future__ import annotations
+
+import logging
+import time
+
+RECONNECT_TIMEOUT_SECS = 60.0
+"""How long a wait for a swarm or an experiment tolerates a daemon that is not reachable."""
+
+_logger = logging.getLogger("jostle")
+
+
+class Outage:
+    """Logs once when the daemon is not reachable, and once when it is back.
+
+    `what` goes on meanwhile, such as "the stream of states of swarm 'school'". Both are warnings,
+    which Python prints if the program does not configure logging.
+    """
+
+    def __init__(self, endpoint: str, what: str) -> None:
+        self._endpoint = endpoint
+        self._what = what
+        self._began: float | None = None
+
+    @property
+    def is_ongoing(self) -> bool:
+        """Whether it has begun."""
+        return self._began is not None
+
+    def begin(self, at: float | None = None) -> None:
+        """The daemon is not reachable, since `at` or now; a second call does nothing."""
+        if self._began is None:
+            self._began = time.monotonic() if at is None else at
+            _logger.warning(
+                "the daemon at %s is not reachable: %s waits for it", self._endpoint, self._what
+            )
+
+    def end(self) -> None:
+        """The daemon is reachable; does nothing if it was all the time."""
+        if self._began is not None:
+            seconds, self._began = time.monotonic() - self._began, None
+            _logger.warning(
+                "the daemon at %s is back after %.1f s: %s goes on",
+                self._endpoint,
+                seconds,
+                self._what,
+            )
