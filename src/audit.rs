@@ -253,19 +253,20 @@ impl AuditLog {
             name,
             ..
         } = &line.command;
+        let mut body = Vec::new();
+        // Writing to memory does not fail.
+        let _ = serde_json::to_writer(&mut body, &line.body);
         if line.is_behind {
             let action = &line.command.action;
+            let body = String::from_utf8_lossy(&body);
             let problem = "a command that the audit log lacks until the store is writable";
-            info!(user, client, verb, action, name, body = ?line.body, problem);
+            info!(user, client, verb, action, name, %body, problem);
             return;
         }
         let number = *line.number.get_or_insert_with(|| {
             *newest += 1;
             *newest
         });
-        let mut body = Vec::new();
-        // Writing to memory does not fail.
-        let _ = serde_json::to_writer(&mut body, &line.body);
         let line = AuditLine {
             number,
             user: user.clone().unwrap_or_default(),

@@ -129,6 +129,8 @@ async fn every_command_has_a_line_that_outlives_what_it_concerns() {
     let daemon = killed(folder.path(), daemon).await;
     let client = &daemon.1;
     assert_eq!(lines(client, "limit=1000").await, all);
+    assert_eq!(lines(client, "limit=1000;user=").await, all);
+    assert_eq!(lines(client, "user=ada").await, [Value::Null; 0]);
     assert_eq!(
         shorts(client, "name=school;verb=delete").await,
         [expected[10]]

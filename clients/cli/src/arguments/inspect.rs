@@ -93,7 +93,7 @@ pub struct JournalArguments {
 
 #[derive(Debug, Args)]
 pub struct AuditArguments {
-    /// Only commands of this user
+    /// Only commands of this user; `-` for those of nobody known
     #[arg(long, value_parser = values::parameter)]
     pub user: Option<String>,
     /// Only commands of the client that gives itself this name

@@ -113,7 +113,7 @@ class Auditor:
         swarms that were deleted since. It requires an operator.
 
         Args:
-            user: Only commands of this user.
+            user: Only commands of this user; "" for those of nobody known.
             client: Only commands of the client that gives itself this name.
             verb: Only commands with this verb.
             name: Only commands on the swarm, experiment or recording of this name.
@@ -148,7 +148,8 @@ def selection(
     if begin is not None and end is not None and begin > end:
         raise invalid("until", f"until is {until!r}, which is before since, {since!r}")
     parameters = {
-        "user": None if user is None else check_parameter("user", user),
+        # No text selects the lines without a user.
+        "user": check_parameter("user", user) if user else user,
         "client": None if client is None else check_parameter("client", client),
         "verb": None if verb is None else check_parameter("verb", verb),
         "name": None if name is None else check_name("name", name),

@@ -96,8 +96,12 @@ fn parameters(arguments: &AuditArguments) -> String {
         all: _,
     } = arguments;
     let secs = |secs: &Option<f64>| secs.map(|it| it.to_string());
+    // As the table prints it.
+    let is_unknown = |user: &String| user == format::NONE;
+    let user = user.clone();
+    let user = user.map(|it| if is_unknown(&it) { String::new() } else { it });
     [
-        ("user", user.clone()),
+        ("user", user),
         ("client", client.clone()),
         ("verb", verb.clone()),
         ("name", name.clone()),
@@ -210,6 +214,24 @@ mod tests {
             "action": "cancel", "name": "noise", "outcomes": outcomes,
         }))
         .unwrap()
+    }
+
+    #[test]
+    fn the_text_for_a_missing_user_selects_lines_without_one() {
+        let of = |user: &str| {
+            parameters(&AuditArguments {
+                user: Some(user.into()),
+                client: None,
+                verb: None,
+                name: None,
+                since: None,
+                until: None,
+                limit: None,
+                all: false,
+            })
+        };
+        assert_eq!(of("olga"), ";user=olga");
+        assert_eq!(of("-"), ";user=");
     }
 
     #[test]
