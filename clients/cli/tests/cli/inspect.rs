@@ -207,6 +207,36 @@ async fn a_journal_of_many_pages_is_fetched_completely_or_from_its_end() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_command_is_found_behind_pages_that_have_none() {
+    let daemon = Daemon::start().await;
+    daemon.said("create demo --n 1").await;
+    let client = Client::connect(ConnectOptions::to(&daemon.endpoint))
+        .await
+        .unwrap();
+    // A page reads 10,000 lines of the journal, and each of these is one.
+    let args = StepArgs {
+        steps: 1,
+        return_: Return::None,
+    };
+    for _ in 0..10_100 {
+        client.execute("demo", &args).await.unwrap();
+    }
+    client.close().await;
+    daemon.said("set demo pi3=3").await;
+    for line in [
+        "--verb set",
+        "--from-step 10100 --verb set",
+        "--verb set --limit 1",
+    ] {
+        let journal = daemon.reply(&format!("journal demo {line}")).await;
+        let entries = journal["result"]["entries"].as_array().unwrap().iter();
+        let seqs: Vec<_> = entries.map(|it| it["seq"].as_u64()).collect();
+        assert_eq!(seqs, [Some(10_101)], "{line}");
+    }
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_journal_longer_than_a_reply_is_fetched_completely() {
     let daemon = Daemon::start().await;
     daemon.said("create demo --n 3").await;
