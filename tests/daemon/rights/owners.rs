@@ -254,3 +254,44 @@ async fn a_user_with_one_swarm_gets_as_much_of_the_cores_as_one_with_four() {
     open.signal("-KILL");
     open.end();
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_a_user_forks_or_restores_has_no_share_beside_that_of_the_user() {
+    let daemon = AuthProcess::start(&[("otto", Role::Operator)]).await;
+    let send = |request: &str, user: &str, args: &Value| {
+        let (status, reply) = daemon.http(request, user, &args.to_string());
+        assert_eq!(status, 200, "{request} {args}: {reply}");
+    };
+    let school = json!({"name": "school", "spec": {"n": 100, "rate": null}});
+    send("POST /api/node/create", "olga", &school);
+    let otto = daemon.open_session("otto").await;
+    let bytes = snapshot(&otto, "school").await;
+    otto.session.close().await.unwrap();
+    let of_olga = cores().div_ceil(2);
+    for (verb, request) in [
+        ("fork", "POST /api/cmd/school/fork"),
+        ("restore", "POST /api/node/restore"),
+    ] {
+        let mut swarms = Vec::new();
+        for (user, count) in [("olga", of_olga), ("otto", 4 * of_olga)] {
+            for k in 0..count {
+                let mut args = json!({"name": format!("{user}-{verb}{k}")});
+                if verb == "restore" {
+                    args["snapshot"] = json!(bytes);
+                }
+                send(request, user, &args);
+                swarms.push(args["name"].as_str().unwrap().to_owned());
+            }
+        }
+        for swarm in &swarms {
+            send(&format!("POST /api/cmd/{swarm}/run"), "olga", &json!({}));
+        }
+        // If all belong to one user, or to nobody, it is a fifth.
+        let what = format!("about half of what is made by {verb}");
+        until_part_of_olga(&daemon.process, 0.34..=0.64, &what).await;
+        for swarm in &swarms {
+            send(&format!("POST /api/cmd/{swarm}/pause"), "olga", &json!({}));
+        }
+    }
+    daemon.end();
+}
