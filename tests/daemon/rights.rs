@@ -6,6 +6,7 @@ mod blocked;
 mod forgery;
 mod live;
 mod matrix;
+mod notes;
 mod owners;
 mod requests;
 pub mod secrets;
