@@ -13,6 +13,7 @@ pub mod secrets;
 mod shares;
 mod start;
 mod table;
+mod turns;
 
 use std::path::PathBuf;
 

@@ -30,6 +30,11 @@ pub(in crate::rights) struct AuthProcess {
 
 impl AuthProcess {
     pub async fn start(people: &[(&str, Role)]) -> Self {
+        Self::start_failing(people, "").await
+    }
+
+    /// Starts one that fails at these points.
+    pub async fn start_failing(people: &[(&str, Role)], points: &str) -> Self {
         let base = tempfile::tempdir().unwrap();
         let folder = Folder::new(base.path().join("auth"));
         let people = people.iter().chain(&[("olga", Role::Operator)]);
@@ -39,7 +44,7 @@ impl AuthProcess {
         let mut init = jostled(&["auth", "init", "--auth-dir"]);
         let made = init.arg(folder.path()).args(people).output().unwrap();
         assert!(made.status.success(), "{made:?}");
-        let daemon = Self::serve(base, folder).await;
+        let daemon = Self::serve(base, folder, points).await;
         let spec = r#"{"name": "s", "spec": {"n": 3, "seed": 1}}"#;
         assert_eq!(daemon.http("POST /api/node/create", "olga", spec).0, 200);
         daemon
@@ -49,7 +54,7 @@ impl AuthProcess {
     pub async fn killed(mut self) -> Self {
         self.process.signal("-KILL");
         self.process.end();
-        Self::serve(self.base, self.folder).await
+        Self::serve(self.base, self.folder, "").await
     }
 
     /// The log of the process.
@@ -57,7 +62,7 @@ impl AuthProcess {
         fs::read_to_string(self.base.path().join("log")).unwrap()
     }
 
-    async fn serve(base: TempDir, folder: Folder) -> Self {
+    async fn serve(base: TempDir, folder: Folder, points: &str) -> Self {
         let [out, log] = ["out", "log"].map(|name| base.path().join(name));
         let mut command = jostled(&["serve", "--node", NODE]);
         command
@@ -71,6 +76,7 @@ impl AuthProcess {
             .arg(folder.path())
             .arg("--data-dir")
             .arg(base.path().join("data"))
+            .env("FAILPOINTS", points)
             .stdout(File::create(&out).unwrap())
             .stderr(File::create(log).unwrap());
         let process = Process::of(&mut command);
