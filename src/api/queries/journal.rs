@@ -52,13 +52,16 @@ fn page(
     filter: &JournalFilter,
 ) -> Result<JournalPage, CommandError> {
     if handle.summary().is_some_and(|it| it.is_replay) {
-        // A playback is not stored.
-        let all = handle.history.entries(0, usize::MAX);
-        let selected = all.records.into_iter().filter(|it| filter.selects(it));
+        // A playback is not stored: the number of a line is that of its command.
+        let all = handle
+            .history
+            .entries(filter.line.map_or(0, |it| it.saturating_sub(1)), usize::MAX);
+        let mut selected = all.records.into_iter().filter(|it| filter.selects(it));
+        let entries = selected.by_ref().take(filter.limit).collect();
         return Ok(JournalPage {
-            entries: selected.take(filter.limit).collect(),
+            entries,
             oldest: all.oldest,
-            next: None,
+            next: selected.next().map(|it| it.stamp.seq),
         });
     }
     Ok(read_page(store, swarm, handle.spec.parameters.dt, filter)?)
