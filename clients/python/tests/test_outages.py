@@ -12,6 +12,7 @@ import threading
 import time
 import tomllib
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -136,9 +137,9 @@ class Scene:
             self.daemon.kill()
 
 
-def is_reached(endpoint: str) -> bool:
+def is_reached(endpoint: str, node: str | None = None) -> bool:
     try:
-        jostle.connect(endpoint).close()
+        jostle.connect(endpoint, node=node).close()
     except jostle.JostleError:
         return False
     return True
@@ -276,3 +277,58 @@ def test_the_delays_are_those_of_the_table(monkeypatch: pytest.MonkeyPatch) -> N
     assert waited == pytest.approx([share * delay for share in shares for delay in expected])
     assert policy["max_silent_retries"] == _retry.MAX_SILENT_RETRIES
     assert TABLE["limits"]["wait_secs"] == _outage.RECONNECT_TIMEOUT_SECS
+
+
+def test_a_command_in_flight_goes_on_behind_a_restarted_router(own_daemon: Daemon) -> None:
+    router = Router(own_daemon.endpoint)
+    try:
+        eventually("the router reaches the daemon", lambda: is_reached(router.endpoint))
+        with (
+            jostle.connect(own_daemon.endpoint) as near,
+            jostle.connect(router.endpoint, timeout=MAX_WAIT_SECS) as far,
+            ThreadPoolExecutor(1) as pool,
+        ):
+            swarm = near.create("long", jostle.Spec(n=100, seed=1))
+            result = pool.submit(far.swarm("long").step, 1000)
+            swarm.wait(phase="running", timeout=MAX_WAIT_SECS)
+            router.close()
+            router = Router(own_daemon.endpoint, listen=router.endpoint)
+            assert result.result(MAX_WAIT_SECS).steps == 1000
+            assert swarm.status().step == 1000
+    finally:
+        router.close()
+
+
+def test_a_daemon_that_is_away_is_told_from_the_others_behind_its_router(tmp_path: Path) -> None:
+    daemons = {}
+    for node in ("a", "b"):
+        (tmp_path / node).mkdir()
+        daemons[node] = Daemon(tmp_path / node, node=node)
+    endpoint = daemons["a"].endpoint
+    router = Router(*(daemon.endpoint for daemon in daemons.values()))
+    try:
+        for node in daemons:
+            eventually(f"{node} is reached", lambda: is_reached(router.endpoint, node))  # noqa: B023
+        with (
+            jostle.connect(router.endpoint, node="a", timeout=MAX_WAIT_SECS) as client,
+            ThreadPoolExecutor(3) as pool,
+        ):
+            swarm = client.create("school", jostle.Spec(n=3))
+            assert swarm.status().step == 0
+            states = swarm.states(timeout=2 * MAX_WAIT_SECS)
+            assert next(states).step == 0
+            daemons["a"].kill()
+            status, hello = pool.submit(swarm.status), pool.submit(client.hello)
+            state = pool.submit(lambda: next(states, None))
+            # Long enough for the router to have forgotten its keys.
+            time.sleep(0.5)
+            daemons["a"] = Daemon(tmp_path / "a", endpoint, node="a")
+            assert status.result(MAX_WAIT_SECS).epoch == 2
+            assert hello.result(MAX_WAIT_SECS).node == "a"
+            present = state.result(MAX_WAIT_SECS)
+            assert present is not None, "the stream has ended"
+            assert present.epoch == 2
+    finally:
+        router.close()
+        for daemon in daemons.values():
+            daemon.kill()
