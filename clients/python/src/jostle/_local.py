@@ -135,6 +135,7 @@ class Daemon:
     ) -> None:
         flags = _flags(settings)
         self._stopping = threading.Lock()
+        self._is_stopping = False
         self._owner = os.getpid()
         self._is_temporary = folder is None
         self._process: subprocess.Popen[bytes] | None = None
@@ -161,13 +162,14 @@ class Daemon:
         return os.getpid() == self._owner
 
     def has_ended(self) -> bool:
-        """Whether its process has ended."""
-        return self._process is None or self._process.poll() is not None
+        """Whether its process has ended, or is about to."""
+        return self._is_stopping or self._process is None or self._process.poll() is not None
 
     def stop(self) -> None:
         """Stops it and deletes a temporary folder; a second call does nothing."""
         if not self.is_ours():
             return
+        self._is_stopping = True
         with self._stopping:
             if self._process is not None and self._process.poll() is None:
                 self._process.terminate()

@@ -21,28 +21,38 @@ class Outage:
     def __init__(self, endpoint: str, what: str) -> None:
         self._endpoint = endpoint
         self._what = what
-        self._began: float | None = None
+        self._since: float | None = None
+        self._is_logged = False
 
     @property
     def is_ongoing(self) -> bool:
-        """Whether it has begun."""
-        return self._began is not None
+        """Whether it has begun, or may have."""
+        return self._since is not None
+
+    def may_begin(self) -> None:
+        """A request failed, perhaps because of an outage: its success shows that it was one."""
+        if self._since is None:
+            self._since = time.monotonic()
 
     def begin(self, at: float | None = None) -> None:
         """The daemon is not reachable, since `at` or now; a second call does nothing."""
-        if self._began is None:
-            self._began = time.monotonic() if at is None else at
+        if not self._is_logged:
+            self._is_logged = True
+            self._since = at or self._since or time.monotonic()
             _logger.warning(
                 "the daemon at %s is not reachable: %s waits for it", self._endpoint, self._what
             )
 
     def end(self) -> None:
         """The daemon is reachable; does nothing if it was all the time."""
-        if self._began is not None:
-            seconds, self._began = time.monotonic() - self._began, None
-            _logger.warning(
-                "the daemon at %s is back after %.1f s: %s goes on",
-                self._endpoint,
-                seconds,
-                self._what,
-            )
+        if self._since is None:
+            return
+        self.begin()
+        seconds = time.monotonic() - self._since
+        self._since, self._is_logged = None, False
+        _logger.warning(
+            "the daemon at %s is back after %.1f s: %s goes on",
+            self._endpoint,
+            seconds,
+            self._what,
+        )

@@ -225,6 +225,8 @@ class Session(Link):
             raise error
         if outage is not None and isinstance(error, Unavailable):
             outage.begin()
+        elif outage is not None and not isinstance(error, Busy):
+            outage.may_begin()
         left = backoff.sleep(error)
         connected = self.connected()
         if not connected:

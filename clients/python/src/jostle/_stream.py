@@ -11,10 +11,12 @@ from typing import Generic, NamedTuple, Protocol, Self, TypeVar
 import zenoh
 
 from ._arguments import check_seconds
-from ._decode import read_event
+from ._decode import read_event, read_reply
 from ._errors import Busy, DeadlineExceeded, Internal, NotFound, PermissionDenied, Unavailable
+from ._link import LIVELINESS_TIMEOUT_SECS
+from ._node import Swarms
 from ._outage import Outage
-from ._presence import Change, Presence
+from ._presence import Presence, State
 from ._session import Session
 from ._threads import listen
 
@@ -146,8 +148,8 @@ class Stream(Generic[T]):
         self._inbox = _Inbox(capacity)
         self._presence = Presence()
         self._outage = Outage(session.endpoint, f"the stream of {noun}s of swarm {swarm!r}")
-        # The daemon of the swarm, once its token is known.
-        self._node: str | None = None
+        # The daemon of the swarm, once its token is known; any until then.
+        self._node = "*"
         # When the token of the swarm disappeared.
         self._lost_at: float | None = None
         self._is_stale = False
@@ -235,7 +237,8 @@ class Stream(Generic[T]):
             if (items := self._recover()) is not None:
                 return items
             now = time.monotonic()
-            if self._presence.is_present and now >= self._silent_since + _SILENCE_SECS:
+            is_present = self._presence.state is State.PRESENT
+            if is_present and now >= self._silent_since + _SILENCE_SECS:
                 self._silent_since = now
                 return self._reader.poll()
             if deadline is not None and now >= deadline:
@@ -243,10 +246,10 @@ class Stream(Generic[T]):
 
     def _deadlines(self, deadline: float | None) -> tuple[float | None, ...]:
         """When to look again, although nothing was received."""
-        now = time.monotonic()
-        silence_ends = self._silent_since + _SILENCE_SECS if self._presence.is_present else None
+        now, state = time.monotonic(), self._presence.state
+        silence_ends = self._silent_since + _SILENCE_SECS if state is State.PRESENT else None
         stale = now if self._is_stale else None
-        away = now + _AWAY_INTERVAL_SECS if self._presence.is_away else None
+        away = now + _AWAY_INTERVAL_SECS if state is State.AWAY else None
         return deadline, silence_ends, stale, away, self._presence.deadline
 
     def _timed_out(self) -> DeadlineExceeded:
@@ -258,14 +261,17 @@ class Stream(Generic[T]):
 
     def _see(self, token: _Token) -> None:
         if not token.is_swarm:
-            if self._node in (None, token.node):
+            if self._node in ("*", token.node):
                 self._presence.node_token(token.is_alive, token.at)
             return
-        if token.is_alive:
-            self._node = token.node
-        elif self._presence.is_present:
-            self._lost_at = token.at
-        if self._presence.swarm_token(token.is_alive, token.at):
+        was_present = self._presence.state is State.PRESENT
+        self._presence.swarm_token(token.is_alive, token.at)
+        if not token.is_alive:
+            if was_present:
+                self._lost_at = token.at
+            return
+        self._node = token.node
+        if not was_present:
             self._is_stale = True
             # It may have begun and ended before this thread read the first token.
             self._outage.begin(self._lost_at)
@@ -285,32 +291,34 @@ class Stream(Generic[T]):
             except (Busy, NotFound, PermissionDenied, Unavailable):
                 # If it is an outage, the tokens show it; if not, the next message has the present.
                 return None
-        if self._presence.is_away and self._session.is_over():
-            self.close()
-            raise self._session.disconnected()
+        if self._presence.state is State.AWAY:
+            if self._session.is_over():
+                self.close()
+                raise self._session.disconnected()
+            self._outage.begin(self._lost_at)
         until = self._presence.deadline
         if until is not None and time.monotonic() >= until:
             self._judge()
         return None
 
     def _judge(self) -> None:
-        """Decides what has become of a swarm whose token disappeared."""
+        """Asks the daemon what has become of a swarm whose token disappeared.
+
+        Raises:
+            NotFound: The daemon came back without it.
+        """
         session, now = self._session, time.monotonic()
         try:
-            if tokens := session.alive(session.swarm_key(self._swarm, "alive/*")):
-                # Another daemon has taken it over, or its token is about to be received.
-                self._see(_Token(tokens[0].split("/")[-1], True, True, now))
-                return
-            nodes = session.nodes()
-        except Unavailable:
-            # Without a reply the daemon is not reachable.
-            nodes = []
-        change = self._presence.judge(bool(nodes) if self._node is None else self._node in nodes)
-        if change is Change.AWAY:
-            self._outage.begin(self._lost_at)
-        elif change is Change.DELETED:
+            key = session.node_key(self._node, "get/swarms")
+            reply = session.get_once(key, swarm=None, timeout=LIVELINESS_TIMEOUT_SECS)
+        except (Busy, PermissionDenied, Unavailable):
+            self._presence.ask_later(now)
+            return
+        if self._swarm in {it.swarm for it in read_reply(reply, Swarms).swarms}:
+            self._see(_Token(self._node, True, True, now))
+        elif self._presence.state is State.MISSING:
             self._inbox.end()
-        elif change is Change.NOT_RECOVERED:
+        else:
             self.close()
             raise NotFound(
                 f"the daemon is back, but without swarm {self._swarm!r}: create it again",
