@@ -239,13 +239,28 @@ impl User {
         }
     }
 
+    /// Whether they may send every command.
+    pub fn is_operator(&self) -> bool {
+        self.role == Role::Operator
+    }
+
+    /// Whether a controller of this name is theirs.
+    pub fn owns(&self, controller: &str) -> bool {
+        is_controller_of(&self.name, controller)
+    }
+
+    /// Whether a request is stored under their name.
+    pub fn sent(&self, client: Option<&str>) -> bool {
+        client.is_some_and(|client| split_signed(client).0 == Some(&self.name))
+    }
+
     /// Checks that they may send for a controller of this name.
     ///
     /// # Errors
     ///
     /// [`NotPermitted::Controller`] if it belongs to another user.
     pub fn permit_controller(&self, controller: &str) -> Result<(), NotPermitted> {
-        match self.role == Role::Operator || is_controller_of(&self.name, controller) {
+        match self.is_operator() || self.owns(controller) {
             true => Ok(()),
             false => Err(NotPermitted::Controller {
                 user: self.name.clone(),

@@ -48,6 +48,7 @@ impl Player {
             when,
             sender,
             reply_to,
+            ..
         } = message;
         if command == Command::Delete {
             info!(swarm = self.output.name, client = sender.client, "deleted");

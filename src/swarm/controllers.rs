@@ -80,6 +80,11 @@ impl Controllers {
         self.members.is_empty()
     }
 
+    /// The names of those that have joined.
+    pub fn names(&self) -> impl Iterator<Item = &str> {
+        self.members.keys().map(String::as_str)
+    }
+
     /// Whether the swarm steps only when all have advanced.
     pub fn is_lockstep(&self) -> bool {
         self.targets().next().is_some()

@@ -24,8 +24,13 @@ pub enum SwarmError {
     },
     #[error("at_step {at_step} is in the past, the swarm is at step {step}: name a later one")]
     Late { at_step: u64, step: u64 },
-    #[error("{0} commands are scheduled already: send this one later, or reset")]
-    TooManyScheduled(usize),
+    #[error("{}", too_many_scheduled(*.count, .user.as_deref()))]
+    TooManyScheduled {
+        /// How many are scheduled.
+        count: usize,
+        /// The user whose they are, of a daemon with users.
+        user: Option<String>,
+    },
     #[error("{0} conditions wait already: remove them with `cancel`, or reset")]
     TooManyWatches(usize),
     /// The measures of a condition need too many states of earlier steps.
@@ -73,6 +78,11 @@ pub enum SwarmError {
     HasJoined(String),
     #[error("{0} controllers have joined already: remove one with `leave`")]
     TooManyControllers(usize),
+    #[error(
+        "{count} controllers of {user} have joined this swarm or are scheduled to join, which is the most \
+         of a user who is no operator: remove one with `leave`"
+    )]
+    TooManyOfUser { count: usize, user: String },
     #[error(
         "individual {id} is steered by controller {controller}: choose others, or send `leave` for it"
     )]
@@ -186,6 +196,18 @@ fn not_joined(controller: &str, left: Option<(Departure, u64)>) -> String {
         }
     };
     format!("controller {controller} {why}: join again")
+}
+
+fn too_many_scheduled(count: usize, user: Option<&str>) -> String {
+    match user {
+        Some(user) => format!(
+            "{count} commands of {user} are scheduled in this swarm already: send this one once some of them \
+             are executed; a `reset` of an operator removes them"
+        ),
+        None => {
+            format!("{count} commands are scheduled already: send this one later, or reset")
+        }
+    }
 }
 
 fn not_claimed(id: u32, owner: Option<&str>) -> String {

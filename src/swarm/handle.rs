@@ -9,6 +9,7 @@ use jostle_physics::simulation::{ChangeKind, ChangeOutcome, Rate, Spec};
 use parking_lot::Mutex;
 use tracing::info;
 
+use crate::auth::User;
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::command::{Command, Seek, WaitCondition, When};
 use crate::swarm::error::SwarmError;
@@ -54,6 +55,8 @@ pub struct CommandMessage {
     pub when: When,
     /// The client that sent it.
     pub sender: Arc<Sender>,
+    /// The user whose places it takes; `None` without users, and if it is replayed.
+    pub user: Option<User>,
     /// Receives the reply.
     pub reply_to: ReplyTo,
 }

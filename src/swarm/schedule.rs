@@ -4,10 +4,10 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use crate::swarm::command::Command;
-use crate::swarm::error::SwarmError;
 use crate::swarm::sender::Sender;
 
-/// Limits of the scheduled commands: their number and the bytes of their text.
+/// Limits of the scheduled commands of an operator, or without users of everyone: their number and the
+/// bytes of their text.
 pub const MAX_SCHEDULED: (usize, usize) = (1024, 256 * 1024);
 
 #[derive(Clone, Debug)]
@@ -22,20 +22,13 @@ pub struct Scheduled {
 pub struct Schedule {
     waiting: BTreeMap<(u64, u64), Scheduled>,
     arrived: u64,
-    bytes: usize,
 }
 
 impl Schedule {
-    pub fn add(&mut self, at_step: u64, command: Scheduled) -> Result<(), SwarmError> {
-        let bytes = self.bytes + command.sender.bytes();
-        let (limit, max_bytes) = MAX_SCHEDULED;
-        if self.waiting.len() == limit || (bytes > max_bytes && !self.waiting.is_empty()) {
-            return Err(SwarmError::TooManyScheduled(self.waiting.len()));
-        }
+    /// Adds a command, whose sender has a place for it.
+    pub fn add(&mut self, at_step: u64, command: Scheduled) {
         self.arrived += 1;
-        self.bytes = bytes;
         self.waiting.insert((at_step, self.arrived), command);
-        Ok(())
     }
 
     /// Removes the first command that is due at `step`.
@@ -44,9 +37,7 @@ impl Schedule {
         if first.key().0 > step {
             return None;
         }
-        let command = first.remove();
-        self.bytes -= command.sender.bytes();
-        Some(command)
+        Some(first.remove())
     }
 
     pub fn clear(&mut self) -> Vec<(u64, Scheduled)> {
@@ -59,6 +50,11 @@ impl Schedule {
         waiting
             .map(|((at_step, _), command)| (*at_step, command.clone()))
             .collect()
+    }
+
+    /// All, in the order of execution.
+    pub fn iter(&self) -> impl Iterator<Item = &Scheduled> {
+        self.waiting.values()
     }
 
     pub fn count(&self) -> usize {

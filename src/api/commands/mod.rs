@@ -65,6 +65,7 @@ impl Context {
                 commands::check_name("event", event)?;
             }
         }
+        message.user = self.rights.current().owner(&incoming.token).cloned();
         let timeout = commands::timeout(&request)?;
         if let Some(controller) = message.command.controller()
             && let rights = self.rights.current()

@@ -97,6 +97,7 @@ pub fn read(verb: &str, request: &Request) -> Result<(CommandMessage, bool), Com
         },
         sender: Arc::new(sender(verb, request)?),
         reply_to: ReplyTo::ignored(),
+        user: None,
     };
     Ok((message, returns_state))
 }

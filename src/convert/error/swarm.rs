@@ -63,7 +63,8 @@ impl WireCode for SwarmError {
             }
             SwarmError::HasJoined(_) => ErrorCode::AlreadyExists,
             SwarmError::TooManyControllers(_)
-            | SwarmError::TooManyScheduled(_)
+            | SwarmError::TooManyOfUser { .. }
+            | SwarmError::TooManyScheduled { .. }
             | SwarmError::TooManyWatches(_) => ErrorCode::ResourceExhausted,
             SwarmError::NotDurable(_) => ErrorCode::StorageFull,
             SwarmError::Displaced { .. } => ErrorCode::DeadlineExceeded,
@@ -105,7 +106,15 @@ impl WireCode for SwarmError {
             }
             SwarmError::TooMuchPast(_) => json!({"field": "condition"}),
             SwarmError::TooManyWatches(limit) => json!({"field": "condition", "limit": limit}),
-            SwarmError::TooManyScheduled(limit) => json!({"field": "at_step", "limit": limit}),
+            SwarmError::TooManyScheduled { count, user: None } => {
+                json!({"field": "at_step", "limit": count})
+            }
+            SwarmError::TooManyScheduled { count, user } => {
+                json!({"field": "at_step", "limit": count, "person": user})
+            }
+            SwarmError::TooManyOfUser { count, user } => {
+                json!({"field": "controller", "limit": count, "person": user})
+            }
             SwarmError::NotJoined { controller, .. }
             | SwarmError::HasJoined(controller)
             | SwarmError::RunsFreely(controller)

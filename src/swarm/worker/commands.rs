@@ -8,7 +8,7 @@ use fail::fail_point;
 use jostle_physics::simulation::{Change, ChangeKind, ChangeOutcome, Settings, steps_in};
 use tracing::{info, warn};
 
-use crate::swarm::command::{Command, Until, When};
+use crate::swarm::command::{Command, Until};
 use crate::swarm::controllers::Input;
 use crate::swarm::error::SwarmError;
 use crate::swarm::failpoint;
@@ -26,7 +26,7 @@ impl Worker {
     pub(super) fn commands(&mut self, commands: Vec<CommandMessage>) -> Option<End> {
         let mut accepted = Vec::with_capacity(commands.len());
         for message in commands {
-            match self.check(&message.command, message.when) {
+            match self.check(&message, &accepted) {
                 Ok(()) => accepted.push(message),
                 Err(error) => self.reject(message.reply_to, error),
             }
@@ -289,7 +289,12 @@ impl Worker {
         Ok(())
     }
 
-    fn check(&mut self, command: &Command, when: When) -> Result<(), SwarmError> {
+    fn check(
+        &mut self,
+        message: &CommandMessage,
+        accepted: &[CommandMessage],
+    ) -> Result<(), SwarmError> {
+        let CommandMessage { command, when, .. } = message;
         // A controller that has left usually expects an older step too; that it has left is the
         // more useful error.
         if let Command::Advance { controller, .. } = command {
@@ -299,7 +304,7 @@ impl Worker {
         when.check(self.simulation.epoch, step)?;
         match when.at_step {
             Some(at_step) if at_step < step => Err(SwarmError::Late { at_step, step }),
-            _ => Ok(()),
+            _ => self.check_places(message, accepted),
         }
     }
 

@@ -6,6 +6,7 @@
 mod commands;
 mod controllers;
 mod output;
+mod places;
 pub mod replay;
 mod scheduled;
 mod step;
@@ -176,8 +177,7 @@ impl Worker {
             effects: Vec::new(),
         };
         for (at_step, scheduled) in checkpoint.scheduled {
-            // They were within the limits when they were scheduled.
-            let _ = worker.schedule.add(at_step, scheduled);
+            worker.schedule.add(at_step, scheduled);
         }
         worker.reset_pace();
         worker

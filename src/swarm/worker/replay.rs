@@ -245,6 +245,7 @@ impl Fold {
                     command,
                     when: When::default(),
                     sender,
+                    user: None,
                 };
                 worker.applied_at(applied_at, |it| it.command(input, at_step, message))
             }

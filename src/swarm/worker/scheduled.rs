@@ -35,7 +35,7 @@ impl Worker {
             command,
             sender: sender.clone(),
         };
-        self.schedule.add(at_step, command)?;
+        self.schedule.add(at_step, command);
         self.push_event(EventKind::Scheduled(at_step, sender));
         Ok(())
     }

@@ -44,6 +44,7 @@ fn notes_cost_no_checkpoint_and_other_commands_do() {
             let message = CommandMessage {
                 command: command.clone(),
                 sender: Arc::default(),
+                user: None,
                 when: When::default(),
                 reply_to: ReplyTo::ignored(),
             };

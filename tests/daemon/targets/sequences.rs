@@ -337,6 +337,7 @@ pub fn check(data: &[u8]) {
             command: order(&input),
             when,
             sender: Arc::new(Sender::default()),
+            user: None,
             reply_to: answer,
         }));
         let came = match answer_from(&answered) {
