@@ -21,7 +21,7 @@ use crate::convert::digest::RequestIdentity;
 use crate::experiments::ExperimentManager;
 use crate::health::HealthMonitor;
 use crate::lanes::{Full, Lane, Lanes, Task, Ticket};
-use crate::persistence::notes::NoteLimits;
+use crate::persistence::limits::UserLimits;
 use crate::playback::Uploads;
 use crate::recording::Recordings;
 use crate::store::Store;
@@ -119,8 +119,8 @@ pub struct Context {
     pub lanes: Lanes,
     /// The verifications that run or are queued.
     pub verifications: Arc<Verifications>,
-    /// The limits of notes.
-    pub notes: NoteLimits,
+    /// The limits of users.
+    pub limits: UserLimits,
     /// Who sent which commands.
     pub audit: AuditLog,
 }

@@ -33,7 +33,7 @@ use crate::experiments::ExperimentManager;
 use crate::health::{HealthMonitor, HealthSources};
 use crate::lanes::Lanes;
 use crate::metrics::Activity;
-use crate::persistence::notes::NoteLimits;
+use crate::persistence::limits::UserLimits;
 use crate::persistence::recovery::{self, OnRecovered};
 use crate::playback::Uploads;
 use crate::recording::{Position, Recordings};
@@ -383,7 +383,7 @@ fn context(
         is_recovering: AtomicBool::new(true),
         lanes: core.lanes.clone(),
         verifications: Arc::default(),
-        notes: NoteLimits::new(
+        limits: UserLimits::new(
             core.store.clone(),
             config.quota_bytes,
             config.auth_dir.is_some(),

@@ -4,7 +4,7 @@ pub(crate) mod applied;
 pub mod checkpoints;
 pub(crate) mod journal_page;
 pub(crate) mod journal_reader;
-pub mod notes;
+pub mod limits;
 pub(crate) mod recovery;
 pub(crate) mod replay;
 pub(crate) mod reply_cache;

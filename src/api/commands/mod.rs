@@ -86,24 +86,25 @@ impl Context {
         }
         self.audit(&incoming.key, &request, responder);
         let handle = self.find(swarm)?;
-        if message.command == Command::Annotate {
-            self.admit_note(swarm, incoming, &message)?;
-        }
+        self.admit(swarm, &message)?;
         send(responder, &handle, timeout, message, returns_state);
         Ok(())
     }
 
-    /// Counts a note, unless it exceeds a limit.
-    fn admit_note(
-        &self,
-        swarm: &str,
-        incoming: &Incoming,
-        note: &CommandMessage,
-    ) -> Result<(), CommandError> {
-        let rights = self.rights.current();
-        let user = rights.owner(&incoming.token).map_or("", |user| &user.name);
+    /// Counts a note, and a `join` or `leave` of a user who is no operator, unless it exceeds a limit.
+    fn admit(&self, swarm: &str, message: &CommandMessage) -> Result<(), CommandError> {
+        let user = message.user.as_ref();
+        let is_limited = match message.command {
+            Command::Annotate => true,
+            Command::Join(_) | Command::Leave(_) => user.is_some_and(|user| !user.is_operator()),
+            _ => false,
+        };
+        if !is_limited {
+            return Ok(());
+        }
+        let user = user.map_or("", |user| &user.name);
         let exists = |name: &str| self.registry.find(name).is_some();
-        Ok(self.notes.admit(swarm, user, note, exists)??)
+        Ok(self.limits.admit(swarm, user, message, exists)??)
     }
 
     /// Replies to a retry of `delete` after its swarm is gone. Other daemons reply for their own

@@ -15,7 +15,7 @@ use thiserror::Error as ThisError;
 
 use crate::auth::NotPermitted;
 use crate::experiments::ExperimentError;
-use crate::persistence::notes::NoteError;
+use crate::persistence::limits::LimitError;
 use crate::playback::ReplayError;
 use crate::recording::RecordError;
 use crate::store::StoreError;
@@ -104,7 +104,7 @@ pub enum CommandError {
     #[error("the history of the swarm cannot be replayed: {0}")]
     History(String),
     #[error(transparent)]
-    Note(#[from] NoteError),
+    Limit(#[from] LimitError),
     #[error("the store cannot be read: {0}")]
     Store(String),
     #[error(transparent)]
@@ -280,7 +280,7 @@ impl WireCode for CommandError {
             CommandError::TooLong { .. }
             | CommandError::SnapshotTooLong { .. }
             | CommandError::ExportTooLong { .. }
-            | CommandError::Note(_)
+            | CommandError::Limit(_)
             | CommandError::TooManyClients { .. } => ErrorCode::ResourceExhausted,
             CommandError::Busy | CommandError::HandingOver => ErrorCode::Busy,
             CommandError::Deadline { .. } | CommandError::NotYet { .. } => {
@@ -328,6 +328,9 @@ impl WireCode for CommandError {
             }
             CommandError::Deadline { after_secs } | CommandError::NotYet { after_secs } => {
                 object(json!({"after_secs": after_secs}))
+            }
+            CommandError::Limit(LimitError::Membership { verb, retry_secs }) => {
+                object(json!({"field": verb, "retry_secs": retry_secs}))
             }
             CommandError::HandingOver => object(json!({"reason": "handover"})),
             CommandError::TooManyClients { limit } => object(json!({"limit": limit})),

@@ -1,4 +1,5 @@
-//! The limits of notes: how many a user may write into a swarm, and how much they may take.
+//! The limits of users: how often a user may write notes into a swarm, join and leave it, and how much
+//! their notes may take. What they write would otherwise take the history of others.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -11,15 +12,23 @@ use crate::auth::split_signed;
 use crate::persistence::journal_reader::parse_line;
 use crate::persistence::writer::record;
 use crate::store::{Store, StoreError, note_bytes};
+use crate::swarm::command::ANNOTATE;
 use crate::swarm::frame::unix_secs;
 use crate::swarm::handle::CommandMessage;
 use crate::swarm::journal::Record;
 
-/// Notes that a user may write into a swarm each second.
-const RATE: f64 = 10.0;
+/// Notes that a user may write into a swarm.
+const NOTES: Rate = Rate {
+    per_sec: 10.0,
+    at_once: 50.0,
+};
 
-/// Notes that a user may write at once.
-const BURST: f64 = 50.0;
+/// Bytes of the journal that the joins of a user may take in a swarm, and those that the leaves may. A
+/// learner that joins for each episode takes about 350 for each command.
+const MEMBERSHIP_BYTES: Rate = Rate {
+    per_sec: 32.0 * 1024.0,
+    at_once: 1024.0 * 1024.0,
+};
 
 /// Bytes that the notes of a user may take in a swarm.
 const USER_BYTES: u64 = 1 << 20;
@@ -31,15 +40,25 @@ const QUOTA_PART: u64 = 8;
 /// part of the history.
 const RECOUNT_INTERVAL: Duration = Duration::from_secs(60);
 
-/// Swarms whose notes are counted; beyond it those that no longer exist are forgotten.
+/// Swarms whose commands are counted; beyond it those that no longer exist are forgotten.
 const MAX_SWARMS: usize = 1024;
 
-/// Why a note is rejected.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
-pub enum NoteError {
+/// Why a note, a `join` or a `leave` is rejected.
+#[derive(Clone, Copy, Debug, PartialEq, Error)]
+pub enum LimitError {
     /// The user writes too many.
     #[error("you write more than 10 notes a second into this swarm: wait a second")]
     Rate,
+    /// The user joins or leaves too often.
+    #[error(
+        "you send more than 32 KiB of {verb} a second into this swarm: send it again in {retry_secs:.1} s"
+    )]
+    Membership {
+        /// The verb.
+        verb: &'static str,
+        /// When it is accepted.
+        retry_secs: f64,
+    },
     /// The notes of the user take too much.
     #[error(
         "your notes in this swarm take 1 MiB, which is the most: they are deleted with the history \
@@ -58,9 +77,9 @@ pub enum NoteError {
     },
 }
 
-/// The notes of each swarm and user. Clones are the same.
+/// What each user has sent to each swarm. Clones are the same.
 #[derive(Clone)]
-pub struct NoteLimits(Arc<Inner>);
+pub struct UserLimits(Arc<Inner>);
 
 struct Inner {
     store: Store,
@@ -69,19 +88,53 @@ struct Inner {
     swarms: Mutex<BTreeMap<String, Counted>>,
 }
 
-/// The notes of a swarm.
+/// What users have sent to a swarm.
 struct Counted {
     counted_at: Instant,
     /// Bytes of the notes of each user.
     bytes: BTreeMap<String, u64>,
-    /// How many notes each user may write now, and when that was counted.
-    allowed: BTreeMap<String, (f64, Instant)>,
+    rates: Rates,
 }
 
-impl NoteLimits {
+/// How much may be sent each second, and at once.
+#[derive(Clone, Copy)]
+struct Rate {
+    per_sec: f64,
+    at_once: f64,
+}
+
+/// How much of each verb each user may send now, and when that was counted.
+#[derive(Default)]
+struct Rates(BTreeMap<(&'static str, String), (f64, Instant)>);
+
+impl Rates {
+    /// Counts `amount`, unless it exceeds the rate: then it returns when it does not, in seconds.
+    fn take(
+        &mut self,
+        (verb, user): (&'static str, &str),
+        rate: Rate,
+        amount: f64,
+        now: Instant,
+    ) -> Result<(), f64> {
+        let allowed = self.0.entry((verb, user.to_owned()));
+        let (allowed, at) = allowed.or_insert((rate.at_once, now));
+        let passed = now.saturating_duration_since(*at).as_secs_f64();
+        *allowed = rate.at_once.min(*allowed + passed * rate.per_sec);
+        *at = now;
+        // More than may ever be sent at once is accepted if nothing was sent before.
+        let needed = amount.min(rate.at_once);
+        if *allowed < needed {
+            return Err((needed - *allowed) / rate.per_sec);
+        }
+        *allowed -= amount;
+        Ok(())
+    }
+}
+
+impl UserLimits {
     /// The limits of swarms with this quota. Without users everyone is the same one.
     pub fn new(store: Store, quota_bytes: u64, has_users: bool) -> Self {
-        NoteLimits(Arc::new(Inner {
+        UserLimits(Arc::new(Inner {
             store,
             max_bytes: quota_bytes / QUOTA_PART,
             has_users,
@@ -89,19 +142,19 @@ impl NoteLimits {
         }))
     }
 
-    /// Counts a note of a user, `""` without users, unless it exceeds a limit. `exists` says whether
-    /// there is a swarm of a name.
+    /// Counts a note, a `join` or a `leave` of a user, `""` without users, unless it exceeds a limit.
+    /// `exists` says whether there is a swarm of a name.
     ///
     /// # Errors
     ///
-    /// [`NoteError`]; the outer error if the notes of the swarm cannot be read.
+    /// [`LimitError`]; the outer error if the notes of the swarm cannot be read.
     pub fn admit(
         &self,
         swarm: &str,
         user: &str,
-        note: &CommandMessage,
+        command: &CommandMessage,
         exists: impl Fn(&str) -> bool,
-    ) -> Result<Result<(), NoteError>, StoreError> {
+    ) -> Result<Result<(), LimitError>, StoreError> {
         let max_bytes = self.0.max_bytes;
         let mut swarms = self.0.swarms.lock();
         if !swarms.contains_key(swarm) {
@@ -113,21 +166,29 @@ impl NoteLimits {
         let Some(counted) = swarms.get_mut(swarm) else {
             return Ok(Ok(()));
         };
-        if !counted.take_turn(user, Instant::now()) {
-            return Ok(Err(NoteError::Rate));
-        }
         let stored = Record::Input {
-            at_step: note.when.at_step,
-            sender: note.sender.clone(),
+            at_step: command.when.at_step,
+            sender: command.sender.clone(),
             seq: None,
             unix_secs: unix_secs(),
         };
         let bytes = note_bytes(record(&stored).1.len());
+        let (verb, now) = (command.sender.verb, Instant::now());
+        if verb != ANNOTATE {
+            let amount = bytes as f64;
+            let taken = counted
+                .rates
+                .take((verb, user), MEMBERSHIP_BYTES, amount, now);
+            return Ok(taken.map_err(|retry_secs| LimitError::Membership { verb, retry_secs }));
+        }
+        if counted.rates.take((verb, user), NOTES, 1.0, now).is_err() {
+            return Ok(Err(LimitError::Rate));
+        }
         let mut checked = counted.check(user, bytes, max_bytes);
         if checked.is_err() && counted.counted_at.elapsed() > RECOUNT_INTERVAL {
-            let allowed = std::mem::take(&mut counted.allowed);
+            let rates = std::mem::take(&mut counted.rates);
             *counted = Counted {
-                allowed,
+                rates,
                 ..self.read(swarm)?
             };
             checked = counted.check(user, bytes, max_bytes);
@@ -161,33 +222,20 @@ impl NoteLimits {
         Ok(Counted {
             counted_at: Instant::now(),
             bytes,
-            allowed: BTreeMap::new(),
+            rates: Rates::default(),
         })
     }
 }
 
 impl Counted {
-    /// Whether the user may write a note now.
-    fn take_turn(&mut self, user: &str, now: Instant) -> bool {
-        let (allowed, at) = self.allowed.entry(user.to_owned()).or_insert((BURST, now));
-        let passed = now.saturating_duration_since(*at).as_secs_f64();
-        *allowed = BURST.min(*allowed + passed * RATE);
-        *at = now;
-        let may = *allowed >= 1.0;
-        if may {
-            *allowed -= 1.0;
-        }
-        may
-    }
-
-    fn check(&self, user: &str, bytes: u64, max_bytes: u64) -> Result<(), NoteError> {
+    fn check(&self, user: &str, bytes: u64, max_bytes: u64) -> Result<(), LimitError> {
         let of_user = self.bytes.get(user).copied().unwrap_or(0);
         let all: u64 = self.bytes.values().sum();
         if of_user + bytes > USER_BYTES {
-            return Err(NoteError::User);
+            return Err(LimitError::User);
         }
         if all + bytes > max_bytes {
-            return Err(NoteError::Swarm { max_bytes });
+            return Err(LimitError::Swarm { max_bytes });
         }
         Ok(())
     }
@@ -201,25 +249,47 @@ mod tests {
         Counted {
             counted_at: Instant::now(),
             bytes: BTreeMap::new(),
-            allowed: BTreeMap::new(),
+            rates: Rates::default(),
         }
     }
 
     #[test]
     fn a_user_writes_fifty_notes_at_once_and_then_ten_a_second() {
-        let mut counted = counted();
+        let mut rates = Rates::default();
         let begin = Instant::now();
-        let count = |counted: &mut Counted, user: &str, at: Instant| {
-            (0..200).filter(|_| counted.take_turn(user, at)).count()
+        let mut count = |user: &str, at: Instant| {
+            let is_taken = |_: &i32| rates.take((ANNOTATE, user), NOTES, 1.0, at).is_ok();
+            (0..200).filter(is_taken).count()
         };
-        assert_eq!(count(&mut counted, "ada", begin), 50);
-        assert_eq!(count(&mut counted, "ben", begin), 50, "of another user");
+        assert_eq!(count("ada", begin), 50);
+        assert_eq!(count("ben", begin), 50, "of another user");
         let later = begin + Duration::from_millis(1050);
-        assert_eq!(count(&mut counted, "ada", later), 10);
+        assert_eq!(count("ada", later), 10);
         let much_later = begin + Duration::from_secs(3600);
-        assert_eq!(count(&mut counted, "ada", much_later), 50);
+        assert_eq!(count("ada", much_later), 50);
         // A clock that stands still.
-        assert_eq!(count(&mut counted, "ada", begin), 0);
+        assert_eq!(count("ada", begin), 0);
+    }
+
+    #[test]
+    fn joins_and_leaves_are_limited_by_their_bytes_each() {
+        let mut rates = Rates::default();
+        let begin = Instant::now();
+        let mut take = |verb, user, kibibytes: f64, secs: u64| {
+            let at = begin + Duration::from_secs(secs);
+            rates.take((verb, user), MEMBERSHIP_BYTES, kibibytes * 1024.0, at)
+        };
+        assert_eq!(take("join", "ada", 1000.0, 0), Ok(()));
+        assert_eq!(take("join", "ada", 25.0, 0), Err(1.0 / 32.0));
+        assert_eq!(take("join", "ada", 24.0, 0), Ok(()));
+        assert_eq!(take("join", "ada", 64.0, 1), Err(1.0));
+        assert_eq!(take("join", "ada", 64.0, 2), Ok(()));
+        // Others, and the way out, are not taken from.
+        assert_eq!(take("leave", "ada", 1.0, 2), Ok(()));
+        assert_eq!(take("join", "ben", 1000.0, 2), Ok(()));
+        // A join that is longer than the limit is accepted once in a while.
+        assert_eq!(take("join", "cleo", 2048.0, 2), Ok(()));
+        assert_eq!(take("join", "cleo", 1.0, 3), Err(31.0 + 1.0 / 32.0));
     }
 
     #[test]
@@ -227,11 +297,11 @@ mod tests {
         let mut counted = counted();
         counted.bytes.insert("ada".to_owned(), USER_BYTES - 100);
         assert_eq!(counted.check("ada", 100, u64::MAX), Ok(()));
-        assert_eq!(counted.check("ada", 101, u64::MAX), Err(NoteError::User));
+        assert_eq!(counted.check("ada", 101, u64::MAX), Err(LimitError::User));
         assert_eq!(counted.check("ben", USER_BYTES, u64::MAX), Ok(()));
         let max_bytes = USER_BYTES + 400;
         assert_eq!(counted.check("ben", 500, max_bytes), Ok(()));
-        let full = Err(NoteError::Swarm { max_bytes });
+        let full = Err(LimitError::Swarm { max_bytes });
         assert_eq!(counted.check("ben", 501, max_bytes), full);
     }
 }
