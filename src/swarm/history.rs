@@ -47,9 +47,11 @@ pub struct Page<T> {
 /// The past events and applied commands of a swarm. The oldest are evicted.
 #[derive(Default)]
 pub struct History {
-    /// Those that are no notes.
+    /// Those that are neither notes nor the creation.
     events: Mutex<Ring<Event>>,
     notes: Mutex<Ring<Event>>,
+    /// The creation, which stays.
+    created: Mutex<Ring<Event>>,
     entries: Mutex<Ring<Entry>>,
 }
 
@@ -66,6 +68,7 @@ impl History {
         let bytes = RECORD_BYTES + event.kind.bytes();
         let (ring, limits) = match &event.kind {
             EventKind::Command(sender) if sender.verb == ANNOTATE => (&self.notes, MAX_NOTES),
+            EventKind::Created(_) => (&self.created, (1, 0)),
             _ => (&self.events, MAX_EVENTS),
         };
         ring.lock().push(event.number, bytes, event.clone(), limits);
@@ -82,18 +85,19 @@ impl History {
         }
     }
 
-    /// At most `limit` events after number `after`. Notes may be missing among them.
+    /// At most `limit` events after number `after`. Notes may be missing among them, and events after the
+    /// creation.
     pub fn events(&self, after: u64, limit: usize) -> Page<Event> {
         let mut page = self.events.lock().after(after, limit);
-        let notes = self.notes.lock().after(after, limit);
-        page.records.extend(notes.records);
+        for other in [&self.notes, &self.created] {
+            let other = other.lock().after(after, limit);
+            page.records.extend(other.records);
+            page.oldest = page.oldest.into_iter().chain(other.oldest).min();
+            page.newest = page.newest.max(other.newest);
+        }
         page.records.sort_by_key(|event| event.number);
         page.records.truncate(limit);
-        Page {
-            oldest: page.oldest.into_iter().chain(notes.oldest).min(),
-            newest: page.newest.max(notes.newest),
-            ..page
-        }
+        page
     }
 
     /// The `seq` of the newest command; 0 before the first.
@@ -232,6 +236,32 @@ mod tests {
         assert_eq!(numbers, [1991, 1992, 1993, 1994, 1995]);
         assert_eq!(history.entries(0, 10).records.len(), 1);
         assert_eq!(history.newest(), 2000);
+    }
+
+    #[test]
+    fn nothing_evicts_the_creation() {
+        let history = History::default();
+        let creation = Creation {
+            client: Some("olga".to_owned()),
+            ..Creation::default()
+        };
+        let created = Event {
+            kind: EventKind::Created(Some(Arc::new(creation))),
+            ..event(1, "inform")
+        };
+        history.record_event(&created);
+        for number in 2..=3000 {
+            history.record_event(&event(number, "inform"));
+        }
+        let numbers = |after, limit| -> Vec<u64> {
+            let page = history.events(after, limit);
+            assert_eq!((page.oldest, page.newest), (Some(1), 3000));
+            page.records.iter().map(|it| it.number).collect()
+        };
+        let first_kept = 3000 - MAX_EVENTS.0 as u64 + 1;
+        assert_eq!(numbers(0, 3), [1, first_kept, first_kept + 1]);
+        assert_eq!(numbers(0, 5000).len(), MAX_EVENTS.0 + 1);
+        assert_eq!(numbers(1, 1), [first_kept]);
     }
 
     #[test]
