@@ -26,9 +26,19 @@ const ENVELOPE_FIELDS: [&str; 7] = [
 /// The longest `request_id` and `client`, in bytes.
 pub const MAX_LABEL_LENGTH: usize = 256;
 
-/// The pattern of a `request_id`, a `client` and a note: no control characters.
+/// The pattern of a `request_id`, a `client` and a note: the characters of [`is_plain`].
 pub(crate) const PLAIN_TEXT_RULE: &str =
-    "^[^\\u0000-\\u001f\\u007f-\\u009f\\u2028-\\u202e\\u2066-\\u2069]*$";
+    "^[^\\u0000-\\u001f\\u007f-\\u009f\\u061c\\u200e-\\u200f\\u2028-\\u202e\\u2066-\\u2069]*$";
+
+/// Whether a character is safe to print: it is no control character, ends no line and does not change the
+/// direction of text.
+pub fn is_plain(c: char) -> bool {
+    let changes_direction = matches!(
+        c,
+        '\u{61c}' | '\u{200e}' | '\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}'
+    );
+    !c.is_control() && !changes_direction && !matches!(c, '\u{2028}' | '\u{2029}')
+}
 
 /// A request; every field is optional.
 #[derive(Debug, Default, Serialize, Deserialize, JsonSchema)]
@@ -381,6 +391,26 @@ mod tests {
             read(r#"{"count": 1, "within": [1, 2, 3]}"#).unwrap_err(),
             "within"
         );
+    }
+
+    #[test]
+    fn the_pattern_excludes_the_characters_that_are_not_plain() {
+        let class = PLAIN_TEXT_RULE.strip_prefix("^[^").unwrap();
+        let class = class.strip_suffix("]*$").unwrap();
+        let number =
+            |text: &str| u32::from_str_radix(text.strip_prefix("\\u").unwrap(), 16).unwrap();
+        let mut ranges = Vec::new();
+        let mut rest = class;
+        while !rest.is_empty() {
+            let first = number(&rest[..6]);
+            let last = rest[6..].strip_prefix('-').map(|range| number(&range[..6]));
+            rest = &rest[if last.is_some() { 13 } else { 6 }..];
+            ranges.push(first..=last.unwrap_or(first));
+        }
+        for c in '\0'..=char::MAX {
+            let is_excluded = ranges.iter().any(|range| range.contains(&u32::from(c)));
+            assert_eq!(is_plain(c), !is_excluded, "{c:?}");
+        }
     }
 
     #[test]

@@ -33,7 +33,7 @@ mod walk;
 
 pub use cell::{Cell, CellKind, WrongKind};
 pub use claim::{Claim, Claimant, Standing};
-pub use envelope::{MAX_LABEL_LENGTH, NodeReply, Reply, Request};
+pub use envelope::{MAX_LABEL_LENGTH, NodeReply, Reply, Request, is_plain};
 pub use error::{Error, ErrorCode, RequestError};
 pub use event::{Event, EventKind};
 pub use experiment::{

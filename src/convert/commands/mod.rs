@@ -8,9 +8,10 @@ use std::time::Duration;
 use jostle_convert::value::whole;
 use jostle_convert::{WireError, change};
 use jostle_proto::verbs::{
-    AdvanceArgs, DeleteArgs, LeaveArgs, PauseArgs, ResetArgs, Return, StepArgs,
+    AdvanceArgs, AnnotateArgs, DeleteArgs, LeaveArgs, PauseArgs, ResetArgs, Return, StepArgs,
 };
-use jostle_proto::{MAX_LABEL_LENGTH, Request, keys};
+use jostle_proto::{MAX_LABEL_LENGTH, Request, is_plain, keys};
+use unicode_width::UnicodeWidthStr as _;
 
 use crate::swarm::command::{Command, When};
 use crate::swarm::handle::{CommandMessage, ReplyTo};
@@ -96,8 +97,8 @@ pub fn read(verb: &str, request: &Request) -> Result<(CommandMessage, bool), Com
             expect_step: request.expect_step,
         },
         sender: Arc::new(sender(verb, request)?),
-        reply_to: ReplyTo::ignored(),
         user: None,
+        reply_to: ReplyTo::ignored(),
     };
     Ok((message, returns_state))
 }
@@ -112,6 +113,11 @@ pub fn read_journaled(
         "lost" => Command::Lost(controller(request)?),
         "fired" => swarm::fired(request.args()?)?,
         "control" => set_points::parse_journaled(request)?,
+        // Earlier versions accepted more characters.
+        "annotate" => {
+            let AnnotateArgs { .. } = request.args()?;
+            Command::Annotate
+        }
         verb => {
             let (message, returns_state) = read(verb, request)?;
             return Ok((message.command, returns_state));
@@ -191,10 +197,9 @@ pub fn check_name(field: &'static str, name: &str) -> Result<(), CommandError> {
     Err(CommandError::Name { field, name })
 }
 
-/// Whether a character is safe to print: it is no control character and does not change the
-/// direction of text.
-pub(crate) fn is_plain(c: char) -> bool {
-    !c.is_control() && !matches!(c, '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
+/// Whether a text has characters that are safe to print, at least one of them visible.
+pub(crate) fn is_legible(text: &str) -> bool {
+    text.chars().all(is_plain) && text.trim().width() > 0
 }
 
 /// Returns the sender of a request, with its verb and arguments.
@@ -204,8 +209,9 @@ pub(crate) fn is_plain(c: char) -> bool {
 /// [`CommandError::Field`] for an invalid `client` or `request_id`.
 pub fn sender(verb: &'static str, request: &Request) -> Result<Sender, CommandError> {
     let label = |field, label: &Option<String>| match label {
-        Some(text) if text.len() > MAX_LABEL_LENGTH || !text.chars().all(is_plain) => {
-            let problem = "is too long or has invisible characters";
+        Some(text) if !text.is_empty() && (text.len() > MAX_LABEL_LENGTH || !is_legible(text)) => {
+            let problem = "is too long, has control or bidirectional formatting characters, or none that \
+                           is visible";
             Err(CommandError::field(field, problem))
         }
         other => Ok(other.clone()),
@@ -220,4 +226,22 @@ pub fn sender(verb: &'static str, request: &Request) -> Result<Sender, CommandEr
         request_id: label("request_id", &request.request_id)?,
         digest: None,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    #![expect(clippy::unwrap_used, reason = "tests")]
+
+    use super::*;
+
+    #[test]
+    fn a_journal_may_have_notes_that_are_no_longer_accepted() {
+        for text in ["a\u{200e}b", "\u{61c}", " \u{200b}", "\u{3164}\u{ad}"] {
+            let args = serde_json::json!({"text": text}).to_string();
+            let request = Request::from_json(args.as_bytes()).unwrap();
+            assert!(read("annotate", &request).is_err(), "{text:?}");
+            let (command, _) = read_journaled("annotate", &request).unwrap();
+            assert_eq!(command, Command::Annotate, "{text:?}");
+        }
+    }
 }

@@ -11,7 +11,7 @@ use jostle_proto::verbs::{
 };
 use jostle_proto::{RequestError, SeekArgs};
 
-use crate::convert::commands::{CommandError, check_name, is_plain};
+use crate::convert::commands::{CommandError, check_name, is_legible};
 use crate::swarm::command::{Command, Seek, Until};
 use crate::swarm::membership::{self, ControllerSettings, JoinOptions};
 use crate::swarm::sender::Sender;
@@ -169,10 +169,11 @@ fn cancel(args: WhenArgs) -> Result<Command, CommandError> {
 
 /// Checks the name of an event.
 pub fn check_event(event: &str) -> Result<(), CommandError> {
-    if (1..=MAX_EVENT_CHARS).contains(&event.chars().count()) && event.chars().all(is_plain) {
+    let length = event.chars().count();
+    if (1..=MAX_EVENT_CHARS).contains(&length) && !event.contains(char::is_control) {
         return Ok(());
     }
-    let problem = "must have 1 to 64 characters, none of them invisible";
+    let problem = "must have 1 to 64 characters, and no control characters";
     Err(CommandError::field("event", problem))
 }
 
@@ -226,8 +227,9 @@ pub fn check_note(args: &AnnotateArgs) -> Result<(), CommandError> {
             "must have 1 to 1000 characters",
         ));
     }
-    if !args.text.chars().all(is_plain) {
-        let problem = "has invisible characters: write one line without control characters";
+    if !is_legible(&args.text) {
+        let problem = "has control or bidirectional formatting characters, or none that is visible: write \
+                       one line without them";
         return Err(CommandError::field("text", problem));
     }
     Ok(())
