@@ -161,6 +161,14 @@ async fn commands_of_a_journal_are_selected_by_step_verb_and_client() {
     ended.assert_stderr(0, "demo has applied no such command yet");
     let ended = daemon.jostle("journal demo --verb informs").await;
     ended.assert_stderr(2, "is no verb of a swarm");
+    // The journal of a fork does not have the commands before it.
+    daemon.said("fork demo later").await;
+    daemon.said("set later pi3=2").await;
+    let ended = daemon.jostle("journal later --client nobody").await;
+    assert_eq!(
+        ended.stderr,
+        "the commands up to seq 4 are no longer kept\nlater has applied no such command after seq 4\n"
+    );
     daemon.stop().await;
 }
 

@@ -39,18 +39,6 @@ pub async fn journal(context: &Context, arguments: &JournalArguments) -> Result<
         // One document, however many replies it took.
         return output.document(&reply);
     }
-    if entries.is_empty() {
-        let of = match parameters.is_empty() {
-            true => "command",
-            false => "such command",
-        };
-        let note = match after {
-            0 => format!("{} has applied no {of} yet", reply.swarm),
-            after => format!("{} has applied no {of} after seq {after}", reply.swarm),
-        };
-        output.note(&note);
-        return Ok(());
-    }
     if !parameters.is_empty() {
         // Of all commands, not of those that were selected.
         pages.parameters = "";
@@ -58,6 +46,19 @@ pub async fn journal(context: &Context, arguments: &JournalArguments) -> Result<
     }
     if let Some(seq) = lost {
         output.note(&format!("the commands up to seq {seq} are no longer kept"));
+    }
+    if entries.is_empty() {
+        let of = match parameters.is_empty() {
+            true => "command",
+            false => "such command",
+        };
+        let note = match (lost, after) {
+            (Some(seq), _) => format!("{} has applied no {of} after seq {seq}", reply.swarm),
+            (None, 0) => format!("{} has applied no {of} yet", reply.swarm),
+            (None, after) => format!("{} has applied no {of} after seq {after}", reply.swarm),
+        };
+        output.note(&note);
+        return Ok(());
     }
     output.data(&table::of(
         entries,
