@@ -8,6 +8,7 @@ mod live;
 mod matrix;
 mod notes;
 mod owners;
+mod places;
 mod requests;
 pub mod secrets;
 mod shares;

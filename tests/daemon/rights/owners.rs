@@ -19,7 +19,7 @@ use crate::support::{NODE, PREFIX, TIMEOUT, until};
 const EXPERIMENT: &str = "name = \"grid\"\nseeds = [1]\nduration = 1\nspec = { n = 3 }\n";
 
 /// The events of a swarm that say that it was created.
-fn created(daemon: &AuthProcess, swarm: &str) -> Vec<Value> {
+pub(super) fn created(daemon: &AuthProcess, swarm: &str) -> Vec<Value> {
     let (status, reply) = daemon.http(&format!("GET /api/get/{swarm}/get/events"), "olga", "");
     assert_eq!(status, 200, "{swarm}: {reply}");
     let events = reply["result"]["events"].as_array().unwrap().iter();
