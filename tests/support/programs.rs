@@ -22,11 +22,17 @@ const SOURCES: [(&str, &[&str]); 2] = [
             "crates/measures/src",
             "crates/physics/src",
             "crates/results/src",
+            "third_party/zenoh-link-tls/src",
         ],
     ),
     (
         "jostle",
-        &["clients/cli/src", "clients/rust/src", "proto/src"],
+        &[
+            "clients/cli/src",
+            "clients/rust/src",
+            "proto/src",
+            "third_party/zenoh-link-tls/src",
+        ],
     ),
 ];
 

@@ -11,6 +11,8 @@
 // Contributors:
 //   ZettaScale Zenoh Team, <zenoh@zettascale.tech>
 //
+// Changed for jostle: see the README.md of this crate.
+//
 
 //! ⚠️ WARNING ⚠️
 //!
@@ -81,4 +83,7 @@ zconfigurable! {
     // Amount of time in microseconds to throttle the accept loop upon an error.
     // Default set to 100 ms.
     static ref TLS_ACCEPT_THROTTLE_TIME: u64 = 100_000;
+    // The number of TLS handshakes of a listener that may be in progress. For each further connection
+    // the oldest one is aborted.
+    static ref TLS_MAX_HANDSHAKES: usize = 1_000;
 }

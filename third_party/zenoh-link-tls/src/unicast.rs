@@ -11,23 +11,31 @@
 // Contributors:
 //   ZettaScale Zenoh Team, <zenoh@zettascale.tech>
 //
+// Changed for jostle: see the README.md of this crate.
+//
 #[cfg(all(feature = "uring", target_os = "linux"))]
 use std::os::fd::RawFd;
 use std::{
-    cell::UnsafeCell,
+    collections::VecDeque,
     convert::TryInto,
     fmt::{self, Debug},
+    future::poll_fn,
+    io,
     net::SocketAddr,
-    sync::Arc,
+    pin::Pin,
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
+    task::{Context, Poll},
     time::Duration,
 };
 
 use async_trait::async_trait;
 use time::OffsetDateTime;
 use tokio::{
-    io::{AsyncReadExt, AsyncWriteExt},
+    io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt, ReadBuf},
     net::{TcpListener, TcpStream},
     sync::Mutex as AsyncMutex,
+    task::JoinHandle,
+    time::timeout,
 };
 use tokio_rustls::{TlsAcceptor, TlsConnector, TlsStream};
 use tokio_util::sync::CancellationToken;
@@ -49,6 +57,7 @@ use zenoh_result::{zerror, ZResult};
 use crate::{
     utils::{get_tls_addr, get_tls_host, get_tls_server_name, TlsClientConfig, TlsServerConfig},
     TLS_ACCEPT_THROTTLE_TIME, TLS_DEFAULT_MTU, TLS_LINGER_TIMEOUT, TLS_LOCATOR_PREFIX,
+    TLS_MAX_HANDSHAKES,
 };
 
 #[derive(Default, Debug, PartialEq, Eq, Hash)]
@@ -56,14 +65,9 @@ pub struct TlsCommonName(String);
 
 pub struct LinkUnicastTls {
     // The underlying socket as returned from the async-rustls library
-    // NOTE: TlsStream requires &mut for read and write operations. This means
-    //       that concurrent reads and writes are not possible. To achieve that,
-    //       we use an UnsafeCell for interior mutability. Using an UnsafeCell
-    //       is safe in our case since the transmission and reception logic
-    //       already ensures that no concurrent reads or writes can happen on
-    //       the same stream: there is only one task at the time that writes on
-    //       the stream and only one task at the time that reads from the stream.
-    inner: UnsafeCell<TlsStream<TcpStream>>,
+    // NOTE: One task reads and one task writes, but both change the state of the
+    //       TLS connection. It is locked for each poll, never across an await.
+    inner: Mutex<TlsStream<TcpStream>>,
     // The source socket address of this link (address used on the local host)
     src_addr: SocketAddr,
     src_locator: Locator,
@@ -77,9 +81,6 @@ pub struct LinkUnicastTls {
     mtu: BatchSize,
     expiration_manager: Option<LinkCertExpirationManager>,
 }
-
-unsafe impl Send for LinkUnicastTls {}
-unsafe impl Sync for LinkUnicastTls {}
 
 impl LinkUnicastTls {
     fn new(
@@ -138,7 +139,7 @@ impl LinkUnicastTls {
 
         // Build the Tls object
         LinkUnicastTls {
-            inner: UnsafeCell::new(socket),
+            inner: Mutex::new(socket),
             src_addr,
             src_locator: Locator::new(TLS_LOCATOR_PREFIX, src_addr.to_string(), "").unwrap(),
             dst_addr,
@@ -151,24 +152,19 @@ impl LinkUnicastTls {
         }
     }
 
-    // NOTE: It is safe to suppress Clippy warning since no concurrent reads
-    //       or concurrent writes will ever happen. The read_mtx and write_mtx
-    //       are respectively acquired in any read and write operation.
-    #[allow(clippy::mut_from_ref)]
-    fn get_mut_socket(&self) -> &mut TlsStream<TcpStream> {
-        unsafe { &mut *self.inner.get() }
+    fn socket(&self) -> SharedStream<'_> {
+        SharedStream(&self.inner)
     }
 
     async fn close(&self) -> ZResult<()> {
         tracing::trace!("Closing TLS link: {}", self);
-        // Flush the TLS stream
+        // Flush the TLS stream, but do not wait for a peer that reads nothing
         let _guard = zasynclock!(self.write_mtx);
-        let tls_stream = self.get_mut_socket();
-        let res = tls_stream.flush().await;
+        let linger = Duration::from_secs((*TLS_LINGER_TIMEOUT).try_into().unwrap());
+        let res = timeout(linger, self.socket().flush()).await;
         tracing::trace!("TLS link flush {}: {:?}", self, res);
         // Close the underlying TCP stream
-        let (tcp_stream, _) = tls_stream.get_mut();
-        let res = tcp_stream.shutdown().await;
+        let res = poll_fn(|cx| self.socket().poll_tcp_shutdown(cx)).await;
         tracing::trace!("TLS link shutdown {}: {:?}", self, res);
         res.map_err(|e| zerror!(e).into())
     }
@@ -193,7 +189,7 @@ impl LinkUnicastTrait for LinkUnicastTls {
 
     async fn write(&self, buffer: &[u8], _priority: Option<Priority>) -> ZResult<usize> {
         let _guard = zasynclock!(self.write_mtx);
-        self.get_mut_socket().write(buffer).await.map_err(|e| {
+        self.socket().write(buffer).await.map_err(|e| {
             tracing::trace!("Write error on TLS link {}: {}", self, e);
             zerror!(e).into()
         })
@@ -201,7 +197,7 @@ impl LinkUnicastTrait for LinkUnicastTls {
 
     async fn write_all(&self, buffer: &[u8], _priority: Option<Priority>) -> ZResult<()> {
         let _guard = zasynclock!(self.write_mtx);
-        self.get_mut_socket().write_all(buffer).await.map_err(|e| {
+        self.socket().write_all(buffer).await.map_err(|e| {
             tracing::trace!("Write error on TLS link {}: {}", self, e);
             zerror!(e).into()
         })
@@ -209,7 +205,7 @@ impl LinkUnicastTrait for LinkUnicastTls {
 
     async fn read(&self, buffer: &mut [u8], _priority: Option<Priority>) -> ZResult<usize> {
         let _guard = zasynclock!(self.read_mtx);
-        self.get_mut_socket().read(buffer).await.map_err(|e| {
+        self.socket().read(buffer).await.map_err(|e| {
             tracing::trace!("Read error on TLS link {}: {}", self, e);
             zerror!(e).into()
         })
@@ -217,14 +213,10 @@ impl LinkUnicastTrait for LinkUnicastTls {
 
     async fn read_exact(&self, buffer: &mut [u8], _priority: Option<Priority>) -> ZResult<()> {
         let _guard = zasynclock!(self.read_mtx);
-        let _ = self
-            .get_mut_socket()
-            .read_exact(buffer)
-            .await
-            .map_err(|e| {
-                tracing::trace!("Read error on TLS link {}: {}", self, e);
-                zerror!(e)
-            })?;
+        let _ = self.socket().read_exact(buffer).await.map_err(|e| {
+            tracing::trace!("Read error on TLS link {}: {}", self, e);
+            zerror!(e)
+        })?;
         Ok(())
     }
 
@@ -287,9 +279,52 @@ impl LinkWithCertExpiration for LinkUnicastTls {
 impl Drop for LinkUnicastTls {
     fn drop(&mut self) {
         // Close the underlying TCP stream
-        let (tcp_stream, _) = self.get_mut_socket().get_mut();
+        let tls_stream = self.inner.get_mut();
+        let (tcp_stream, _) = tls_stream.unwrap_or_else(PoisonError::into_inner).get_mut();
         let _ = zenoh_runtime::ZRuntime::Acceptor
             .block_in_place(async move { tcp_stream.shutdown().await });
+    }
+}
+
+/// The stream of a link, for its reading or its writing task.
+struct SharedStream<'a>(&'a Mutex<TlsStream<TcpStream>>);
+
+impl SharedStream<'_> {
+    fn lock(&self) -> MutexGuard<'_, TlsStream<TcpStream>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Shuts down the TCP stream without waiting for data of TLS that is not yet sent.
+    fn poll_tcp_shutdown(&self, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Pin::new(self.lock().get_mut().0).poll_shutdown(cx)
+    }
+}
+
+impl AsyncRead for SharedStream<'_> {
+    fn poll_read(
+        self: Pin<&mut Self>,
+        cx: &mut Context<'_>,
+        buf: &mut ReadBuf<'_>,
+    ) -> Poll<io::Result<()>> {
+        Pin::new(&mut *self.lock()).poll_read(cx, buf)
+    }
+}
+
+impl AsyncWrite for SharedStream<'_> {
+    fn poll_write(
+        self: Pin<&mut Self>,
+        cx: &mut Context<'_>,
+        buf: &[u8],
+    ) -> Poll<io::Result<usize>> {
+        Pin::new(&mut *self.lock()).poll_write(cx, buf)
+    }
+
+    fn poll_flush(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Pin::new(&mut *self.lock()).poll_flush(cx)
+    }
+
+    fn poll_shutdown(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Pin::new(&mut *self.lock()).poll_shutdown(cx)
     }
 }
 
@@ -508,84 +543,43 @@ async fn accept_task(
         e
     })?;
 
-    let mut listener = tls_listener::builder(acceptor)
-        .handshake_timeout(tls_handshake_timeout)
-        .listen(socket);
-
     tracing::trace!("Ready to accept TLS connections on: {:?}", src_addr);
+    // The oldest first
+    let mut handshakes = VecDeque::<JoinHandle<()>>::new();
     loop {
         tokio::select! {
             _ = token.cancelled() => break,
 
-            res = listener.accept() => {
+            res = socket.accept() => {
                 match res {
-                    Ok((tls_stream, dst_addr)) => {
-                        let (tcp_stream, tls_conn) = tls_stream.get_ref();
-                        let src_addr =  match tcp_stream.local_addr()  {
-                            Ok(sa) => sa,
-                            Err(e) => {
-                                tracing::debug!("Can not accept TLS connection: {}", e);
-                                continue;
+                    Ok((tcp_stream, dst_addr)) => {
+                        handshakes.retain(|handshake| !handshake.is_finished());
+                        if handshakes.len() >= *TLS_MAX_HANDSHAKES {
+                            if let Some(oldest) = handshakes.pop_front() {
+                                oldest.abort();
                             }
-                        };
-                        let auth_identifier = match get_client_cert_common_name(tls_conn) {
-                            Ok(auth_id) => auth_id,
-                            Err(e) => {
-                                tracing::warn!("Error getting client cert common name: {e}");
-                                continue;
-                            }
-                        };
-
-                        // Get certificate chain expiration
-                        let mut maybe_expiration_time = None;
-                        if tls_close_link_on_expiration {
-                            let exp = match get_cert_chain_expiration(&tls_conn.peer_certificates()) {
-                                Ok(exp) => exp,
-                                Err(e) => {
-                                    tracing::warn!("Error getting client cert expiration: {e}");
-                                    continue;
+                        }
+                        // One task for each, so that none delays another or the accept loop
+                        let (acceptor, manager) = (acceptor.clone(), manager.clone());
+                        handshakes.push_back(tokio::spawn(async move {
+                            match timeout(tls_handshake_timeout, acceptor.accept(tcp_stream)).await {
+                                Ok(Ok(tls_stream)) => {
+                                    new_accepted_link(
+                                        tls_stream,
+                                        dst_addr,
+                                        manager,
+                                        tls_close_link_on_expiration,
+                                    )
+                                    .await
                                 }
-                            };
-                            match exp {
-                                exp @ Some(_) => maybe_expiration_time = exp,
-                                None => tracing::warn!(
-                                    "Cannot monitor expiration for TLS link {:?} => {:?}: client does not have certificates",
-                                    src_addr,
-                                    dst_addr,
-                                ),
+                                Ok(Err(e)) => {
+                                    tracing::debug!("TLS handshake with {:?} failed: {}", dst_addr, e)
+                                }
+                                Err(_) => {
+                                    tracing::debug!("TLS handshake with {:?} timed out", dst_addr)
+                                }
                             }
-                        }
-
-                        tracing::debug!("Accepted TLS connection on {:?}: {:?}. {:?}.", src_addr, dst_addr, auth_identifier);
-                        // Create the new link object
-                        let link = Arc::<LinkUnicastTls>::new_cyclic(|weak_link| {
-                            let mut expiration_manager = None;
-                            if let Some(certchain_expiration_time) = maybe_expiration_time {
-                                // setup expiration manager
-                                expiration_manager = Some(LinkCertExpirationManager::new(
-                                    weak_link.clone(),
-                                    src_addr,
-                                    dst_addr,
-                                    TLS_LOCATOR_PREFIX,
-                                    certchain_expiration_time,
-                                ));
-                            }
-                            LinkUnicastTls::new(
-                                tokio_rustls::TlsStream::Server(tls_stream),
-                                src_addr,
-                                dst_addr,
-                                auth_identifier.into(),
-                                expiration_manager,
-                            )
-                        });
-
-                        // Communicate the new link to the initial transport manager
-                        if let Err(e) = manager
-                            .send_async(LinkUnicast::from(link as Arc<dyn LinkUnicastTrait>))
-                            .await
-                        {
-                            tracing::error!("{}-{}: {}", file!(), line!(), e)
-                        }
+                        }));
                     }
                     Err(e) => {
                         tracing::warn!("{}. Hint: increase the system open file limit.", e);
@@ -601,8 +595,91 @@ async fn accept_task(
             }
         }
     }
+    for handshake in handshakes {
+        handshake.abort();
+    }
 
     Ok(())
+}
+
+/// Makes the link of a connection whose handshake is complete.
+async fn new_accepted_link(
+    tls_stream: tokio_rustls::server::TlsStream<TcpStream>,
+    dst_addr: SocketAddr,
+    manager: NewLinkChannelSender,
+    tls_close_link_on_expiration: bool,
+) {
+    let (tcp_stream, tls_conn) = tls_stream.get_ref();
+    let src_addr = match tcp_stream.local_addr() {
+        Ok(sa) => sa,
+        Err(e) => {
+            tracing::debug!("Can not accept TLS connection: {}", e);
+            return;
+        }
+    };
+    let auth_identifier = match get_client_cert_common_name(tls_conn) {
+        Ok(auth_id) => auth_id,
+        Err(e) => {
+            tracing::warn!("Error getting client cert common name: {e}");
+            return;
+        }
+    };
+
+    // Get certificate chain expiration
+    let mut maybe_expiration_time = None;
+    if tls_close_link_on_expiration {
+        let exp = match get_cert_chain_expiration(&tls_conn.peer_certificates()) {
+            Ok(exp) => exp,
+            Err(e) => {
+                tracing::warn!("Error getting client cert expiration: {e}");
+                return;
+            }
+        };
+        match exp {
+            exp @ Some(_) => maybe_expiration_time = exp,
+            None => tracing::warn!(
+                "Cannot monitor expiration for TLS link {:?} => {:?}: client does not have certificates",
+                src_addr,
+                dst_addr,
+            ),
+        }
+    }
+
+    tracing::debug!(
+        "Accepted TLS connection on {:?}: {:?}. {:?}.",
+        src_addr,
+        dst_addr,
+        auth_identifier
+    );
+    // Create the new link object
+    let link = Arc::<LinkUnicastTls>::new_cyclic(|weak_link| {
+        let mut expiration_manager = None;
+        if let Some(certchain_expiration_time) = maybe_expiration_time {
+            // setup expiration manager
+            expiration_manager = Some(LinkCertExpirationManager::new(
+                weak_link.clone(),
+                src_addr,
+                dst_addr,
+                TLS_LOCATOR_PREFIX,
+                certchain_expiration_time,
+            ));
+        }
+        LinkUnicastTls::new(
+            tokio_rustls::TlsStream::Server(tls_stream),
+            src_addr,
+            dst_addr,
+            auth_identifier.into(),
+            expiration_manager,
+        )
+    });
+
+    // Communicate the new link to the initial transport manager
+    if let Err(e) = manager
+        .send_async(LinkUnicast::from(link as Arc<dyn LinkUnicastTrait>))
+        .await
+    {
+        tracing::error!("{}-{}: {}", file!(), line!(), e)
+    }
 }
 
 fn get_client_cert_common_name(tls_conn: &rustls::CommonState) -> ZResult<TlsAuthId> {
