@@ -14,6 +14,7 @@ pub mod secrets;
 mod shares;
 mod start;
 mod table;
+mod tls;
 mod turns;
 
 use std::path::PathBuf;

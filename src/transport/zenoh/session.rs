@@ -32,6 +32,9 @@ pub const MAX_FRAMING_BYTES: usize = 4096;
 /// further ones without a reason.
 const MAX_EXTRA_SESSIONS: usize = 96;
 
+/// The time for a TLS handshake, in milliseconds. zenoh reads it only from the options of an endpoint.
+const HANDSHAKE_TIMEOUT_MS: u32 = 2000;
+
 /// Why the session cannot be opened.
 #[derive(Debug, Error)]
 pub enum SessionError {
@@ -185,6 +188,7 @@ fn reason(text: &str) -> String {
 /// Every setting that differs from zenoh's default.
 fn settings(listen: &[String], max_clients: usize) -> Vec<(&'static str, Value)> {
     let (max_sessions, max_bytes) = (max_clients + MAX_EXTRA_SESSIONS, MAX_MESSAGE_BYTES);
+    let listen: Vec<String> = listen.iter().map(|it| with_timeout(it)).collect();
     vec![
         // A zenoh router forwards claims to other routers, but not from one peer to another.
         ("mode", json!("router")),
@@ -227,6 +231,15 @@ fn authentication(folder: &Folder) -> [(&'static str, Value); 2] {
             }),
         ),
     ]
+}
+
+/// An endpoint with [`HANDSHAKE_TIMEOUT_MS`], if it is for TLS.
+fn with_timeout(endpoint: &str) -> String {
+    if !endpoint.starts_with("tls/") {
+        return endpoint.to_owned();
+    }
+    let separator = if endpoint.contains('#') { ';' } else { '#' };
+    format!("{endpoint}{separator}tls_handshake_timeout_ms={HANDSHAKE_TIMEOUT_MS}")
 }
 
 /// Whether an address has options other than the interface, such as `0.0.0.0:7447#enable_mtls=false`:
