@@ -26,7 +26,7 @@ PROGRAMS = ("jostled", "jostle")
 WORKSPACE = (
     *("Cargo.toml", "Cargo.lock", ".cargo/config.toml", "LICENSE-MIT", "LICENSE-APACHE"),
     *("src", "proto", "crates", "benches", "clients/cli", "clients/rust", "clients/web/dist"),
-    *("tests/Cargo.toml", "tests/lib.rs"),
+    *("tests/Cargo.toml", "tests/lib.rs", "third_party"),
 )
 
 

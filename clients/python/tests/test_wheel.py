@@ -309,6 +309,9 @@ def test_the_sdist_holds_the_workspace(tmp_path: Path) -> None:
     workspace = tomllib.loads((root / "Cargo.toml").read_text(encoding="utf-8"))["workspace"]
     for member in workspace["members"]:
         assert f"workspace/{Path(member, 'Cargo.toml')}" in names, member
+    patches = tomllib.loads((root / "Cargo.toml").read_text(encoding="utf-8"))["patch"]["crates-io"]
+    for patch in patches.values():
+        assert f"workspace/{Path(patch['path'], 'Cargo.toml')}" in names, patch
     for name in ("Cargo.lock", ".cargo/config.toml", "src/main.rs", "clients/web/dist/index.html"):
         assert f"workspace/{name}" in names
     assert {"src/jostle/__init__.py", "hatch_build.py", "pyproject.toml"} <= names
