@@ -2,7 +2,7 @@
 
 use std::ffi::{OsStr, OsString};
 
-use clap::error::ErrorKind;
+use clap::error::{ContextKind, ContextValue, ErrorKind};
 use clap::parser::ValueSource;
 use clap::{Arg, ArgMatches, Args, Command, CommandFactory, FromArgMatches};
 use clap_complete::engine::{ArgValueCompleter, CompletionCandidate};
@@ -22,6 +22,9 @@ const OPTIONS: [&str; 6] = [
 
 /// The options that reach a daemon.
 const CONNECTION_OPTIONS: [&str; 5] = ["endpoint", "credentials", "node", "prefix", "timeout"];
+
+/// The longest part of a word that an error repeats.
+const MAX_REPEATED_CHARS: usize = 64;
 
 /// The verbs with requests to a daemon, which --node selects. A swarm is found by its name.
 const DAEMON_VERBS: [&str; 24] = [
@@ -129,7 +132,7 @@ impl Arguments {
         {
             words.swap(1, 2);
         }
-        let matches = command.try_get_matches_from_mut(words)?;
+        let matches = command.try_get_matches_from_mut(words).map_err(cut)?;
         let read = Arguments::from_arg_matches(&matches);
         let mut arguments = read.map_err(|error| error.format(&mut command))?;
         let mut given = given(&matches);
@@ -149,6 +152,24 @@ impl Arguments {
         arguments.global.is_timeout_given = given.contains(&"timeout");
         Ok(arguments)
     }
+}
+
+/// Cuts a word of the command line that an error repeats, such as a long note.
+fn cut(mut error: clap::Error) -> clap::Error {
+    for kind in [
+        ContextKind::InvalidArg,
+        ContextKind::InvalidSubcommand,
+        ContextKind::InvalidValue,
+    ] {
+        let Some(ContextValue::String(word)) = error.get(kind) else {
+            continue;
+        };
+        if word.chars().count() > MAX_REPEATED_CHARS {
+            let start: String = word.chars().take(MAX_REPEATED_CHARS).collect();
+            error.insert(kind, ContextValue::String(format!("{start}…")));
+        }
+    }
+    error
 }
 
 impl GlobalArguments {
@@ -199,6 +220,21 @@ mod tests {
                 }
             })
             .collect()
+    }
+
+    #[test]
+    fn an_error_repeats_the_start_of_a_long_word() {
+        let long = "x".repeat(5000);
+        for words in [
+            vec!["jostle", "annotate", "demo", &long],
+            vec!["jostle", "status", "demo", &long],
+            vec!["jostle", "annotate", "demo", "note", "--at-step", &long],
+            vec!["jostle", &long],
+        ] {
+            let error = Arguments::read(words).unwrap_err().to_string();
+            assert!(error.contains(&format!("{}…", &long[..64])), "{error}");
+            assert!(error.len() < 400, "{error}");
+        }
     }
 
     #[test]

@@ -168,6 +168,9 @@ pub struct CompletionsArguments {
 
 #[derive(Debug, Args)]
 pub struct ManArguments {
+    /// Print the page of this verb, such as `experiment run`
+    #[arg(conflicts_with = "out", value_name = "VERB")]
+    pub verb: Vec<String>,
     /// Write a page for each verb into this folder
     #[arg(short, long, value_name = "FOLDER", value_hint = ValueHint::DirPath)]
     pub out: Option<PathBuf>,

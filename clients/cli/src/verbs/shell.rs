@@ -27,7 +27,7 @@ pub fn completions(output: Output, arguments: &CompletionsArguments) -> Result<(
 pub fn man(output: Output, arguments: &ManArguments) -> Result<(), Failure> {
     let Some(directory) = &arguments.out else {
         let mut page = Vec::new();
-        Man::new(command())
+        Man::new(of_verb(&arguments.verb)?)
             .render(&mut page)
             .map_err(Failure::output)?;
         let page = String::from_utf8_lossy(&page);
@@ -52,6 +52,25 @@ pub fn man(output: Output, arguments: &ManArguments) -> Result<(), Failure> {
         written.push(write(Man::new(verb.clone().display_name(name)), directory)?);
     }
     output.print(&json!({ "written": written }), &written.join("\n"))
+}
+
+/// The command line of a verb; the whole one without a verb.
+fn of_verb(words: &[String]) -> Result<Command, Failure> {
+    let mut command = command();
+    command.build();
+    let mut name = command.get_name().to_owned();
+    for word in words {
+        let Some(verb) = command.find_subcommand(word) else {
+            let message = format!(
+                "there is no verb `{}`: `jostle help` lists the verbs",
+                words.join(" ")
+            );
+            return Err(Failure::new("invalid_argument", message));
+        };
+        name = format!("{name}-{}", verb.get_name());
+        command = verb.clone();
+    }
+    Ok(command.display_name(name))
 }
 
 /// The command line with the topics of `help` in its description instead of a page of its own.

@@ -136,6 +136,12 @@ async fn every_verb_has_a_page_in_the_manual() {
     assert!(page.contains(r"\-\-make\-room"), "{page}");
     let ended = daemon.jostle("man --out /proc/nowhere").await;
     assert_eq!(ended.code, Some(1), "{ended:?}");
+    let page = daemon.said("man experiment run").await;
+    assert!(page.contains("jostle\\-experiment\\-run"), "{page}");
+    let ended = daemon.jostle("man fly high").await;
+    assert_eq!(ended.code, Some(2), "{ended:?}");
+    let expected = "there is no verb `fly high`: `jostle help` lists the verbs";
+    assert!(ended.stderr.contains(expected), "{ended:?}");
     daemon.stop().await;
 }
 

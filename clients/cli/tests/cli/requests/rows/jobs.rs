@@ -263,6 +263,7 @@ pub fn local() -> Vec<Row> {
         row("completions <shell>elvish", &[]).says("JOSTLE_COMPLETE = elvish"),
         row("completions <shell>powershell", &[]).says("powershell"),
         row("man", &[]).says(".TH jostle"),
+        row("man <verb>audit", &[]).says("Lists who sent which commands"),
         row("man --out {}/man", &[]).writes("man/jostle-run.1"),
         row("man -o {}/manual", &[]).writes("manual/jostle-run.1"),
         row("plot <what>2 <of>{}/results --out {}/two.svg", &[]).writes("two.svg"),
