@@ -29,6 +29,9 @@ const MAX_OPEN: usize = 4096;
 /// The outcome of a command that succeeded.
 pub const OK: &str = "ok";
 
+/// The outcome of a command that ended because its client was gone.
+pub const ABANDONED: &str = "abandoned";
+
 /// What a line counts.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
 pub struct AuditCommand {
@@ -288,7 +291,8 @@ impl Line {
 }
 
 impl AuditTicket {
-    /// Sets the outcome of the command: [`OK`], or the code of an error. A later one replaces it.
+    /// Sets the outcome of the command: [`OK`], [`ABANDONED`], or the code of an error. A later one
+    /// replaces it.
     pub fn finish(&mut self, outcome: &str) {
         if self.outcome.as_deref() != Some(outcome) {
             self.log.finish(self.line, self.outcome.as_deref(), outcome);

@@ -17,9 +17,6 @@ use tracing::error;
 /// The clients whose last turns are remembered.
 const MAX_TURNS: usize = 4096;
 
-/// How long tasks of a healthy daemon are queued.
-const MAX_WAITING: Duration = Duration::from_secs(10);
-
 /// A kind of work.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Lane {
@@ -46,6 +43,8 @@ struct Limits {
     niceness: i32,
     /// The longest task, or time between two steps of one, of a healthy daemon.
     longest: Duration,
+    /// How long tasks are queued while clients send no more than it executes.
+    waiting: Duration,
 }
 
 impl Lane {
@@ -77,6 +76,7 @@ impl Lane {
             queued,
             niceness,
             longest: Duration::from_secs(60),
+            waiting: Duration::from_secs(10),
         };
         match self {
             Lane::Experiments | Lane::Recordings => limits(1, 256, 0),
@@ -84,7 +84,11 @@ impl Lane {
             Lane::Measures => limits(1, 256, 10),
             Lane::Exports => limits(2, 64, 10),
             // A replay that is metered, one that is not, and a fork.
-            Lane::Replays => limits(3.max(cores() / 2), 32, 15),
+            Lane::Replays => Limits {
+                // One long history may delay the next `verify`, which waits for a minute by default.
+                waiting: Duration::from_secs(30),
+                ..limits(3.max(cores() / 2), 32, 15)
+            },
         }
     }
 }
@@ -260,9 +264,9 @@ pub struct Status {
 }
 
 impl Status {
-    /// Whether a task has been queued for too long. A replay may be: its status has its progress.
+    /// Whether a task has been queued for too long.
     pub fn is_behind(&self) -> bool {
-        self.lane != Lane::Replays && self.waiting > MAX_WAITING
+        self.waiting > self.lane.limits().waiting
     }
 }
 
@@ -401,17 +405,21 @@ impl OneLane {
     }
 
     fn status(&self) -> Status {
-        let state = self.state.lock();
+        let mut state = self.state.lock();
+        let unwanted = state.sweep();
         let ages = state.running.values().map(|it| it.seen.elapsed());
         let waiting = state.queue.iter().map(|it| it.since.elapsed());
-        Status {
+        let status = Status {
             lane: self.lane,
             counts: state.counts,
             queued: state.queue.len(),
             running: state.running.len(),
             waiting: waiting.max().unwrap_or_default(),
             stuck: ages.max().filter(|age| *age > self.limits.longest),
-        }
+        };
+        drop(state);
+        drop(unwanted);
+        status
     }
 }
 
@@ -674,6 +682,40 @@ mod tests {
         assert_eq!(received(&done, 1), ["ended"]);
         drop(sender);
         assert!(done.recv_timeout(LONG).is_err());
+    }
+
+    #[test]
+    fn a_lane_is_behind_once_a_task_has_waited_for_long() {
+        for lane in Lane::ALL {
+            let is_behind = |secs| {
+                let status = Status {
+                    lane,
+                    counts: Counts::default(),
+                    queued: 1,
+                    running: 1,
+                    waiting: Duration::from_secs(secs),
+                    stuck: None,
+                };
+                status.is_behind()
+            };
+            let limit = if lane == Lane::Replays { 30 } else { 10 };
+            assert!(!is_behind(limit) && is_behind(limit + 1), "{lane:?}");
+        }
+    }
+
+    #[test]
+    fn what_nobody_waits_for_is_not_counted_as_waiting() {
+        let (lanes, _release) = occupied(Lane::Replays);
+        let is_wanted = Arc::new(AtomicBool::new(true));
+        let wanted = is_wanted.clone();
+        let task = Task::new(&"ada".into(), |_| {});
+        let task = task.while_wanted(move || wanted.load(Ordering::Relaxed));
+        lanes.submit(Lane::Replays, task).unwrap();
+        let replays = || lanes.status()[Lane::Replays as usize];
+        assert_eq!((replays().queued, replays().counts.dropped), (1, 0));
+        is_wanted.store(false, Ordering::Relaxed);
+        assert_eq!((replays().queued, replays().counts.dropped), (0, 1));
+        lanes.stop();
     }
 
     #[test]

@@ -59,7 +59,7 @@ pub enum ErrorCode {
     PermissionDenied,
     /// The disk is full.
     StorageFull,
-    /// Not executed within `timeout_secs`; the daemon continues with it.
+    /// Not executed within `timeout_secs`; the message states whether the daemon continues with it.
     DeadlineExceeded,
     /// The swarm faulted while the command ran.
     Faulted,

@@ -348,7 +348,7 @@ pub struct AuditLine {
 /// How commands ended.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct AuditOutcome {
-    /// `ok`, or the code of the error.
+    /// `ok`, the code of the error, or `abandoned` of a command that ended because its client was gone.
     pub outcome: String,
     /// How many commands ended so.
     pub count: u64,

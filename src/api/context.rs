@@ -205,28 +205,35 @@ impl Context {
     }
 
     /// The first steps of a command of the daemon: parses its arguments, looks up its id and sets
-    /// its deadline. `None` if it is a duplicate, which gets the first reply.
+    /// its deadline, at which it ends without an id if `ends` of its arguments. `None` if it is a
+    /// duplicate, which gets the first reply.
     pub(super) fn begin<A: Arguments>(
         &self,
         verb: &'static str,
         command: &Parsed<'_>,
         default_timeout: Duration,
+        ends: fn(&A) -> bool,
     ) -> Result<Option<A>, CommandError> {
         let Parsed {
             request, responder, ..
         } = *command;
         reject_preconditions(request)?;
         commands::sender(verb, request)?;
-        let args = request.args()?;
+        let args: A = request.args()?;
         let timeout = match request.timeout_secs {
             Some(_) => commands::timeout(request)?,
             None => default_timeout,
         };
-        let is_new = self.is_new(command.identity(), responder)?;
+        let identity = command.identity();
+        let late = match identity.is_none() && ends(&args) {
+            true => CommandError::ended,
+            false => CommandError::node_deadline,
+        };
+        let is_new = self.is_new(identity, responder)?;
         if is_new {
             self.audit(command.key, request, responder);
         }
-        responder.set_deadline(timeout, CommandError::deadline, None);
+        responder.set_deadline(timeout, late, None);
         Ok(is_new.then_some(args))
     }
 

@@ -1,7 +1,7 @@
 //! Requests of clients: permission, idempotency, deadlines, execution and replies.
 //!
 //! A transport passes each request to [`Context::handle`](context::Context::handle). A handler in
-//! [`commands`] or [`queries`] parses it, sends a message to a swarm or a job to an executor, and
+//! [`commands`] or [`queries`] parses it, sends a message to a swarm or a task to a lane, and
 //! replies by a [`Responder`](responder::Responder).
 
 pub mod admission;

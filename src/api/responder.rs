@@ -350,8 +350,13 @@ impl Drop for Pending {
         let is_wanted = self.is_wanted();
         let has_reply = self.incoming.lock().is_none();
         // After the restart the journal is replayed, which produces the reply.
-        let is_closing = self.replies.is_closing.load(Ordering::Acquire);
-        if is_closing || (!is_wanted && slot.is_none()) {
+        if self.replies.is_closing.load(Ordering::Acquire) {
+            return;
+        }
+        if !is_wanted && slot.is_none() {
+            if let (false, Some(audit)) = (has_reply, self.audit.get()) {
+                audit.lock().finish(audit::ABANDONED);
+            }
             return;
         }
         if !has_reply {

@@ -7,7 +7,6 @@ use crate::persistence::journal_reader::JournalReader;
 use crate::store::{CheckpointInfo, Store};
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::command::Command;
-use crate::swarm::error::SwarmError;
 use crate::swarm::handle::ReplyTo;
 use crate::swarm::journal::{GoesOn, OnProgress, Replayed};
 use crate::swarm::phase::Phase;
@@ -15,19 +14,18 @@ use crate::swarm::worker::replay::{ReplaySource, ReplayTarget};
 
 /// Replays the journal of a swarm from its oldest readable checkpoint up to its step in `present`, or up
 /// to the last hash if it moves. Passes the replayed fraction (0 to 1) to `on_progress`. Returns the first
-/// step, the final state and what the replay found.
+/// step, the final state and what the replay found; `None` if it was not to go on.
 ///
 /// # Errors
 ///
-/// [`CommandError::History`] if the checkpoint or the journal is damaged or no longer stored, and
-/// [`SwarmError::Gone`] if it was not to go on.
+/// [`CommandError::History`] if the checkpoint or the journal is damaged or no longer stored.
 pub fn replay_all(
     store: &Store,
     swarm: &str,
     present: &Checkpoint,
     on_progress: impl Fn(f64) + Send + 'static,
     goes_on: GoesOn,
-) -> Result<(u64, Checkpoint, Replayed), CommandError> {
+) -> Result<Option<(u64, Checkpoint, Replayed)>, CommandError> {
     let mut checkpoints = stored_checkpoints(store, swarm)?;
     checkpoints.reverse();
     let checkpoint = first_readable(store, swarm, checkpoints)?;
@@ -41,27 +39,28 @@ pub fn replay_all(
     let all = present.lines.saturating_sub(after) as f64;
     let on_progress: OnProgress =
         Box::new(move |line| on_progress((line - after - 1) as f64 / all));
-    let (end, replayed) = replay(checkpoint, lines, to, Some(on_progress), goes_on)?;
+    let Some((end, replayed)) = replay(checkpoint, lines, to, Some(on_progress), goes_on)? else {
+        return Ok(None);
+    };
     let is_there = present.phase.is_moving() || position(&end) == (epoch, step);
     if replayed.differs_at.is_none() && !is_there {
         return Err(not_on_disk(step, &end));
     }
-    Ok((from, end, replayed))
+    Ok(Some((from, end, replayed)))
 }
 
 /// Replays the journal of a swarm from the last checkpoint before `step`. Returns the state on arrival
-/// at `step` in the last run, before the commands that were executed there.
+/// at `step` in the last run, before the commands that were executed there; `None` if it was not to go on.
 ///
 /// # Errors
 ///
-/// [`CommandError::History`] if the checkpoint or the journal is damaged or no longer stored, and
-/// [`SwarmError::Gone`] if it was not to go on.
+/// [`CommandError::History`] if the checkpoint or the journal is damaged or no longer stored.
 pub fn replay_to(
     store: &Store,
     swarm: &str,
     step: u64,
     goes_on: GoesOn,
-) -> Result<Checkpoint, CommandError> {
+) -> Result<Option<Checkpoint>, CommandError> {
     let mut checkpoints = stored_checkpoints(store, swarm)?;
     checkpoints.retain(|it| it.step <= step);
     // One at `step` itself may contain commands that were executed there, but the oldest does not: it
@@ -81,13 +80,15 @@ pub fn replay_to(
         }
     }
     let (lines, to) = (lines(), ReplayTarget::Step(step, last_reset));
-    let (end, replayed) = replay(checkpoint, lines, to, None, goes_on)?;
+    let Some((end, replayed)) = replay(checkpoint, lines, to, None, goes_on)? else {
+        return Ok(None);
+    };
     match &end.phase {
         Phase::Faulted(reason) if replayed.differs_at.is_some() => {
             Err(CommandError::History(reason.clone()))
         }
         _ if position(&end).1 != step => Err(not_on_disk(step, &end)),
-        _ => Ok(end),
+        _ => Ok(Some(end)),
     }
 }
 
@@ -120,13 +121,14 @@ pub(super) fn first_readable(
     Err(CommandError::History(problem))
 }
 
+/// Replays the lines. `None` if that was not to go on.
 fn replay(
     checkpoint: Checkpoint,
     lines: JournalReader,
     to: ReplayTarget,
     on_progress: Option<OnProgress>,
     goes_on: GoesOn,
-) -> Result<(Checkpoint, Replayed), CommandError> {
+) -> Result<Option<(Checkpoint, Replayed)>, CommandError> {
     let source = ReplaySource {
         checkpoint,
         lines: Box::new(lines.map(|line| line.map_err(|it| it.to_string()))),
@@ -138,11 +140,11 @@ fn replay(
     };
     let (end, mut replayed) = source.replay();
     if replayed.is_cancelled {
-        return Err(SwarmError::Gone.into());
+        return Ok(None);
     }
     match replayed.problem.take() {
         Some(problem) => Err(CommandError::History(problem)),
-        None => Ok((end, replayed)),
+        None => Ok(Some((end, replayed))),
     }
 }
 

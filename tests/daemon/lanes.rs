@@ -1,7 +1,8 @@
 //! Work that takes long delays no work of another kind, and ends with its clients.
 
+use std::collections::BTreeMap;
 use std::io::{Read as _, Write as _};
-use std::net::TcpStream;
+use std::net::{Shutdown, TcpStream};
 use std::time::{Duration, Instant};
 
 use jostle_proto::{ErrorCode, keys};
@@ -9,10 +10,10 @@ use serde_json::{Value, json};
 use zenoh::bytes::Encoding;
 
 use crate::experiments::{ok, submit};
-use crate::support::daemon_process::DaemonProcess;
+use crate::support::daemon_process::{self, DaemonProcess};
 use crate::support::http::{get, of_daemon};
 use crate::support::limited_daemon::LimitedDaemon;
-use crate::support::recording::start_daemon;
+use crate::support::recording::{self, start_daemon};
 use crate::support::{Client, Daemon, NODE, PREFIX, result_of, until, until_within};
 
 /// The bound for what is never to wait behind long work.
@@ -30,6 +31,14 @@ async fn swarms(client: &Client) -> Vec<String> {
     let swarms: Vec<Value> = serde_json::from_value(swarms).unwrap();
     let names = swarms.iter().map(|it| it["swarm"].as_str().unwrap());
     names.map(str::to_owned).collect()
+}
+
+/// A metric of the lane of replays.
+fn lane(address: &str, what: &str) -> f64 {
+    let (_, _, text) = get(address, "/metrics");
+    let name = format!("jostle_lane_{what}{{lane=\"replays\"}} ");
+    let line = text.lines().find_map(|line| line.strip_prefix(&name));
+    line.unwrap().parse().unwrap()
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -111,6 +120,200 @@ async fn forks_at_once_are_bounded_and_create_nothing_without_their_clients() {
     let mut there = swarms(&client).await;
     there.sort();
     assert_eq!(there, expected);
+
+    // The audit log has the outcome that the client got, also of the fork that was under way.
+    let codes = [
+        ("ok", expected.len() - 1),
+        ("deadline_exceeded", late),
+        ("busy", busy),
+    ];
+    let codes = codes.map(|(code, count)| (code.to_owned(), count as u64));
+    until("the audit log has the outcomes", async || {
+        let audit = client.node("audit").await["lines"].take();
+        let forks = audit.as_array().unwrap().iter();
+        let forks = forks.filter(|line| line["verb"] == "fork");
+        let mut outcomes = BTreeMap::new();
+        for outcome in forks.flat_map(|line| line["outcomes"].as_array().unwrap()) {
+            let code = outcome["outcome"].as_str().unwrap().to_owned();
+            *outcomes.entry(code).or_default() += outcome["count"].as_u64().unwrap();
+        }
+        outcomes == BTreeMap::from(codes.clone())
+    })
+    .await;
+    process.kill();
+}
+
+/// How a client closes its connection before it has a reply.
+#[derive(Clone, Copy, Debug)]
+enum End {
+    Close,
+    /// The client has asked for the connection to be closed after the reply.
+    CloseWithoutKeepAlive,
+    HalfClose,
+}
+
+/// Sends a command over HTTP, and closes the connection before the reply.
+fn post_and_close(daemon: &LimitedDaemon, path: &str, request: &Value, end: End) {
+    let (address, token, body) = (daemon.address, &daemon.token, request.to_string());
+    let connection = match end {
+        End::CloseWithoutKeepAlive => "Connection: close\r\n",
+        _ => "",
+    };
+    let request = format!(
+        "POST /api/{path} HTTP/1.1\r\nHost: {address}\r\n{connection}Authorization: Bearer {token}\r\n\
+         Content-Length: {}\r\n\r\n{body}",
+        body.len()
+    );
+    let mut stream = TcpStream::connect(address).unwrap();
+    stream.write_all(request.as_bytes()).unwrap();
+    stream.set_nonblocking(true).unwrap();
+    std::thread::sleep(Duration::from_millis(100));
+    let early = stream.read(&mut [0; 64]);
+    assert!(early.is_err(), "the reply came first: {early:?}");
+    if matches!(end, End::HalfClose) {
+        stream.shutdown(Shutdown::Write).unwrap();
+        stream.set_nonblocking(false).unwrap();
+        let mut reply = String::new();
+        // Closed without a reply.
+        let _ = stream.read_to_string(&mut reply);
+        assert_eq!(reply, "");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_fork_and_a_replay_end_when_their_http_connection_does() {
+    let points = "lane-replays=sleep(1000);lane-files=sleep(1000)";
+    let daemon = LimitedDaemon::serve("http", points);
+    let client = Client::open(&daemon.endpoint).await;
+    recording::begin(&client, "a", "tape").await;
+    client.ok("a", "step", json!({"steps": 100})).await;
+    recording::stop(&client, "tape").await;
+    let ends = [End::Close, End::CloseWithoutKeepAlive, End::HalfClose];
+    let mut number = 0;
+    for end in ends {
+        let fork = json!({"name": format!("fork-{end:?}").to_lowercase(), "step": 50});
+        let open = json!({"name": format!("open-{end:?}").to_lowercase(), "recording": "tape"});
+        for (path, args) in [("cmd/a/fork", fork), ("node/replay", json!({"open": open}))] {
+            let request = json!({"timeout_secs": 60, "args": args});
+            post_and_close(&daemon, path, &request, end);
+            number += 1;
+        }
+    }
+    // What does not wait for its client is executed all the same.
+    let kept = json!({"name": "kept", "step": 50});
+    let kept = json!({"request_id": "1", "timeout_secs": 60, "args": kept});
+    post_and_close(&daemon, "cmd/a/fork", &kept, End::Close);
+    until("the fork with an id is created", async || {
+        swarms(&client).await.contains(&"kept".to_owned())
+    })
+    .await;
+    until("the others have ended", async || {
+        let mut ended = 0.0;
+        for lane in ["replays", "files"] {
+            for what in ["executed", "dropped"] {
+                let name = format!("jostle_lane_{what}_total{{lane=\"{lane}\"}}");
+                ended += daemon.metric(&name).await;
+            }
+        }
+        ended >= f64::from(number) + 1.0
+    })
+    .await;
+    assert_eq!(swarms(&client).await, ["a", "kept"]);
+    let mut audit = client.node("audit").await["lines"].take();
+    let lines = audit.as_array_mut().unwrap();
+    lines.retain(|line| line["name"] != "a" && line["name"] != "tape");
+    assert_eq!(lines.len(), 7, "{lines:?}");
+    for line in lines {
+        let expected = if line["name"] == "kept" {
+            "ok"
+        } else {
+            "abandoned"
+        };
+        assert_eq!(line["outcomes"][0]["outcome"], expected, "{line}");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_verify_of_a_client_that_is_gone_ends_at_its_deadline() {
+    let daemon = Daemon::start().await;
+    let (client, address) = (&daemon.client, of_daemon(&daemon));
+    client.create("a", json!({"n": 50, "rate": null})).await;
+    let long = json!({"timeout_secs": 60, "args": {"steps": 40_000}});
+    client.ok("a", "step", long).await;
+    let gone = daemon.another_client().await;
+    let key = keys::get(PREFIX, "a", "verify");
+    for _ in 0..8 {
+        let query = gone.session.get(format!("{key}?timeout_secs=1"));
+        query.timeout(Duration::from_secs(60)).await.unwrap();
+    }
+    until("they are under way", async || {
+        lane(&address, "running") + lane(&address, "queued") >= 8.0
+    })
+    .await;
+    gone.session.close().await.unwrap();
+    until_within(PROMPT * 2, "the replays end", async || {
+        lane(&address, "running") + lane(&address, "queued") == 0.0
+    })
+    .await;
+    let dropped = lane(&address, "dropped_total");
+    assert!(dropped >= 6.0, "{dropped} dropped");
+
+    let error = client.query(&format!("{key}?timeout_secs=0.2"), None).await;
+    let error = error.unwrap_err();
+    assert_eq!(error.code, ErrorCode::DeadlineExceeded, "{error:?}");
+    assert_eq!(error.details["after_secs"], 0.2, "{error:?}");
+    assert_eq!(
+        error.message,
+        "not done within 0.2 s: the replay has ended; timeout_secs waits longer"
+    );
+    for invalid in ["0", "3601", "soon", "nan"] {
+        let selector = format!("{key}?timeout_secs={invalid}");
+        let error = client.query(&selector, None).await.unwrap_err();
+        assert_eq!(error.code, ErrorCode::InvalidArgument, "{error:?}");
+        assert_eq!(error.details["field"], "timeout_secs", "{error:?}");
+    }
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_deadline_says_what_becomes_of_the_work() {
+    let points = "lane-replays=sleep(1000);lane-files=sleep(1000);lane-experiments=sleep(1000)";
+    let (mut process, client, _data) = start(points).await;
+    client.create("a", json!({"n": 5})).await;
+    client.ok("a", "step", json!({"steps": 100})).await;
+    let fork = |id: Option<&str>, name: &str| {
+        let args = json!({"name": name, "step": 50});
+        let request = json!({"request_id": id, "timeout_secs": 0.1, "args": args}).to_string();
+        (keys::cmd(PREFIX, "a", "fork"), Some(request))
+    };
+    let node = |verb: &str, id: Option<&str>, args: Value| {
+        let request = json!({"request_id": id, "timeout_secs": 0.1, "args": args}).to_string();
+        (keys::node_cmd(PREFIX, NODE, verb), Some(request))
+    };
+    let open = json!({"open": {"name": "b", "recording": "none"}});
+    let cancel = json!({"cancel": {"name": "none"}});
+    let (ended, goes_on) = ("created nothing", "the work goes on");
+    for ((key, request), expected) in [
+        (fork(None, "f"), ended),
+        (fork(Some("1"), "g"), goes_on),
+        (node("replay", None, open.clone()), ended),
+        (node("replay", Some("2"), open), goes_on),
+        (node("experiment", None, cancel), goes_on),
+        (
+            (
+                format!("{}?timeout_secs=0.1", keys::get(PREFIX, "a", "verify")),
+                None,
+            ),
+            "the replay has ended",
+        ),
+    ] {
+        let reply = client.query(&key, request.as_deref().map(str::as_bytes));
+        let error = reply.await.unwrap_err();
+        assert_eq!(error.code, ErrorCode::DeadlineExceeded, "{key}: {error:?}");
+        assert!(error.message.contains(expected), "{key}: {error:?}");
+        // `get/wait` is of a swarm, and waits for none of these.
+        assert!(!error.message.contains("get/wait"), "{key}: {error:?}");
+    }
     process.kill();
 }
 
@@ -128,26 +331,18 @@ async fn a_verify_ends_when_its_http_connection_does() {
         stream.write_all(request.as_bytes()).unwrap();
         streams.push(stream);
     }
-    let lane = |what: &str| {
-        let (_, _, text) = get(&address, "/metrics");
-        let name = format!("jostle_lane_{what}{{lane=\"replays\"}} ");
-        let line = text.lines().find_map(|line| line.strip_prefix(&name));
-        line.unwrap().parse::<f64>().unwrap()
-    };
     until("they are under way", async || {
-        lane("running") + lane("queued") >= 8.0
+        lane(&address, "running") + lane(&address, "queued") >= 8.0
     })
     .await;
     drop(streams);
     until_within(PROMPT, "the replays end", async || {
-        lane("running") + lane("queued") == 0.0
+        lane(&address, "running") + lane(&address, "queued") == 0.0
     })
     .await;
-    let ended = lane("dropped_total") + lane("executed_total");
-    assert!(
-        ended >= 8.0 && lane("dropped_total") >= 6.0,
-        "{ended} ended"
-    );
+    let dropped = lane(&address, "dropped_total");
+    let ended = dropped + lane(&address, "executed_total");
+    assert!(ended >= 8.0 && dropped >= 6.0, "{ended} ended");
     let status = client.get("a", "status").await;
     assert_eq!(status["result"]["verifying"], Value::Null);
     daemon.stop().await;
@@ -178,4 +373,37 @@ async fn an_http_request_waits_for_its_own_deadline() {
     let error: Value = serde_json::from_str(body).unwrap();
     assert_eq!(error["code"], "deadline_exceeded", "{error}");
     assert_eq!(error["details"]["after_secs"], 100.0, "{error}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_client_that_disconnects_early_leaves_no_error_in_the_log() {
+    let data = tempfile::tempdir().unwrap();
+    let mut command = daemon_process::daemon(data.path());
+    let points = "lane-files=sleep(500)";
+    command
+        .env("JOSTLED_HTTP", "127.0.0.1:0")
+        .env("FAILPOINTS", points);
+    let mut process = DaemonProcess::start(&mut command).unwrap();
+    let client = Client::open(&process.endpoint).await;
+    client.create("a", json!({"n": 5})).await;
+    let hello = client.node("hello").await;
+    let address = hello["http"].as_str().unwrap().replace("http://", "");
+    for _ in 0..4 {
+        let mut stream = TcpStream::connect(&address).unwrap();
+        let request = format!("GET /api/get/a/get/journal HTTP/1.1\r\nHost: {address}\r\n\r\n");
+        stream.write_all(request.as_bytes()).unwrap();
+        std::thread::sleep(Duration::from_millis(50));
+    }
+    // Two were under way when their connections were closed, and are replied to all the same.
+    let name = "jostle_lane_executed_total{lane=\"files\"} 2";
+    until("the pages are read", async || {
+        get(&address, "/metrics").2.contains(name)
+    })
+    .await;
+    // The replies are sent in order, so those of the pages are sent before this one.
+    client.get("a", "status").await;
+    process.stop();
+    process.end();
+    let log = daemon_process::log(data.path());
+    assert!(!log.contains("ERROR"), "{log}");
 }

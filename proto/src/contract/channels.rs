@@ -205,12 +205,17 @@ pub const CHANNELS: &[Channel] = &{
             "Everything that the swarm's next steps depend on, as CBOR. A daemon of the same \
              model version can restore it.",
         ),
-        plain(
-            "{swarm}/get/verify",
-            Get("verify.reply"),
-            "Whether a replay of the swarm's journal gives the same hashes. The reply takes as \
-             long as the replay.",
-        ),
+        Channel {
+            key: "{swarm}/get/verify",
+            kind: Get("verify.reply"),
+            doc: "Whether a replay of the swarm's journal gives the same hashes. The reply takes as \
+                  long as the replay.",
+            parameters: &[(
+                "timeout_secs",
+                "a number above 0, at most 3600, 60 by default: the replay ends after this time, and \
+                 the reply is `deadline_exceeded`",
+            )],
+        },
         Channel {
             key: "{swarm}/get/experiment",
             kind: Get("experiment.file.reply"),

@@ -35,7 +35,8 @@ impl Context {
             turn: self.turn(incoming, swarm),
             user: self.user(incoming),
         };
-        let begun = self.begin("fork", &command, DEFAULT_TIMEOUT)?;
+        let at_step = |args: &ForkArgs| args.step.is_some();
+        let begun = self.begin("fork", &command, DEFAULT_TIMEOUT, at_step)?;
         let Some(ForkArgs { name, step }) = begun else {
             return Ok(());
         };
@@ -56,7 +57,9 @@ impl Context {
                     Self::creation(&command.turn, identity.as_ref(), responder, move |ticket| {
                         let goes_on = Box::new(move || ticket.goes_on());
                         match replay::replay_to(&store, &of, step, goes_on) {
-                            Ok(checkpoint) if fork.is_to_be_created() => fork.create(checkpoint),
+                            Ok(Some(checkpoint)) if fork.is_to_be_created() => {
+                                fork.create(checkpoint);
+                            }
                             Ok(_) => {}
                             Err(error) => fork.responder.reject(&error, None),
                         }

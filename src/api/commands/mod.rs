@@ -167,7 +167,7 @@ impl Context {
         command: &Parsed<'_>,
         execute: fn(&Self, &Parsed<'_>, A) -> Result<(), CommandError>,
     ) -> Result<(), CommandError> {
-        match self.begin(verb, command, DEFAULT_TIMEOUT)? {
+        match self.begin(verb, command, DEFAULT_TIMEOUT, |_| false)? {
             Some(args) => execute(self, command, args),
             None => Ok(()),
         }

@@ -49,7 +49,11 @@ impl Context {
             })
         };
         let bytes = check().map_err(|error| error.within("upload".to_owned()))?;
-        responder.set_deadline(commands::timeout(request)?, CommandError::deadline, None);
+        responder.set_deadline(
+            commands::timeout(request)?,
+            CommandError::node_deadline,
+            None,
+        );
         let (node, responder) = (self.node.clone(), responder.clone());
         let uploads = self.uploads.clone();
         self.queue_command(Lane::Recordings, &command.turn, move || {
@@ -65,7 +69,7 @@ impl Context {
     }
 
     fn open(&self, args: OpenArgs, command: &Parsed<'_>) -> Result<(), CommandError> {
-        let begun = self.begin::<ReplayArgs>("replay", command, OPEN_TIMEOUT)?;
+        let begun = self.begin::<ReplayArgs>("replay", command, OPEN_TIMEOUT, |_| true)?;
         if begun.is_none() {
             return Ok(());
         }

@@ -18,7 +18,7 @@ impl Context {
     ) -> Result<(), CommandError> {
         self.rights.current().permit(&incoming.token, "audit")?;
         let filter = page_of_audit(incoming.parameters())?;
-        responder.set_deadline(DEFAULT_TIMEOUT, CommandError::deadline, None);
+        responder.set_deadline(DEFAULT_TIMEOUT, CommandError::read_deadline, None);
         let (node, store, reader) = (self.node.clone(), self.store.clone(), responder.clone());
         let turn = self.turn(incoming, "");
         self.queue_read(Lane::Files, &turn, responder, move || {

@@ -83,7 +83,7 @@ impl Context {
         name: &str,
         read: impl FnOnce(&ExperimentManager, &Responder) + Send + 'static,
     ) -> Result<(), CommandError> {
-        responder.set_deadline(READ_TIMEOUT, CommandError::deadline, None);
+        responder.set_deadline(READ_TIMEOUT, CommandError::read_deadline, None);
         let turn = self.turn(incoming, name);
         let (experiments, reader) = (self.experiments.clone(), responder.clone());
         self.queue_read(Lane::Files, &turn, responder, move || {

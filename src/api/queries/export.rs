@@ -85,7 +85,7 @@ impl Export {
             return Err(SwarmError::Recorded.into());
         }
         let responder = self.responder.clone();
-        responder.set_deadline(DEFAULT_TIMEOUT, CommandError::deadline, None);
+        responder.set_deadline(DEFAULT_TIMEOUT, CommandError::read_deadline, None);
         let turn = context.turn(incoming, &self.swarm);
         context.queue_read(Lane::Exports, &turn, &responder, move || {
             if let Err(error) = self.reply() {

@@ -24,7 +24,7 @@ impl Context {
         let handle = self.find(swarm)?;
         responder.set_deadline(
             DEFAULT_TIMEOUT,
-            CommandError::deadline,
+            CommandError::read_deadline,
             Some(handle.last_step()),
         );
         let (store, reader, swarm) = (self.store.clone(), responder.clone(), swarm.clone());

@@ -22,7 +22,7 @@ impl Context {
         let requested = measures::read(incoming.parameters())?;
         let handle = self.find(swarm)?;
         let last_step = Some(handle.last_step());
-        responder.set_deadline(DEFAULT_TIMEOUT, CommandError::deadline, last_step);
+        responder.set_deadline(DEFAULT_TIMEOUT, CommandError::read_deadline, last_step);
         let (name, responder) = (swarm.clone(), responder.clone());
         let (lanes, turn) = (self.lanes.clone(), self.turn(incoming, swarm));
         handle.send(Message::Query(ReplyTo::new(

@@ -17,7 +17,7 @@ impl Context {
         responder: &Responder,
     ) -> Result<(), CommandError> {
         incoming.no_parameters()?;
-        responder.set_deadline(DEFAULT_TIMEOUT, CommandError::deadline, None);
+        responder.set_deadline(DEFAULT_TIMEOUT, CommandError::read_deadline, None);
         let (node, recordings, reader) = (
             self.node.clone(),
             self.recordings.clone(),
@@ -58,7 +58,7 @@ impl Context {
             problem: "is missing: get/recordings lists the recordings",
         })?;
         check_name("name", &name)?;
-        responder.set_deadline(DEFAULT_TIMEOUT, CommandError::deadline, None);
+        responder.set_deadline(DEFAULT_TIMEOUT, CommandError::read_deadline, None);
         let (node, recordings, reader) = (
             self.node.clone(),
             self.recordings.clone(),

@@ -15,7 +15,7 @@ impl Context {
     pub(super) fn snapshot(&self, swarm: &Arc<str>, handle: &Handle, responder: &Responder) {
         responder.set_deadline(
             DEFAULT_TIMEOUT,
-            CommandError::deadline,
+            CommandError::read_deadline,
             Some(handle.last_step()),
         );
         // A daemon with the same limits must accept it: in base64, with a name.

@@ -74,11 +74,9 @@ impl Context {
                     };
                     export.begin(self, incoming)
                 }),
-                "verify" | "snapshot" => incoming.no_parameters().and_then(|()| {
-                    match noun {
-                        "verify" => return self.verify(swarm, incoming, &responder),
-                        _ => self.snapshot(swarm, &self.find(swarm)?, &responder),
-                    }
+                "verify" => self.verify(swarm, incoming, &responder),
+                "snapshot" => incoming.no_parameters().and_then(|()| {
+                    self.snapshot(swarm, &self.find(swarm)?, &responder);
                     Ok(())
                 }),
                 noun => self.get_noun(swarm, noun, incoming, &responder),
@@ -151,7 +149,7 @@ fn query_frame(
     let output = handle.output.clone();
     responder.send_to_swarm(
         handle,
-        (DEFAULT_TIMEOUT, CommandError::deadline),
+        (DEFAULT_TIMEOUT, CommandError::read_deadline),
         Message::Query,
         move |stamp, outcome| match outcome {
             Outcome::State(frame) => payload(&stamp, &frame),

@@ -10,7 +10,7 @@ use crate::api::context::Context;
 use crate::api::incoming::Incoming;
 use crate::api::responder::Responder;
 use crate::api::verifications::Verification;
-use crate::convert::commands::CommandError;
+use crate::convert::commands::{CommandError, check_timeout, selector};
 use crate::convert::{self, Payload};
 use crate::lanes::{Lane, Rank, Task, Ticket};
 use crate::persistence::replay;
@@ -20,8 +20,8 @@ use crate::swarm::error::SwarmError;
 use crate::swarm::handle::{Handle, Message, Outcome, Rejection, ReplyTo};
 use crate::swarm::journal::Replayed;
 
-/// The longest verification that the client waits for.
-const TIMEOUT: Duration = Duration::from_secs(3600);
+/// The default timeout, after which nobody may be waiting: zenoh does not report a client that is gone.
+const TIMEOUT: Duration = Duration::from_secs(60);
 
 /// A verification of a swarm.
 struct Verify {
@@ -45,7 +45,7 @@ impl Context {
             responder.reject(&SwarmError::Recorded.into(), handle.step());
             return Ok(());
         }
-        responder.set_deadline(TIMEOUT, CommandError::deadline, None);
+        responder.set_deadline(timeout(incoming)?, CommandError::verify_deadline, None);
         let rank = match self.is_operator(incoming) {
             true => Rank::Second,
             false => Rank::Metered,
@@ -70,14 +70,27 @@ impl Context {
     }
 }
 
+/// Reads the parameter of the query.
+fn timeout(incoming: &Incoming) -> Result<Duration, CommandError> {
+    let parameters = selector(incoming.parameters(), &["timeout_secs"])?;
+    let Some((name, value)) = parameters.first() else {
+        return Ok(TIMEOUT);
+    };
+    let secs = value.parse();
+    check_timeout(secs.map_err(|_| CommandError::field(name, "is not a number"))?)
+}
+
 impl Verify {
-    /// Replays the history, and replies unless that fails.
+    /// Replays the history, and replies unless that fails or nobody waits any more.
     fn reply(&self, own: Verification, ticket: Ticket) -> Result<(), CommandError> {
         let present = present(&self.handle)?;
         let on_progress = move |share| own.advance(share);
         let goes_on = Box::new(move || ticket.goes_on());
-        let (from, end, replayed) =
+        let replayed =
             replay::replay_all(&self.store, &self.swarm, &present, on_progress, goes_on)?;
+        let Some((from, end, replayed)) = replayed else {
+            return Ok(());
+        };
         let verified = verified(from, &end, &replayed, &present);
         let (swarm, responder) = (self.swarm.clone(), self.responder.clone());
         self.handle
@@ -124,5 +137,18 @@ fn verified(
         hashes: replayed.same + u64::from(replayed.differs_at.is_some()) + u64::from(now.is_some()),
         differs_at: differs_at.map(|(_, step)| step),
         differs_in_epoch: differs_at.map(|(epoch, _)| epoch),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::api::incoming::fixture::request;
+
+    #[test]
+    fn a_verify_without_a_timeout_ends_after_a_minute() {
+        let (incoming, _replies) = request(false);
+        let timeout = timeout(&incoming).ok();
+        assert_eq!(timeout, Some(Duration::from_secs(60)));
     }
 }

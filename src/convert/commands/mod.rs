@@ -140,8 +140,19 @@ fn controller(request: &Request) -> Result<String, CommandError> {
 pub fn timeout(request: &Request) -> Result<Duration, CommandError> {
     match request.timeout_secs {
         None => Ok(DEFAULT_TIMEOUT),
-        Some(secs) if secs > 0.0 && secs <= MAX_TIMEOUT_SECS => Ok(duration(secs)),
-        Some(secs) => Err(WireError::out_of_range("timeout_secs", secs).into()),
+        Some(secs) => check_timeout(secs),
+    }
+}
+
+/// Checks a timeout.
+///
+/// # Errors
+///
+/// [`WireError::OutOfRange`].
+pub fn check_timeout(secs: f64) -> Result<Duration, CommandError> {
+    match secs > 0.0 && secs <= MAX_TIMEOUT_SECS {
+        true => Ok(duration(secs)),
+        false => Err(WireError::out_of_range("timeout_secs", secs).into()),
     }
 }
 

@@ -144,11 +144,12 @@ pub enum CommandError {
          the machine was suspended: try again in half a second"
     )]
     HandingOver,
-    #[error(
-        "not done within {after_secs} s: the work goes on; get/wait replies when it is done, \
-         timeout_secs waits longer"
-    )]
-    Deadline { after_secs: f64 },
+    #[error("not done within {after_secs} s: {remedy}")]
+    Deadline {
+        after_secs: f64,
+        /// What becomes of it, and what to do.
+        remedy: &'static str,
+    },
     #[error("condition not met within {after_secs} s: retry")]
     NotYet { after_secs: f64 },
     #[error(transparent)]
@@ -180,9 +181,37 @@ impl CommandError {
         CommandError::Field { field, problem }
     }
 
-    /// The request was not executed within `after_secs`.
+    /// A command of a swarm was not executed within `after_secs`.
     pub fn deadline(after_secs: f64) -> Self {
-        CommandError::Deadline { after_secs }
+        let remedy =
+            "the work goes on; get/wait replies when it is done, timeout_secs waits longer";
+        CommandError::Deadline { after_secs, remedy }
+    }
+
+    /// A command of the daemon was not executed within `after_secs`.
+    pub fn node_deadline(after_secs: f64) -> Self {
+        let remedy = "the work goes on; the same request gets the reply if it has a request_id, \
+                      timeout_secs waits longer";
+        CommandError::Deadline { after_secs, remedy }
+    }
+
+    /// A command that creates a swarm, without an id, was not executed within `after_secs`.
+    pub fn ended(after_secs: f64) -> Self {
+        let remedy = "it has ended and created nothing; timeout_secs waits longer, and with a request_id \
+                      it goes on";
+        CommandError::Deadline { after_secs, remedy }
+    }
+
+    /// A query got no reply within `after_secs`.
+    pub fn read_deadline(after_secs: f64) -> Self {
+        let remedy = "the daemon or the swarm is busy; send the query again";
+        CommandError::Deadline { after_secs, remedy }
+    }
+
+    /// A verification took longer than `after_secs`.
+    pub fn verify_deadline(after_secs: f64) -> Self {
+        let remedy = "the replay has ended; timeout_secs waits longer";
+        CommandError::Deadline { after_secs, remedy }
     }
 
     /// The condition of a `wait` did not become true within `after_secs`.
@@ -326,7 +355,7 @@ impl WireCode for CommandError {
             CommandError::UnknownVerb { known, .. } | CommandError::UnknownNoun { known, .. } => {
                 object(json!({"known": known}))
             }
-            CommandError::Deadline { after_secs } | CommandError::NotYet { after_secs } => {
+            CommandError::Deadline { after_secs, .. } | CommandError::NotYet { after_secs } => {
                 object(json!({"after_secs": after_secs}))
             }
             CommandError::Limit(LimitError::Membership { verb, retry_secs }) => {

@@ -8,6 +8,7 @@ use axum::http::StatusCode;
 use axum::http::header::CONTENT_TYPE;
 use axum::response::{IntoResponse, Response};
 use jostle_proto::{Error, ErrorCode};
+use tokio::sync::mpsc;
 use tokio::task::spawn_blocking;
 use zenoh::bytes::Encoding;
 use zenoh::key_expr::KeyExpr;
@@ -54,6 +55,9 @@ impl Bus {
     /// Sends a query to one key, with selector parameters, an optional request in JSON and the token
     /// of the sender. The error is the response: `invalid_argument` for a wildcard, `not_found` without
     /// a reply.
+    ///
+    /// If the future is dropped once it was polled, because the client has disconnected, the query is sent
+    /// all the same, and [`OpenRequests`] has that its client is gone.
     pub async fn query(
         &self,
         rest: &str,
@@ -68,12 +72,14 @@ impl Bus {
             return Err(reject(ErrorCode::InvalidArgument, message));
         }
         let open = self.open.begin();
-        let own = format!("{PARAMETER}={}", open.number);
+        let own = format!("{PARAMETER}={}", open.name());
         let selector = match parameters {
             "" => format!("{key}?{own}"),
             parameters => format!("{key}?{parameters};{own}"),
         };
         let (session, token) = (self.session.clone(), token.map(str::to_owned));
+        // Not a channel of zenoh: that logs an error for each reply to a client that has disconnected.
+        let (first, mut replies) = mpsc::channel(1);
         let sending = move || {
             let mut query = session.get(selector).timeout(QUERY_TIMEOUT);
             if let Some(request) = request {
@@ -84,11 +90,15 @@ impl Bus {
             if let Some(token) = token {
                 query = query.attachment(token);
             }
-            query.wait()
+            let first = move |reply| {
+                // An error means that the client has disconnected.
+                let _ = first.try_send(reply);
+            };
+            query.callback(first).wait()
         };
         // zenoh blocks the thread that sends while it removes what a session has declared.
         let reply = match spawn_blocking(sending).await {
-            Ok(Ok(replies)) => replies.recv_async().await.ok(),
+            Ok(Ok(())) => replies.recv().await,
             _ => None,
         };
         let reply = reply.ok_or_else(|| {

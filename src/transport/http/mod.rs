@@ -329,13 +329,8 @@ async fn send(server: Arc<Server>, rest: String, request: Request) -> Result<Rep
     let body = read_body(request).await;
     server.authorize(server.credentials.may_command(&headers))?;
     let body = body?;
-    // A command is not cancelled when the client disconnects.
-    let reply = tokio::spawn(async move {
-        let token = server.credentials.token(&headers);
-        server.bus.query(&rest, "", Some(body), token).await
-    });
-    let stopping = |_| reject(ErrorCode::Internal, "the daemon is stopping");
-    reply.await.map_err(stopping)?
+    let token = server.credentials.token(&headers);
+    server.bus.query(&rest, "", Some(body), token).await
 }
 
 /// The swarm that a tab watches, in addition to the list.

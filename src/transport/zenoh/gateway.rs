@@ -188,8 +188,7 @@ fn received(
 ) -> Received {
     let bytes = |bytes: &ZBytes| bytes.to_bytes().into_owned();
     let parameters = query.parameters().iter();
-    let number = query.parameters().get(PARAMETER);
-    let number = number.and_then(|it| it.parse().ok());
+    let http = query.parameters().get(PARAMETER);
     Received {
         target: target.clone(),
         key: query.key_expr().as_str().to_owned(),
@@ -201,7 +200,7 @@ fn received(
         encoding: query.encoding().map(ToString::to_string),
         token: query.attachment().map(bytes).unwrap_or_default(),
         peer: Box::new(Connection {
-            is_gone: number.and_then(|it| open.is_gone(it)),
+            is_gone: http.and_then(|it| open.is_gone(it)),
             query,
             _guard: guard,
         }),

@@ -25,7 +25,8 @@ class AuditOutcome(HtmlStruct, frozen=True, kw_only=True):
     """How commands ended.
 
     Attributes:
-        outcome: `ok`, or the code of the error, such as `permission_denied`.
+        outcome: `ok`, the code of the error, such as `permission_denied`, or `abandoned` of a
+            command that ended because its client was gone.
         count: Number of commands that ended so.
     """
 
