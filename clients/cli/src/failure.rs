@@ -434,10 +434,18 @@ impl Display for Failure {
 }
 
 /// Requests and fields of the wire in the daemon's remedies, and their names here.
-const REMEDIES: [(&str, &str); 8] = [
+const REMEDIES: [(&str, &str); 10] = [
     (
         "the work goes on; get/wait replies when it is done, timeout_secs waits longer",
         "it continues; `jostle status` shows it, and a longer --timeout waits longer",
+    ),
+    (
+        "the work goes on; the same request gets the reply if it has a request_id, timeout_secs waits longer",
+        "it continues; a longer --timeout waits longer",
+    ),
+    (
+        "the replay has ended; timeout_secs waits longer",
+        "the replay has ended; a longer --timeout waits longer",
     ),
     (
         "the node's get/swarms lists what there is",
@@ -552,6 +560,15 @@ mod tests {
                  timeout_secs waits longer",
                 "not done within 1 s: it continues; `jostle status` shows it, and a longer \
                  --timeout waits longer",
+            ),
+            (
+                "not done within 1 s: the work goes on; the same request gets the reply if it has a \
+                 request_id, timeout_secs waits longer",
+                "not done within 1 s: it continues; a longer --timeout waits longer",
+            ),
+            (
+                "not done within 1 s: the replay has ended; timeout_secs waits longer",
+                "not done within 1 s: the replay has ended; a longer --timeout waits longer",
             ),
             (
                 "there is no swarm \"a\": the node's get/swarms lists what there is",

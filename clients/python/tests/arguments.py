@@ -94,7 +94,6 @@ NOT_SENT: dict[tuple[str, str], str] = {
     ("Swarm.states", "timeout"): "ends the wait on this machine: test_timeouts.py",
     ("Swarm.orders", "timeout"): "ends the wait on this machine: test_timeouts.py",
     ("Swarm.events", "timeout"): "ends the wait on this machine: test_timeouts.py",
-    ("Swarm.verify", "timeout"): "ends the wait on this machine: test_timeouts.py",
     ("local", "show"): _PICTURE,
     ("View.wait", "timeout"): _PICTURE,
     ("Swarm.view", "seconds"): _PICTURE,

@@ -158,7 +158,8 @@ QUESTIONS = [
     ),
     Row("Swarm.controllers", call(), [get("get/controllers")]),
     Row("Swarm.snapshot", call(), [get("get/snapshot")]),
-    Row("Swarm.verify", call(), [get("get/verify")]),
+    Row("Swarm.verify", call(), [get("get/verify?timeout_secs=3600.000")]),
+    Row("Swarm.verify", call(timeout=2), [get("get/verify?timeout_secs=2.000")]),
     Row("Swarm.as_experiment", call(), [get("get/experiment")]),
     Row(
         "Swarm.as_experiment",

@@ -115,6 +115,14 @@ def test_a_history_is_verified(create: Create) -> None:
     assert swarm.status().history_from == jostle.HistoryFrom(epoch=1, step=0)
 
 
+def test_a_verification_ends_at_its_timeout_also_in_the_daemon(create: Create) -> None:
+    swarm = create(n=50)
+    swarm.step(40_000, timeout=60.0)
+    with pytest.raises(jostle.DeadlineExceeded, match=r"not done within 0\.2 s"):
+        swarm.verify(timeout=0.2)
+    eventually("the replay ends", lambda: swarm.status().verifying is None)
+
+
 def test_a_step_becomes_durable(create: Create) -> None:
     swarm = create(n=5)
     result = swarm.step(10)

@@ -120,7 +120,7 @@ pub enum Verb {
     Snapshot(SnapshotArguments),
     /// Creates a paused swarm from a snapshot file of the same model version
     Restore(RestoreArguments),
-    /// Replays the history of a swarm and compares state hashes
+    /// Replays the history of a swarm and compares state hashes; without --timeout for up to an hour
     Verify(SwarmArguments),
     /// Shows your identity and your permissions on the daemon
     Auth(AuthArguments),

@@ -105,7 +105,7 @@ async fn connected(global: GlobalArguments, output: Output, verb: Verb) -> Resul
         Verb::Watch(arguments) => watch::watch(&context, &arguments).await,
         Verb::Record(arguments) => record::record(&context, &arguments).await,
         Verb::Experiment(arguments) => experiment::experiment(&context, &arguments.what).await,
-        verb => interrupt::either(interruptible(&context, verb)).await,
+        verb => interrupt::either(interruptible(&context, verb, timeout)).await,
     };
     if !matches!(&outcome, Err(failure) if failure.code() == "interrupted") {
         context.client.close().await;
@@ -124,7 +124,7 @@ pub fn grace(verb: &Verb) -> Duration {
 }
 
 /// The verbs that end at once when interrupted.
-async fn interruptible(context: &Context, verb: Verb) -> Result<(), Failure> {
+async fn interruptible(context: &Context, verb: Verb, timeout: Option<f64>) -> Result<(), Failure> {
     match verb {
         Verb::Create(arguments) => create::create(context, &arguments).await,
         Verb::List => inspect::list(context).await,
@@ -153,11 +153,11 @@ async fn interruptible(context: &Context, verb: Verb) -> Result<(), Failure> {
         Verb::Fork(arguments) => fork::fork(context, &arguments).await,
         Verb::Snapshot(arguments) => snapshot::snapshot(context, &arguments).await,
         Verb::Restore(arguments) => restore::restore(context, &arguments).await,
+        Verb::Verify(arguments) => verify::verify(context, &arguments.name, timeout).await,
         Verb::Replay(arguments) => replay::replay(context, &arguments).await,
         Verb::Seek(arguments) => replay::seek(context, &arguments).await,
         Verb::Auth(arguments) => auth::auth(context, &arguments.what).await,
         Verb::Diff(arguments) => diff::diff(context, &arguments).await,
-        Verb::Verify(arguments) => verify::verify(context, &arguments.name).await,
         Verb::Plot(arguments) => plot::of_daemon(context, &arguments).await,
         Verb::Schema(arguments) => schema::schema(context, &arguments).await,
         Verb::Run(_)

@@ -3,25 +3,27 @@
 use std::time::Duration;
 
 use indicatif::ProgressBar;
-use jostle_client::{Client, Target};
-use jostle_proto::{Reply, Verified, keys};
+use jostle_client::{Client, Error, Payload, Target};
+use jostle_proto::{ErrorCode, Reply, Verified, keys};
 
 use crate::context::Context;
 use crate::failure::Failure;
 use crate::format;
 use crate::progress::{self, THOUSANDTHS};
 
-/// The timeout: longer than the daemon's own.
-const VERIFY_TIMEOUT: Duration = Duration::from_secs(3600 + 10);
+/// How long it may take, in seconds: the most that the daemon accepts.
+const MAX_SECS: f64 = 3600.0;
+
+/// How much longer than the daemon the client waits, so that it receives the daemon's error.
+const MARGIN: Duration = Duration::from_secs(1);
 
 /// How often the progress is queried.
 const PROGRESS_INTERVAL: Duration = Duration::from_millis(300);
 
-pub async fn verify(context: &Context, swarm: &str) -> Result<(), Failure> {
+/// Verifies a swarm, for at most `timeout` seconds if it is given.
+pub async fn verify(context: &Context, swarm: &str, timeout: Option<f64>) -> Result<(), Failure> {
     let Context { client, output } = context;
-    let key = keys::get(client.prefix(), swarm, "verify");
-    // Sent once: each query replays from the beginning.
-    let verified = client.query_once(Target::Swarm(swarm), &key, None, VERIFY_TIMEOUT);
+    let verified = verified(client, swarm, timeout.unwrap_or(MAX_SECS).min(MAX_SECS));
     let template = "verifying {prefix} {bar:30} {percent:>3}%  {elapsed}";
     let bar = progress::bar(*output, Some(THOUSANDTHS), template, swarm);
     let answer = tokio::select! {
@@ -43,6 +45,22 @@ pub async fn verify(context: &Context, swarm: &str) -> Result<(), Failure> {
             Err(Failure::new("mismatch", message).at_step(step))
         }
         None => Ok(()),
+    }
+}
+
+/// Queries the result. The query is sent once: each replays from the beginning.
+async fn verified(client: &Client, swarm: &str, secs: f64) -> Result<Payload, Error> {
+    let key = keys::get(client.prefix(), swarm, "verify");
+    let (target, timeout) = (Target::Swarm(swarm), Duration::from_secs_f64(secs) + MARGIN);
+    let selector = format!("{key}?timeout_secs={secs}");
+    match client.query_once(target, &selector, None, timeout).await {
+        // A daemon of an earlier version has no such parameter, and replays for up to an hour.
+        Err(Error::Rejected(error))
+            if error.code == ErrorCode::InvalidArgument && error.details.contains_key("known") =>
+        {
+            client.query_once(target, &key, None, timeout).await
+        }
+        replied => replied,
     }
 }
 

@@ -1,5 +1,7 @@
 //! Replayed histories.
 
+use std::time::{Duration, Instant};
+
 use serde_json::{Value, json};
 
 use crate::support::{Daemon, Impostor, object};
@@ -55,5 +57,50 @@ async fn a_history_with_another_hash_ends_with_code_9() {
         (&error["code"], &error["step"]),
         (&json!("mismatch"), &json!(700))
     );
+    impostor.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn verify_ends_at_its_timeout_also_in_the_daemon() {
+    let daemon = Daemon::start().await;
+    daemon.said("create a --n 50 --seed 2").await;
+    daemon.said("step a 40000 --timeout 60").await;
+    let began = Instant::now();
+    let ended = daemon.jostle("verify a --timeout 0.2").await;
+    assert!(began.elapsed() < Duration::from_secs(10), "{began:?}");
+    assert_eq!(ended.code, Some(6), "{ended:?}");
+    let expected = "not done within 0.2 s: the replay has ended; a longer --timeout waits longer";
+    assert!(ended.stderr.contains(expected), "{ended:?}");
+    // The replay ends at its next step.
+    let is_over = async || {
+        let status = object(&daemon.jostle("--json status a").await);
+        status["result"]["verifying"] == Value::Null
+    };
+    while !is_over().await {
+        assert!(began.elapsed() < Duration::from_secs(10), "{began:?}");
+    }
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_daemon_that_knows_no_timeout_of_a_verify_is_asked_without_it() {
+    let impostor = Impostor::start(&["jostle/demo/alive/a"], "jostle/x", "jostle/y").await;
+    let unknown = json!({
+        "code": "invalid_argument",
+        "message": "unknown parameter \"timeout_secs\": there are none",
+        "details": {"field": "timeout_secs", "known": []},
+        "step": null,
+    });
+    let reply = json!({
+        "swarm": "demo", "epoch": 1, "step": 900, "time": 18.0, "phase": "paused", "seq": 1,
+        "result": {"from_step": 0, "to_step": 900, "hashes": 3, "differs_at": null, "differs_in_epoch": null},
+    });
+    let received = impostor
+        .answer("jostle/demo/get/verify", vec![Err(unknown), Ok(reply)])
+        .await;
+    let ended = impostor.jostle("verify demo").await;
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+    assert!(ended.stdout.contains("demo is the same"), "{ended:?}");
+    assert_eq!(received.lock().unwrap().len(), 2);
     impostor.stop().await;
 }

@@ -58,8 +58,8 @@ _DISPLACED_WAIT_SECS = 0.5
 _FIRST_WAIT_SECS = 0.05
 # The interval of `get/wait` while a progress bar is shown.
 _BAR_INTERVAL_SECS = 0.25
-# The daemon replies that a verification takes longer after an hour.
-_VERIFY_TIMEOUT_SECS = 3610.0
+# How long a verification may take: the most that the daemon accepts.
+_MAX_VERIFY_SECS = 3600.0
 
 
 @dataclass
@@ -243,15 +243,24 @@ class Queries(Past):
         """Replays the stored history beside the swarm and compares the hashes.
 
         Args:
-            timeout: Seconds it may take; None is an hour.
+            timeout: Seconds it may take, at most an hour; None is an hour. The daemon ends the
+                replay then, also if this process has ended.
 
         Raises:
             Busy: Too many verifications are queued.
             Conflict: The history is damaged.
             DeadlineExceeded: It takes longer than `timeout`.
         """
-        seconds = _VERIFY_TIMEOUT_SECS if timeout is None else check_seconds("timeout", timeout)
-        return read_reply(self._get("get/verify", timeout=seconds), Verified)
+        seconds = _MAX_VERIFY_SECS if timeout is None else check_seconds("timeout", timeout)
+        seconds = max(min(seconds, _MAX_VERIFY_SECS), 0.001)
+        try:
+            payload = self._get(f"get/verify?timeout_secs={seconds:.3f}", timeout=seconds)
+        except InvalidArgument as error:
+            # A daemon of an earlier version has no such parameter, and replays for up to an hour.
+            if "known" not in error.details:
+                raise
+            payload = self._get("get/verify", timeout=seconds)
+        return read_reply(payload, Verified)
 
     @overload
     def wait(

@@ -338,6 +338,6 @@ pub fn copies() -> Vec<Row> {
             ],
         )
         .says("no command differs"),
-        row("verify <name>demo", &["demo/get/verify"]).says("school is the same"),
+        row("verify <name>demo", &["demo/get/verify?timeout_secs=3600"]).says("school is the same"),
     ]
 }
