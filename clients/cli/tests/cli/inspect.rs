@@ -167,7 +167,7 @@ async fn commands_of_a_journal_are_selected_by_step_verb_and_client() {
     let ended = daemon.jostle("journal later --client nobody").await;
     assert_eq!(
         ended.stderr,
-        "the commands up to seq 4 are no longer kept\nlater has applied no such command after seq 4\n"
+        "the commands up to seq 4 are no longer kept\nlater has applied no such command after seq 4"
     );
     daemon.stop().await;
 }

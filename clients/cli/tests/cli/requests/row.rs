@@ -201,6 +201,15 @@ impl Row {
             Some(node) => key.replace("@node/test/", &format!("@node/{node}/")),
             None => key.to_owned(),
         };
+        // A query has its timeout in the selector.
+        let of_timeout = |(field, _): &&(&str, Value)| *field == "timeout_secs";
+        let key = match (
+            key.split_once("timeout_secs="),
+            added.envelope.iter().find(of_timeout),
+        ) {
+            (Some((start, _)), Some((_, secs))) => format!("{start}timeout_secs={secs}"),
+            _ => key,
+        };
         let payload = match args {
             "" => Value::Null,
             args => {
