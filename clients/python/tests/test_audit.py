@@ -74,9 +74,11 @@ def test_times_have_a_zone_or_are_so_long_ago() -> None:
             selection(None, None, None, None, when, None)  # type: ignore[arg-type]
     with pytest.raises(jostle.InvalidArgument, match="which is before since"):
         selection(None, None, None, None, timedelta(hours=2), timedelta(hours=3))
-    for text in ("a;limit=1", "", "a" * 257):
+    for text in ("a;limit=1", "a" * 257):
         with pytest.raises(jostle.InvalidArgument, match="user is"):
             selection(text, None, None, None, None, None)
+    # No text selects the lines without a user.
+    assert selection("", None, None, None, None, None) == ";user="
 
 
 def _entry(seq: int) -> dict[str, Any]:

@@ -23,8 +23,9 @@ class Past:
         """The events of the swarm, oldest first, as far back as the daemon stores them.
 
         Args:
-            after: The number of the last event that is known; 0 is none. The first event returned
-                has in `skipped` the number of events that the daemon no longer stores.
+            after: The number of the last event that is known; 0 is none. An event has in
+                `skipped` the number of events before it that the daemon no longer stores; it
+                keeps the first one, `created`.
 
         Raises:
             InvalidArgument: `after` is not a whole number, or below 0.
