@@ -239,7 +239,7 @@ async fn every_verb_ends_with_the_code_of_each_kind_of_error() {
     for (verb, line) in lines() {
         for (word, code) in OF_THE_DAEMON {
             cases.push(Case {
-                line: format!("{line} --timeout 0.1"),
+                line: format!("{line} --timeout 0.3"),
                 replies: Replies::Error,
                 code: if verb == LISTS_ERRORS { 0 } else { code },
                 word,

@@ -201,13 +201,13 @@ impl Row {
             Some(node) => key.replace("@node/test/", &format!("@node/{node}/")),
             None => key.to_owned(),
         };
-        // A query has its timeout in the selector.
+        // The timeout of a verification is in its selector.
         let of_timeout = |(field, _): &&(&str, Value)| *field == "timeout_secs";
         let key = match (
-            key.split_once("timeout_secs="),
+            key.split_once("verify?timeout_secs="),
             added.envelope.iter().find(of_timeout),
         ) {
-            (Some((start, _)), Some((_, secs))) => format!("{start}timeout_secs={secs}"),
+            (Some((start, _)), Some((_, secs))) => format!("{start}verify?timeout_secs={secs}"),
             _ => key,
         };
         let payload = match args {
