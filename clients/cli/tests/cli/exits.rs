@@ -263,7 +263,7 @@ async fn every_verb_reports_an_unreachable_daemon() {
 #[tokio::test(flavor = "multi_thread")]
 async fn every_verb_ends_when_the_daemon_does_not_reply_in_time() {
     let case = |(verb, line): (String, String)| Case {
-        line: format!("{line} --timeout 0.1"),
+        line: format!("{line} --timeout 0.3"),
         replies: Replies::Never,
         code: if verb == LISTS_ERRORS { 0 } else { 6 },
         word: "timeout",
