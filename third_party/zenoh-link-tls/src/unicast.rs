@@ -189,7 +189,11 @@ impl LinkUnicastTrait for LinkUnicastTls {
 
     async fn write(&self, buffer: &[u8], _priority: Option<Priority>) -> ZResult<usize> {
         let _guard = zasynclock!(self.write_mtx);
-        self.socket().write(buffer).await.map_err(|e| {
+        let write = async {
+            let written = self.socket().write(buffer).await?;
+            self.socket().flush().await.map(|()| written)
+        };
+        write.await.map_err(|e: std::io::Error| {
             tracing::trace!("Write error on TLS link {}: {}", self, e);
             zerror!(e).into()
         })
@@ -197,7 +201,11 @@ impl LinkUnicastTrait for LinkUnicastTls {
 
     async fn write_all(&self, buffer: &[u8], _priority: Option<Priority>) -> ZResult<()> {
         let _guard = zasynclock!(self.write_mtx);
-        self.socket().write_all(buffer).await.map_err(|e| {
+        let write = async {
+            self.socket().write_all(buffer).await?;
+            self.socket().flush().await
+        };
+        write.await.map_err(|e: std::io::Error| {
             tracing::trace!("Write error on TLS link {}: {}", self, e);
             zerror!(e).into()
         })
