@@ -34,5 +34,6 @@ pub mod persistence;
 pub mod playback;
 mod recording;
 pub mod store;
+pub mod suspension;
 pub mod swarm;
 pub mod transport;

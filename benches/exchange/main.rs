@@ -170,6 +170,10 @@ async fn bare_round(sessions: &[Session]) -> Vec<Duration> {
 async fn round(sessions: &[Session]) -> Vec<Duration> {
     let mut step = 0;
     for (k, session) in sessions.iter().enumerate() {
+        let token = keys::ctl_alive("jostle", SWARM, &format!("c{k}"));
+        let token = session.liveliness().declare_token(token).await.unwrap();
+        // It is held as long as the session.
+        std::mem::forget(token);
         let join = json!({"controller": format!("c{k}"), "select": {"ids": [k]},
             "deadline_secs": 60});
         step = command(session, "join", join).await["step"]

@@ -28,7 +28,7 @@ pub const SWARM_VERBS: [&str; 18] = [
 
 /// Commands that a swarm gives itself because of its controllers and conditions, in its journal and its
 /// events. No client can send them.
-pub const OWN_VERBS: [&str; 4] = ["deadline", "lost", "control", "fired"];
+pub const OWN_VERBS: [&str; 5] = ["deadline", "lost", "control", "fired", "idle"];
 
 /// The nouns that `{prefix}/@node/{node}/get/` answers.
 pub const NODE_GETS: [&str; 10] = [
@@ -130,6 +130,12 @@ pub fn ctl_alive(prefix: &str, swarm: &str, controller: &str) -> String {
     format!("{prefix}/{swarm}/ctl/{controller}/alive")
 }
 
+/// The liveliness token of a client that waits for a condition, by the id of its wait: when it goes, the
+/// wait ends.
+pub fn wait_alive(prefix: &str, swarm: &str, id: &str) -> String {
+    format!("{prefix}/{swarm}/wait/{id}/alive")
+}
+
 /// The liveliness token of a daemon.
 pub fn node_alive(prefix: &str, node: &str) -> String {
     format!("{prefix}/@node/{node}/alive")
@@ -158,6 +164,7 @@ mod tests {
     fn keys_have_the_documented_form() {
         assert_eq!(ctl("jostle", "a", "ada"), "jostle/a/ctl/ada");
         assert_eq!(ctl_alive("jostle", "a", "ada"), "jostle/a/ctl/ada/alive");
+        assert_eq!(wait_alive("jostle", "a", "w1"), "jostle/a/wait/w1/alive");
         assert_eq!(node_alive("jostle", "lab"), "jostle/@node/lab/alive");
     }
 

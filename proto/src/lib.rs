@@ -46,7 +46,7 @@ pub use queries::{
     Audit, AuditLine, AuditOutcome, Awaited, Controller, ControllerList, Events, ExperimentFile,
     Hello, Histogram, HistoryFrom, Journal, JournalEntry, Limits, MeasureValue, Measures,
     NodeStatus, Parameter, ParameterKind, Parameters, Puts, Schemas, Status, SwarmSummary, Swarms,
-    Verified,
+    Verified, WaitingAction, WaitingClient, WaitingCondition,
 };
 pub use recording::{
     BeginRecordingArgs, DEFAULT_MAX_RECORDING_BYTES, RecordArgs, RecordedAt, Recording,

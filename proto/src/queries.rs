@@ -40,6 +40,13 @@ pub struct Status {
     /// The conditions that it waits for, in the order of their commands; left out without any.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub when: Option<Vec<String>>,
+    /// The same conditions: their ids, actions and clients; left out without any.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub conditions: Vec<WaitingCondition>,
+    /// The conditions for which clients wait by `get/wait`; left out without any. They are no part of the
+    /// swarm's state.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub waits: Vec<WaitingClient>,
     /// How many controllers have joined.
     #[serde(default)]
     pub controllers: u64,
@@ -61,6 +68,53 @@ pub struct Status {
     /// is under way.
     #[serde(default)]
     pub verifying: Option<f64>,
+}
+
+/// A condition of `when` that waits.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct WaitingCondition {
+    /// By which `when` with `cancel` removes it: 8 hexadecimal digits, the same for equal conditions with
+    /// equal actions.
+    pub id: String,
+    /// The condition.
+    pub condition: String,
+    /// What the swarm does once it holds.
+    pub action: WaitingAction,
+    /// The name of its event; left out without one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub event: Option<String>,
+    /// The client that sent it, as the request names it; `null` if it does not.
+    pub client: Option<String>,
+    /// Whether it is evaluated, left out if it is. If not, it does not hold: the group has grown, or an earlier
+    /// version accepted more conditions, so that their measures need too much time or too many earlier states.
+    #[serde(default = "is_evaluated", skip_serializing_if = "Clone::clone")]
+    pub evaluated: bool,
+}
+
+/// Earlier versions did not say that a condition is not evaluated.
+fn is_evaluated() -> bool {
+    true
+}
+
+/// What a swarm does once a condition holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum WaitingAction {
+    /// It pauses.
+    Pause,
+    /// It applies changes.
+    Commands,
+    /// It publishes an event.
+    Event,
+}
+
+/// A client that waits for a condition by `get/wait`.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct WaitingClient {
+    /// The condition.
+    pub condition: String,
+    /// The user; `null` on a daemon without users.
+    pub user: Option<String>,
 }
 
 /// A controller that the others wait for.
@@ -368,6 +422,11 @@ pub struct Hello {
     /// Where it serves HTTP, such as `https://0.0.0.0:8443`; absent if it serves none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub http: Option<String>,
+    /// Its data, by a number that the daemon drew when it began their database. A daemon with the same id
+    /// has the replies to commands that were executed, so that a command can be sent again after a restart.
+    /// Absent if the daemon could not store it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub data_id: Option<String>,
 }
 
 /// The limits of a daemon.

@@ -154,6 +154,10 @@ pub struct SnapshotParameters {
     /// The measures in each published order; left out without any.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub measures: Option<Vec<String>>,
+    /// For how many seconds the swarm waits for a controller in lock-step that sends nothing; left out
+    /// without a limit.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub max_idle_secs: Option<f64>,
 }
 
 /// The phase of a swarm in detail.

@@ -1,6 +1,5 @@
 //! The state that all request handlers share, and the entry point of requests.
 
-use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 
@@ -8,7 +7,7 @@ use fail::fail_point;
 use jostle_proto::{Arguments, Claimant, Request, Role, Schemas, keys};
 use serde_json::Value;
 
-use crate::api::admission::User;
+use crate::api::admission::{Admission, CountedAs, Unanswered};
 use crate::api::idempotency::IdempotencyCache;
 use crate::api::incoming::{Incoming, Target};
 use crate::api::responder::{Replies, Responder};
@@ -25,8 +24,10 @@ use crate::persistence::limits::UserLimits;
 use crate::playback::Uploads;
 use crate::recording::Recordings;
 use crate::store::Store;
+use crate::swarm::awaited::Holder;
 use crate::swarm::frame;
 use crate::swarm::handle::Handle;
+use crate::swarm::recovery_progress::RecoveryProgress;
 use crate::swarm::registry::SwarmRegistry;
 use crate::swarm::sender::Creation;
 
@@ -44,7 +45,26 @@ pub trait Peers: Send + Sync {
     /// The swarms whose names another daemon holds, too: the name, this daemon and the other one.
     /// `None` is the name of the daemon itself.
     fn contests(&self) -> Vec<(Option<String>, [Claimant; 2])>;
+
+    /// The liveliness token of a wait with this id in a swarm.
+    fn holder_of_wait(&self, swarm: &str, id: &str) -> Arc<Holder>;
 }
+
+/// A callback: whether a controller holds its liveliness token.
+pub type OnToken = Box<dyn FnOnce(bool) + Send>;
+
+/// The liveliness tokens of controllers.
+pub trait Tokens: Send + Sync {
+    /// Whether a controller of a swarm holds its token.
+    fn is_held(&self, swarm: &str, controller: &str) -> bool;
+
+    /// Calls `then` once the token is held, or after [`MAX_TOKEN_WAIT`] without it. If the token is lost
+    /// afterwards, the swarm receives that after all that `then` sends it.
+    fn await_token(&self, swarm: &str, controller: &str, then: OnToken);
+}
+
+/// How long a `join` waits for the token of its controller: routers may forward a token later than a command.
+pub const MAX_TOKEN_WAIT: Duration = Duration::from_secs(2);
 
 /// A parsed command.
 pub(super) struct Parsed<'a> {
@@ -85,12 +105,18 @@ pub struct Context {
     pub node: String,
     /// The URL of its HTTP server, if it has one.
     pub http: Option<String>,
+    /// The id of its data.
+    pub data_id: Option<String>,
     /// The limit for connected clients.
     pub max_clients: usize,
     /// The longest message of the transport, in bytes.
     pub max_message_bytes: usize,
     /// The connections.
     pub peers: Arc<dyn Peers>,
+    /// The liveliness tokens of controllers.
+    pub tokens: Arc<dyn Tokens>,
+    /// Limits the requests that wait for a token.
+    pub token_waits: (Admission, Unanswered),
     /// The swarms.
     pub registry: Arc<SwarmRegistry>,
     /// Sends replies.
@@ -113,8 +139,8 @@ pub struct Context {
     pub recordings: Recordings,
     /// The checks and metrics; set once they run.
     pub watch: Arc<OnceLock<Arc<HealthMonitor>>>,
-    /// Whether the swarms of the previous run are being recovered.
-    pub is_recovering: AtomicBool,
+    /// The swarms of the previous run that are being recovered.
+    pub recovery: Arc<RecoveryProgress>,
     /// Execute work that may take long.
     pub lanes: Lanes,
     /// The verifications that run or are queued.
@@ -153,6 +179,9 @@ impl Context {
             };
             return self.reject(incoming, &error);
         }
+        if let Some(error) = self.awaits_recovery(incoming) {
+            return self.reject(incoming, &error);
+        }
         match target {
             Target::State(swarm) => self.state(swarm, incoming),
             Target::Get(swarm) => self.get(swarm, incoming),
@@ -162,6 +191,22 @@ impl Context {
             Target::NodeCommand => self.node_command(incoming),
             Target::Experiment => self.experiment_get(incoming),
         }
+    }
+
+    /// The error of a request that concerns a swarm which is not recovered yet, or swarms in general: its
+    /// reply could be wrong. Queries of the daemon are judged by their nouns.
+    pub fn awaits_recovery(&self, incoming: &Incoming) -> Option<CommandError> {
+        let swarms_left = self.recovery.swarms_left()?;
+        let awaits = match &incoming.target {
+            Target::State(swarm) | Target::Get(swarm) => self.recovery.is_pending(swarm),
+            // The new name may be one that is to be recovered.
+            Target::Command(swarm) => {
+                self.recovery.is_pending(swarm) || incoming.key.ends_with("/fork")
+            }
+            Target::NodeCommand | Target::Experiment => true,
+            Target::NodeGet | Target::Deletion => false,
+        };
+        awaits.then_some(CommandError::Recovering { swarms_left })
     }
 
     /// A responder that replies under the key of the request.
@@ -259,7 +304,7 @@ impl Context {
     }
 
     /// The user as whose a request with this token is counted.
-    pub(crate) fn counted_as(&self, token: &[u8]) -> User {
+    pub(crate) fn counted_as(&self, token: &[u8]) -> CountedAs {
         match &*self.rights.current() {
             Rights::Open => None,
             rights => {

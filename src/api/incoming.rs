@@ -7,12 +7,13 @@ use std::time::Duration;
 
 use jostle_proto::{Request, keys};
 
-use crate::api::admission::Permit;
+use crate::api::admission::{HeldBytes, Permit, Places};
 use crate::convert::Payload;
 use crate::convert::commands::{selector, truncate};
 use crate::convert::error::CommandError;
 use crate::persistence::journal_page::JournalFilter;
 use crate::store::AuditFilter;
+use crate::swarm::awaited::Holder;
 
 /// Encodings in which requests are read; no encoding is JSON.
 const JSON_ENCODINGS: [&str; 5] = [
@@ -38,6 +39,11 @@ pub trait Peer: Send + Sync {
     /// Whether the client is known to wait no longer.
     fn is_gone(&self) -> bool {
         false
+    }
+
+    /// The HTTP connection of the client and the name of the request, if it came over HTTP.
+    fn connection(&self) -> Option<(Arc<Holder>, String)> {
+        None
     }
 
     /// Whether the key expression of the request matches `key`.
@@ -69,7 +75,8 @@ pub struct Incoming {
     received: Arc<Received>,
     /// Whether a responder replies to it.
     pub(super) has_responder: Arc<AtomicBool>,
-    _permit: Option<Arc<Permit>>,
+    _places: Option<Arc<Places>>,
+    _bytes: Arc<HeldBytes>,
 }
 
 impl Deref for Incoming {
@@ -106,16 +113,17 @@ impl Incoming {
         Incoming {
             received: Arc::new(received),
             has_responder: Arc::default(),
-            _permit: Some(Arc::new(permit)),
+            _places: Some(Arc::new(permit.places)),
+            _bytes: Arc::new(permit.bytes),
         }
     }
 
-    /// The same request without its permit: while it waits for a condition, it does not count
-    /// against the limit of its queryable.
+    /// The same request without a place among the unanswered ones: while it waits for a condition, it
+    /// does not count against the limit of its queryable.
     #[must_use]
-    pub fn without_permit(&self) -> Incoming {
+    pub fn without_places(&self) -> Incoming {
         Incoming {
-            _permit: None,
+            _places: None,
             ..self.clone()
         }
     }
@@ -421,7 +429,7 @@ pub(super) mod fixture {
             peer: Box::new(Client(sender)),
         };
         let permit = Admission::default()
-            .admit(0, None, &Unanswered::default())
+            .admit(0, &None, &Unanswered::default())
             .unwrap();
         (Incoming::new(received, permit), replies)
     }

@@ -191,9 +191,27 @@ impl Responder {
         payload: impl FnOnce(Stamp, Outcome) -> Payload + Send + 'static,
     ) {
         self.set_deadline(timeout, error, Some(swarm.last_step()));
+        self.pass_to_swarm(swarm, message, payload);
+    }
+
+    /// As [`send_to_swarm`](Self::send_to_swarm), of a request that has its deadline.
+    pub fn pass_to_swarm(
+        &self,
+        swarm: &Handle,
+        message: impl FnOnce(ReplyTo) -> Message,
+        payload: impl FnOnce(Stamp, Outcome) -> Payload + Send + 'static,
+    ) {
         let responder = self.clone();
         let reply_to = ReplyTo::new(move |reply| responder.respond(reply, payload));
         swarm.send(message(reply_to));
+    }
+
+    /// From now on the request does not count against the limit of its queryable.
+    pub fn release_places(&self) {
+        let mut incoming = self.0.incoming.lock();
+        if let Some(incoming) = &mut *incoming {
+            *incoming = incoming.without_places();
+        }
     }
 
     /// Replies to a command with what the swarm returned: `payload` encodes an outcome.

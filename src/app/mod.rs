@@ -12,4 +12,4 @@ mod users;
 
 pub use error::{EXIT_STORE, ServerError};
 pub use server::Server;
-pub use start::start;
+pub use start::{start, start_with};

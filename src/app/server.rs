@@ -22,6 +22,7 @@ use crate::transport::zenoh::messages::DispatchMessage;
 use crate::transport::zenoh::publisher::Publisher;
 use crate::transport::zenoh::session::OpenRuntime;
 use crate::transport::zenoh::session_pool::SessionPool;
+use crate::transport::zenoh::wait_tokens::WaitTokensSubscriber;
 
 /// A running daemon.
 pub struct Server {
@@ -50,7 +51,7 @@ pub struct Server {
 pub(super) struct Connection {
     pub(super) session: Session,
     pub(super) pool: SessionPool,
-    pub(super) _subscribers: ([Subscriber<()>; 2], ClaimSubscribers),
+    pub(super) _subscribers: ([Subscriber<()>; 2], ClaimSubscribers, WaitTokensSubscriber),
     pub(super) _runtime: OpenRuntime,
 }
 

@@ -2,7 +2,7 @@
 
 use std::io::Write as _;
 use std::path::Path;
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::atomic::AtomicUsize;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Arc, OnceLock};
 use std::thread;
@@ -38,6 +38,7 @@ use crate::persistence::recovery::{self, OnRecovered};
 use crate::playback::Uploads;
 use crate::recording::{Position, Recordings};
 use crate::store::{self, Store, StoreError, StoreFault};
+use crate::swarm::recovery_progress::RecoveryProgress;
 use crate::swarm::registry::SwarmRegistry;
 use crate::transport::http::{self, Bus, Credentials, Gateway, GatewayError, Token};
 use crate::transport::open_requests::OpenRequests;
@@ -49,6 +50,8 @@ use crate::transport::zenoh::messages::{DispatchMessage, MAX_QUEUED};
 use crate::transport::zenoh::publisher::Publisher;
 use crate::transport::zenoh::queryables::SwarmEndpoints;
 use crate::transport::zenoh::session_pool::SessionPool;
+use crate::transport::zenoh::tokens::Tokens;
+use crate::transport::zenoh::wait_tokens::WaitTokens;
 use crate::transport::zenoh::{progress, session, set_points};
 
 type BoxedFuture<'a, T> = std::pin::Pin<Box<dyn Future<Output = T> + Send + 'a>>;
@@ -56,11 +59,19 @@ type BoxedFuture<'a, T> = std::pin::Pin<Box<dyn Future<Output = T> + Send + 'a>>
 /// Starts the daemon. When this returns, every swarm of the previous run is recovered, and the
 /// daemon's keys are declared.
 pub fn start(config: &Config) -> BoxedFuture<'_, Result<Server, ServerError>> {
-    // Boxed, so that it is compiled here and not again in each program that starts a daemon.
-    Box::pin(open(config))
+    start_with(config, Arc::default())
 }
 
-async fn open(config: &Config) -> Result<Server, ServerError> {
+/// As [`start`]; `recovery` shows meanwhile how many swarms are left.
+pub fn start_with(
+    config: &Config,
+    recovery: Arc<RecoveryProgress>,
+) -> BoxedFuture<'_, Result<Server, ServerError>> {
+    // Boxed, so that it is compiled here and not again in each program that starts a daemon.
+    Box::pin(open(config, recovery))
+}
+
+async fn open(config: &Config, recovery: Arc<RecoveryProgress>) -> Result<Server, ServerError> {
     check_name("node", &config.node).map_err(ServerError::Name)?;
     check_name("prefix", &config.prefix).map_err(ServerError::Name)?;
     let audit = Arc::new(OnceLock::new());
@@ -94,8 +105,16 @@ async fn open(config: &Config) -> Result<Server, ServerError> {
     )?;
     let watch = Arc::new(OnceLock::new());
     let url = http.as_ref().map(HttpListener::url).transpose()?;
-    let context = context(config, &core, &files, url, watch.clone());
-    let activity = start_dispatcher(config, &core, context.clone(), received)?;
+    let context = context(
+        config,
+        &core,
+        &files,
+        url,
+        (watch.clone(), recovery.clone()),
+    );
+    let activity = start_dispatcher(config, &core, context, received)?;
+    // Before anything can be requested: no reply may say that a stored swarm does not exist.
+    let stored = open_recovering(&core, &recovery).await?;
 
     // The probe's key must have no queryable.
     let probe = keys::node_get(&config.prefix, &config.node, "@probe");
@@ -104,28 +123,36 @@ async fn open(config: &Config) -> Result<Server, ServerError> {
     if let Some(http) = &http {
         probed.push(http.endpoint()?);
     }
-    let started = start_watch(&core, &files, bus.clone(), activity, probed, other_data)?;
+    let recovering = (recovery.clone(), other_data);
+    let started = start_watch(&core, &files, bus.clone(), activity, probed, recovering)?;
     let watch = watch.get_or_init(|| started).clone();
     // Before the recovery, which may take long: the health checks must be reachable meanwhile.
     let credentials = credentials(config, &core)?;
     let gateway = match http {
-        Some(http) => Some(http.serve(config, &core, credentials.clone(), watch.clone())?),
+        Some(http) => {
+            let shared = (watch.clone(), recovery.clone());
+            Some(http.serve(config, &core, credentials.clone(), shared)?)
+        }
         None => None,
     };
 
-    recover(&core, &files.recordings).await?;
-    files.experiments.resume_all();
-    context.is_recovering.store(false, Ordering::Release);
+    // Before the recovery: a swarm replies as soon as it is recovered, and a controller may join it, or a client
+    // wait for a condition, then.
+    let waits = core.waits.listen(&core.session);
+    let waits = waits.map_err(|error| keys_error(&error))?;
     let set_point_subscribers = set_points::listen(
         &core.session,
         &config.prefix,
         core.registry.clone(),
         core.rights.clone(),
         core.claims.clone(),
+        core.tokens.clone(),
     )
     .map_err(|error| keys_error(&error))?;
+    recover(&core, &files.recordings, stored, recovery).await?;
+    files.experiments.resume_all();
     // After the recovery: a client that sees the daemon finds its swarms.
-    open_node(&core.messages).await?;
+    announce_node(&core.messages).await?;
     info!(
         node = config.node,
         endpoints = endpoints.join(" "),
@@ -137,7 +164,7 @@ async fn open(config: &Config) -> Result<Server, ServerError> {
         connection: Connection {
             session: core.session,
             pool: core.pool,
-            _subscribers: (set_point_subscribers, claim_subscribers),
+            _subscribers: (set_point_subscribers, claim_subscribers, waits),
             _runtime: opened.runtime,
         },
         bus,
@@ -205,13 +232,14 @@ impl HttpListener {
         config: &Config,
         core: &Core,
         credentials: Credentials,
-        watch: Arc<HealthMonitor>,
+        (watch, recovery): (Arc<HealthMonitor>, Arc<RecoveryProgress>),
     ) -> std::io::Result<Gateway> {
         let bus = Bus {
             session: core.session.clone(),
             pool: core.pool.clone(),
             prefix: config.prefix.clone(),
             node: config.node.clone(),
+            recovery,
             open: core.open.clone(),
         };
         Gateway::serve(
@@ -264,6 +292,8 @@ struct Core {
     publisher: Arc<Publisher>,
     messages: SyncSender<DispatchMessage>,
     claims: Arc<Claims>,
+    tokens: Tokens,
+    waits: WaitTokens,
     registry: Arc<SwarmRegistry>,
     idempotency: IdempotencyCache,
     audit: AuditLog,
@@ -306,6 +336,8 @@ impl Core {
             publisher,
             messages,
             claims,
+            tokens: Tokens::new(&config.prefix),
+            waits: WaitTokens::new(&config.prefix),
             registry: Arc::new(registry),
         };
         Ok((core, received, subscribers))
@@ -357,18 +389,22 @@ fn context(
     core: &Core,
     files: &Files,
     url: Option<String>,
-    watch: Arc<OnceLock<Arc<HealthMonitor>>>,
+    (watch, recovery): (Arc<OnceLock<Arc<HealthMonitor>>>, Arc<RecoveryProgress>),
 ) -> Arc<Context> {
     Arc::new(Context {
         prefix: config.prefix.clone(),
         node: config.node.clone(),
         http: url,
+        data_id: core.store.data_id().map(str::to_owned),
         max_clients: config.max_clients,
         max_message_bytes: session::MAX_MESSAGE_BYTES - session::MAX_FRAMING_BYTES,
         peers: Arc::new(Connections {
             session: core.session.clone(),
             claims: core.claims.clone(),
+            waits: core.waits.clone(),
         }),
+        tokens: Arc::new(core.tokens.clone()),
+        token_waits: Default::default(),
         registry: core.registry.clone(),
         replies: core.replies.clone(),
         rights: core.rights.clone(),
@@ -380,7 +416,7 @@ fn context(
         uploads: files.uploads.clone(),
         recordings: files.recordings.clone(),
         watch,
-        is_recovering: AtomicBool::new(true),
+        recovery,
         lanes: core.lanes.clone(),
         verifications: Arc::default(),
         limits: UserLimits::new(
@@ -435,7 +471,7 @@ fn start_watch(
     bus: Arc<BusWatch>,
     dispatch: Arc<Activity>,
     endpoints: Vec<String>,
-    other_data: Option<String>,
+    (recovery, other_data): (Arc<RecoveryProgress>, Option<String>),
 ) -> Result<Arc<HealthMonitor>, ServerError> {
     let (session, claims) = (core.session.clone(), core.claims.clone());
     let replies = core.replies.clone();
@@ -457,6 +493,7 @@ fn start_watch(
         count: commands::count,
         dropped_requests: Box::new(move || replies.dropped()),
         other_data,
+        recovery,
         contested: Box::new(move || {
             let contests = claims.contests();
             contests.iter().map(Contest::for_health).collect()
@@ -473,18 +510,52 @@ fn credentials(config: &Config, core: &Core) -> Result<Credentials, ServerError>
     })
 }
 
+/// Reads the replies and the swarms of the previous run, and opens the keys of these swarms and of the
+/// daemon, on which requests get `busy` until they are recovered.
+async fn open_recovering(
+    core: &Core,
+    recovery: &RecoveryProgress,
+) -> Result<recovery::Stored, ServerError> {
+    let (store, idempotency) = (core.store.clone(), core.idempotency.clone());
+    let stored = spawn_blocking(move || recovery::read(&store, &idempotency)).await;
+    let stored = stored.expect("reading does not panic");
+    let stored = stored.map_err(ServerError::Recovery)?;
+    let names: Vec<_> = stored.iter().map(|(name, _)| name.clone()).collect();
+    recovery.begin(names.iter().cloned());
+    let (opened, result) = sync_channel(1);
+    let _ = core
+        .messages
+        .send(DispatchMessage::Recovering(names, opened));
+    let _ = spawn_blocking(move || result.recv()).await;
+    Ok(stored)
+}
+
 /// Recovers the swarms, each of which resumes its recordings before it continues.
-async fn recover(core: &Core, recordings: &Recordings) -> Result<(), ServerError> {
+async fn recover(
+    core: &Core,
+    recordings: &Recordings,
+    stored: recovery::Stored,
+    progress: Arc<RecoveryProgress>,
+) -> Result<(), ServerError> {
     let (registry, store) = (core.registry.clone(), core.store.clone());
     let (idempotency, recordings) = (core.idempotency.clone(), recordings.clone());
+    let tokens = core.tokens.clone();
     let has_users = core.rights.current().users().is_some();
     let recovered = spawn_blocking(move || -> Result<(), StoreError> {
         let resume = recordings.clone();
         let on_recovered: OnRecovered = Arc::new(move |handle, now, resets| {
             let resets: Vec<_> = resets.iter().map(|it| Position::from(*it)).collect();
             resume.resume(handle, now, &resets);
+            tokens.controllers(&handle.output.name)
         });
-        recovery::recover(&registry, &store, &idempotency, &on_recovered, has_users)?;
+        recovery::recover(
+            &registry,
+            &store,
+            &idempotency,
+            stored,
+            &on_recovered,
+            (has_users, &progress),
+        );
         let stored = store.swarms()?;
         recordings.end_interrupted(|swarm| stored.iter().any(|(name, _)| name == swarm));
         Ok(())
@@ -493,9 +564,9 @@ async fn recover(core: &Core, recordings: &Recordings) -> Result<(), ServerError
     recovered.map_err(ServerError::Recovery)
 }
 
-/// Has the dispatcher declare the daemon's own keys. Returns once they are declared, or once it is
-/// known that another daemon of this name serves them.
-async fn open_node(messages: &SyncSender<DispatchMessage>) -> Result<(), ServerError> {
+/// Ends the recovery, and has the dispatcher declare the daemon's token. Returns once it is declared, or once
+/// it is known that another daemon of this name serves.
+async fn announce_node(messages: &SyncSender<DispatchMessage>) -> Result<(), ServerError> {
     let (opened, result) = sync_channel(1);
     let _ = messages.send(DispatchMessage::Recovered(opened));
     match spawn_blocking(move || result.recv()).await {

@@ -2,6 +2,7 @@
 
 use std::io::IsTerminal as _;
 use std::process::ExitCode;
+use std::sync::Arc;
 use std::time::Duration;
 
 use jostle_experiment::stdout;
@@ -12,6 +13,7 @@ use tracing_subscriber::EnvFilter;
 use crate::app::{self, ServerError};
 use crate::cli::{demo, fail, note, process, start_error, systemd};
 use crate::config::{Config, Resolved};
+use crate::swarm::recovery_progress::RecoveryProgress;
 use crate::transport::http::{GatewayError, Token};
 use crate::transport::zenoh::session::SessionError;
 
@@ -66,7 +68,11 @@ pub fn run(
 
 /// Returns the exit code.
 async fn serve(config: &Config, resolved: &Resolved, mode: Mode) -> i32 {
-    let server = match app::start(config).await {
+    let recovery = Arc::<RecoveryProgress>::default();
+    let starting = tokio::spawn(systemd::notify_recovery(recovery.clone()));
+    let started = app::start_with(config, recovery).await;
+    starting.abort();
+    let server = match started {
         Ok(server) => server,
         Err(error) => {
             let code = if is_of_machine(&error) { 1 } else { 2 };

@@ -27,7 +27,7 @@ struct Settings {
     /// unixsock-stream/PATH for clients on this machine; tls/ADDRESS:PORT for others, needs auth_dir
     #[arg(long, value_name = "ENDPOINTS", default_value = "tcp/127.0.0.1:7447")]
     listen: String,
-    /// Address of the HTTP server for the page, /healthz and /metrics: 127.0.0.1:PORT for clients on
+    /// Address of the HTTP server for the page, /healthz, /livez and /metrics: 127.0.0.1:PORT for clients on
     /// this machine; https://ADDRESS:PORT for others, needs auth_dir; empty for no server
     #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:8080")]
     http: String,

@@ -12,10 +12,41 @@ use tokio::time::{MissedTickBehavior, interval};
 use tracing::warn;
 
 use crate::health::{HealthMonitor, Reason};
+use crate::swarm::recovery_progress::RecoveryProgress;
 use crate::swarm::registry::SwarmRegistry;
 
 /// The interval between status messages without a watchdog.
 const STATUS_INTERVAL: Duration = Duration::from_secs(10);
+
+/// While the swarms are recovered: the interval between messages, and how long after the last progress the
+/// supervisor is to wait for more, as `TimeoutStartSec` in `jostled.service`.
+const RECOVERY_INTERVAL: Duration = Duration::from_secs(1);
+const RECOVERY_TIMEOUT: Duration = Duration::from_secs(300);
+
+/// Sends how many swarms are not recovered yet, and extends the timeout of the start, whenever a swarm was
+/// recovered or a step or line was replayed, also if the replay of one swarm takes long: ready is sent when all are recovered, so that units that are ordered after the daemon find its
+/// swarms. Does not return if there is a supervisor.
+pub async fn notify_recovery(recovery: Arc<RecoveryProgress>) {
+    if std::env::var_os("NOTIFY_SOCKET").is_none() {
+        return;
+    }
+    let mut sent = None;
+    loop {
+        tokio::time::sleep(RECOVERY_INTERVAL).await;
+        let progress = recovery.swarms_left().zip(Some(recovery.work()));
+        if let Some((swarms_left, _)) = progress
+            && progress != sent
+        {
+            let status = Reason::Recovering { swarms_left }.to_string();
+            let micros = u32::try_from(RECOVERY_TIMEOUT.as_micros()).unwrap_or(u32::MAX);
+            notify(&[
+                NotifyState::ExtendTimeoutUsec(micros),
+                NotifyState::Status(&status),
+            ]);
+        }
+        sent = progress;
+    }
+}
 
 /// Sends ready, then the status whenever it changes, and a watchdog message at half the allowed
 /// interval unless the daemon needs a restart. Does not return if there is a supervisor.

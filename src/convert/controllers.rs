@@ -7,7 +7,27 @@ use crate::swarm::membership::{Departure, Miss, Mode, News, OnTimeout};
 
 same_variants! { Mode, verbs::Mode: Lockstep, FreeRunning }
 same_variants! { OnTimeout, verbs::OnTimeout: Hold, Free, Pause }
-same_variants! { Departure, verbs::Departure: Left, Lost, Late }
+
+impl From<verbs::Departure> for Departure {
+    fn from(why: verbs::Departure) -> Self {
+        match why {
+            verbs::Departure::Left => Departure::Left,
+            verbs::Departure::Lost => Departure::Lost,
+            verbs::Departure::Late => Departure::Late,
+        }
+    }
+}
+
+impl From<Departure> for verbs::Departure {
+    fn from(why: Departure) -> Self {
+        match why {
+            Departure::Left => verbs::Departure::Left,
+            Departure::Lost => verbs::Departure::Lost,
+            // Earlier clients know no other reason.
+            Departure::Late | Departure::Idle => verbs::Departure::Late,
+        }
+    }
+}
 
 pub(super) fn news(news: verbs::News) -> News {
     let missed = news.missed.into_iter().map(|miss| Miss {

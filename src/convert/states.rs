@@ -5,6 +5,7 @@ use jostle_convert::spec::parameter_values;
 use jostle_proto as proto;
 
 use crate::convert::controllers::waiting_for;
+use crate::swarm::awaited::{WaitSummary, WatchAction, WatchStatus};
 use crate::swarm::frame::{Frame, Replay, Summary};
 use crate::swarm::phase::Phase;
 use crate::swarm::registry::Limits;
@@ -62,10 +63,21 @@ pub fn status(seen: &Frame, history_from: Option<proto::HistoryFrom>) -> proto::
         informed: informed(seen),
         seed: seen.seed,
         dt: seen.parameters.dt,
-        parameters: parameter_values(seen.parameters, seen.publish_every, &seen.measures),
+        parameters: parameter_values(
+            seen.parameters,
+            seen.publish_every,
+            &seen.measures,
+            seen.max_idle_secs,
+        ),
         scheduled: seen.scheduled as u64,
-        when: (!seen.conditions.is_empty())
-            .then(|| seen.conditions.iter().map(ToString::to_string).collect()),
+        when: (!seen.conditions.is_empty()).then(|| {
+            seen.conditions
+                .iter()
+                .map(|it| it.summary.condition.clone())
+                .collect()
+        }),
+        conditions: seen.conditions.iter().map(condition).collect(),
+        waits: seen.waits.iter().map(wait).collect(),
         controllers: seen.controllers.len() as u64,
         waiting_for: waiting_for(seen),
         state_hash: hash(seen),
@@ -74,6 +86,29 @@ pub fn status(seen: &Frame, history_from: Option<proto::HistoryFrom>) -> proto::
         history_from,
         replay: seen.replay.as_ref().map(replay),
         verifying: None,
+    }
+}
+
+fn condition(status: &WatchStatus) -> proto::WaitingCondition {
+    let waiting = &status.summary;
+    proto::WaitingCondition {
+        id: waiting.id.clone(),
+        condition: waiting.condition.clone(),
+        action: match waiting.action {
+            WatchAction::Pause => proto::WaitingAction::Pause,
+            WatchAction::Commands => proto::WaitingAction::Commands,
+            WatchAction::Event => proto::WaitingAction::Event,
+        },
+        event: waiting.event.as_deref().map(str::to_owned),
+        client: waiting.client.clone(),
+        evaluated: status.is_evaluated,
+    }
+}
+
+fn wait(waiting: &WaitSummary) -> proto::WaitingClient {
+    proto::WaitingClient {
+        condition: waiting.condition.clone(),
+        user: waiting.user.as_deref().map(str::to_owned),
     }
 }
 
@@ -109,8 +144,8 @@ pub fn parameters(seen: &Frame, limits: Limits) -> proto::Parameters {
     let mut parameters = proto::contract::parameters();
     let now = seen.parameters;
     // All numbers are finite and all keys are strings, so this cannot fail.
-    let values = serde_json::to_value(parameter_values(now, seen.publish_every, &seen.measures))
-        .expect("parameters are JSON");
+    let values = parameter_values(now, seen.publish_every, &seen.measures, seen.max_idle_secs);
+    let values = serde_json::to_value(values).expect("parameters are JSON");
     for parameter in &mut parameters {
         match parameter.name.as_str() {
             "n" => {

@@ -42,6 +42,8 @@ pub struct DaemonMetrics {
     pub bus: Bus,
     /// Sums over all swarms since it started, including deleted ones.
     pub totals: Totals,
+    /// Swarms that are not recovered yet.
+    pub recovering: usize,
     /// Names that another daemon uses too.
     pub contested: usize,
     /// The health of the store.
@@ -118,6 +120,7 @@ impl HealthMonitor {
             probe_secs,
             bus: (self.watched.bus)(),
             totals,
+            recovering: self.watched.recovery.swarms_left().unwrap_or(0),
             contested: (self.watched.contested)().len(),
             store: self.watched.store.health(),
             recordings: (self.watched.count)(recordings),

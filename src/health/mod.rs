@@ -27,6 +27,7 @@ use crate::lanes::Lanes;
 use crate::metrics::Activity;
 use crate::recording::Recordings;
 use crate::store::Store;
+use crate::swarm::recovery_progress::RecoveryProgress;
 use crate::swarm::registry::SwarmRegistry;
 
 /// The interval between checks.
@@ -72,6 +73,8 @@ pub struct HealthSources {
     pub dropped_requests: Box<dyn Fn() -> u64 + Send + Sync>,
     /// Data of other daemons beside the new data folder of this one: the message.
     pub other_data: Option<String>,
+    /// The swarms that are not recovered yet.
+    pub recovery: Arc<RecoveryProgress>,
     /// The names that another daemon uses too.
     pub contested: Box<dyn Fn() -> Vec<Contested> + Send + Sync>,
 }
@@ -127,6 +130,8 @@ impl HealthMonitor {
         let store = self.watched.store.health();
         let last = self.last.lock();
         let mut reasons = last.stuck.clone();
+        let left = self.watched.recovery.swarms_left();
+        reasons.extend(left.map(|swarms_left| Reason::Recovering { swarms_left }));
         let age = last.at.elapsed();
         let probes = u32::try_from(last.probes.len()).unwrap_or(1);
         if age > TASK_TIMEOUT + probe::TIMEOUT * probes {

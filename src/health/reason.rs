@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use jostle_physics::plural::counted;
 use thiserror::Error;
 
 use crate::lanes;
@@ -25,6 +26,12 @@ pub enum Reason {
         thread: &'static str,
         /// For how long.
         secs: f64,
+    },
+    /// The swarms of the previous run are being recovered.
+    #[error("recovering the swarms, {} left: they can be reached once that is done", counted(*.swarms_left, "swarm"))]
+    Recovering {
+        /// How many are not recovered yet.
+        swarms_left: usize,
     },
     /// The disk is full.
     #[error("the disk is full: free some space, and the journal goes on by itself")]
@@ -81,6 +88,7 @@ impl Reason {
         match self {
             Reason::SwarmStuck { .. } => "swarm_stuck",
             Reason::ThreadStuck { .. } => "thread_stuck",
+            Reason::Recovering { .. } => "recovering",
             Reason::StoreFull => "store_full",
             Reason::StoreFailing => "store_failing",
             Reason::StoreOverrun => "store_overrun",

@@ -47,8 +47,13 @@ const MAX_SWARMS: usize = 1024;
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum LimitError {
     /// The user writes too many.
-    #[error("you write more than 10 notes a second into this swarm: wait a second")]
-    Rate,
+    #[error(
+        "you write more than 10 notes a second into this swarm: write it again in {retry_secs:.1} s"
+    )]
+    Rate {
+        /// When it is accepted.
+        retry_secs: f64,
+    },
     /// The user joins or leaves too often.
     #[error(
         "you send more than 32 KiB of {verb} a second into this swarm: send it again in {retry_secs:.1} s"
@@ -85,15 +90,17 @@ struct Inner {
     store: Store,
     max_bytes: u64,
     has_users: bool,
-    swarms: Mutex<BTreeMap<String, Counted>>,
+    /// By swarm, as are the notes.
+    rates: Mutex<BTreeMap<String, Rates>>,
+    /// Not locked while the notes of a swarm are read.
+    notes: Mutex<BTreeMap<String, Notes>>,
 }
 
-/// What users have sent to a swarm.
-struct Counted {
+/// The notes in a swarm.
+struct Notes {
     counted_at: Instant,
-    /// Bytes of the notes of each user.
+    /// Bytes of those of each user.
     bytes: BTreeMap<String, u64>,
-    rates: Rates,
 }
 
 /// How much may be sent each second, and at once.
@@ -138,7 +145,8 @@ impl UserLimits {
             store,
             max_bytes: quota_bytes / QUOTA_PART,
             has_users,
-            swarms: Mutex::default(),
+            rates: Mutex::default(),
+            notes: Mutex::default(),
         }))
     }
 
@@ -155,17 +163,6 @@ impl UserLimits {
         command: &CommandMessage,
         exists: impl Fn(&str) -> bool,
     ) -> Result<Result<(), LimitError>, StoreError> {
-        let max_bytes = self.0.max_bytes;
-        let mut swarms = self.0.swarms.lock();
-        if !swarms.contains_key(swarm) {
-            if swarms.len() >= MAX_SWARMS {
-                swarms.retain(|name, _| exists(name));
-            }
-            swarms.insert(swarm.to_owned(), self.read(swarm)?);
-        }
-        let Some(counted) = swarms.get_mut(swarm) else {
-            return Ok(Ok(()));
-        };
         let stored = Record::Input {
             at_step: command.when.at_step,
             sender: command.sender.clone(),
@@ -174,33 +171,57 @@ impl UserLimits {
         };
         let bytes = note_bytes(record(&stored).1.len());
         let (verb, now) = (command.sender.verb, Instant::now());
-        if verb != ANNOTATE {
-            let amount = bytes as f64;
-            let taken = counted
-                .rates
-                .take((verb, user), MEMBERSHIP_BYTES, amount, now);
-            return Ok(taken.map_err(|retry_secs| LimitError::Membership { verb, retry_secs }));
-        }
-        if counted.rates.take((verb, user), NOTES, 1.0, now).is_err() {
-            return Ok(Err(LimitError::Rate));
-        }
-        let mut checked = counted.check(user, bytes, max_bytes);
-        if checked.is_err() && counted.counted_at.elapsed() > RECOUNT_INTERVAL {
-            let rates = std::mem::take(&mut counted.rates);
-            *counted = Counted {
-                rates,
-                ..self.read(swarm)?
+        let is_note = verb == ANNOTATE;
+        let taken = {
+            let mut swarms = self.0.rates.lock();
+            let rates = entry(&mut swarms, swarm, &exists, Rates::default);
+            let (rate, amount) = match is_note {
+                true => (NOTES, 1.0),
+                false => (MEMBERSHIP_BYTES, bytes as f64),
             };
-            checked = counted.check(user, bytes, max_bytes);
+            rates.take((verb, user), rate, amount, now)
+        };
+        match taken {
+            Err(retry_secs) if is_note => Ok(Err(LimitError::Rate { retry_secs })),
+            Err(retry_secs) => Ok(Err(LimitError::Membership { verb, retry_secs })),
+            Ok(()) if is_note => self.admit_note(swarm, user, bytes, exists),
+            Ok(()) => Ok(Ok(())),
         }
-        if checked.is_ok() {
-            *counted.bytes.entry(user.to_owned()).or_default() += bytes;
+    }
+
+    fn admit_note(
+        &self,
+        swarm: &str,
+        user: &str,
+        bytes: u64,
+        exists: impl Fn(&str) -> bool,
+    ) -> Result<Result<(), LimitError>, StoreError> {
+        let is_known = self.0.notes.lock().contains_key(swarm);
+        let mut counted = match is_known {
+            true => None,
+            false => Some(self.read(swarm)?),
+        };
+        loop {
+            let mut swarms = self.0.notes.lock();
+            let read = counted.take();
+            let notes = entry(&mut swarms, swarm, &exists, || read.unwrap_or_default());
+            let checked = notes.check(user, bytes, self.0.max_bytes);
+            if checked.is_ok() {
+                *notes.bytes.entry(user.to_owned()).or_default() += bytes;
+            }
+            if checked.is_ok() || notes.counted_at.elapsed() <= RECOUNT_INTERVAL {
+                return Ok(checked);
+            }
+            // No other thread counts them meanwhile.
+            notes.counted_at = Instant::now();
+            drop(swarms);
+            let read = self.read(swarm)?;
+            self.0.notes.lock().insert(swarm.to_owned(), read);
         }
-        Ok(checked)
     }
 
     /// Counts the stored notes of a swarm.
-    fn read(&self, swarm: &str) -> Result<Counted, StoreError> {
+    fn read(&self, swarm: &str) -> Result<Notes, StoreError> {
         let mut bytes = BTreeMap::<String, u64>::new();
         let notes = match self.0.store.notes(swarm) {
             // A playback has no journal, and rejects notes.
@@ -219,15 +240,36 @@ impl UserLimits {
             let user = user.unwrap_or_default().to_owned();
             *bytes.entry(user).or_default() += note_bytes(row.body.len());
         }
-        Ok(Counted {
-            counted_at: Instant::now(),
+        Ok(Notes {
             bytes,
-            rates: Rates::default(),
+            ..Notes::default()
         })
     }
 }
 
-impl Counted {
+/// What is counted of a swarm; at [`MAX_SWARMS`] those that no longer exist are forgotten.
+fn entry<'a, Count>(
+    swarms: &'a mut BTreeMap<String, Count>,
+    swarm: &str,
+    exists: impl Fn(&str) -> bool,
+    begin: impl FnOnce() -> Count,
+) -> &'a mut Count {
+    if !swarms.contains_key(swarm) && swarms.len() >= MAX_SWARMS {
+        swarms.retain(|name, _| exists(name));
+    }
+    swarms.entry(swarm.to_owned()).or_insert_with(begin)
+}
+
+impl Default for Notes {
+    fn default() -> Self {
+        Notes {
+            counted_at: Instant::now(),
+            bytes: BTreeMap::new(),
+        }
+    }
+}
+
+impl Notes {
     fn check(&self, user: &str, bytes: u64, max_bytes: u64) -> Result<(), LimitError> {
         let of_user = self.bytes.get(user).copied().unwrap_or(0);
         let all: u64 = self.bytes.values().sum();
@@ -244,14 +286,6 @@ impl Counted {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn counted() -> Counted {
-        Counted {
-            counted_at: Instant::now(),
-            bytes: BTreeMap::new(),
-            rates: Rates::default(),
-        }
-    }
 
     #[test]
     fn a_user_writes_fifty_notes_at_once_and_then_ten_a_second() {
@@ -294,7 +328,7 @@ mod tests {
 
     #[test]
     fn the_notes_of_a_user_take_a_mebibyte_and_all_an_eighth_of_the_quota() {
-        let mut counted = counted();
+        let mut counted = Notes::default();
         counted.bytes.insert("ada".to_owned(), USER_BYTES - 100);
         assert_eq!(counted.check("ada", 100, u64::MAX), Ok(()));
         assert_eq!(counted.check("ada", 101, u64::MAX), Err(LimitError::User));

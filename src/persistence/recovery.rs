@@ -1,10 +1,11 @@
 //! Recovers all stored swarms when the daemon starts.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::error::Error;
 use std::sync::Arc;
 use std::sync::mpsc::channel;
 
+use fail::fail_point;
 use jostle_physics::simulation::Spec;
 use tracing::{error, info, warn};
 
@@ -22,7 +23,8 @@ use crate::swarm::error::SwarmError;
 use crate::swarm::frame::Frame;
 use crate::swarm::handle::{Handle, Rejection, ReplyTo};
 use crate::swarm::history;
-use crate::swarm::journal::{Entry, Line, Record};
+use crate::swarm::journal::{Entry, GoesOn, Line, OnProgress, Record};
+use crate::swarm::recovery_progress::RecoveryProgress;
 use crate::swarm::registry::{self, SwarmRegistry};
 use crate::swarm::sender::{Creation, Sender};
 use crate::swarm::worker::replay::{ReplayEntry, ReplaySource, ReplayTarget};
@@ -37,26 +39,37 @@ const MAX_REPLY_LINES: u64 = 1000;
 const SETTLED_CHECKPOINTS: usize = 8;
 
 /// Called on the thread of each recovered swarm before it continues: with its handle, its state, and the
-/// epochs and steps at which it was reset, oldest first, as far as [`MAX_HISTORY_LINES`] tell.
-pub type OnRecovered = Arc<dyn Fn(&Handle, &Arc<Frame>, &[(u64, u64)]) + Send + Sync>;
+/// epochs and steps at which it was reset, oldest first, as far as [`MAX_HISTORY_LINES`] tell. Returns the
+/// controllers whose liveliness tokens are declared.
+pub type OnRecovered =
+    Arc<dyn Fn(&Handle, &Arc<Frame>, &[(u64, u64)]) -> BTreeSet<String> + Send + Sync>;
 
-/// Recovers every swarm, and waits until all are replayed. Returns their number.
+/// The swarms to recover, by name and metadata.
+pub type Stored = Vec<(String, Vec<u8>)>;
+
+/// Reads the replies of the previous run, which retries get, and then the swarms to recover.
+pub fn read(store: &Store, replies: &impl ReplyCache) -> Result<Stored, StoreError> {
+    replies.fill(store.replies()?);
+    store.swarms()
+}
+
+/// Recovers the swarms that [`read`] has returned, and waits until all are replayed. Returns their number.
 ///
 /// On a daemon without users, `has_users` is false, and the swarms belong to nobody. A swarm that cannot be
-/// recovered is logged and stays in the store. Returns an error only if the
-/// list of swarms or the replies cannot be read.
+/// recovered is logged and stays in the store.
 pub fn recover(
     registry: &Arc<SwarmRegistry>,
     store: &Store,
     replies: &impl ReplyCache,
+    swarms: Stored,
     on_recovered: &OnRecovered,
-    has_users: bool,
-) -> Result<usize, StoreError> {
-    replies.fill(store.replies()?);
+    (has_users, progress): (bool, &Arc<RecoveryProgress>),
+) -> usize {
     let (replayed, all_replayed) = channel();
     let mut count = 0;
-    for (swarm, metadata) in store.swarms()? {
-        let started = load(store, replies, &swarm, &metadata).and_then(|loaded| {
+    for (swarm, metadata) in swarms {
+        fail_point!("recover-swarm");
+        let started = load(store, replies, &swarm, &metadata, progress).and_then(|loaded| {
             let ((spec, creation), source, resets) = loaded;
             let creation = creation.map(|it| Creation {
                 owner: it.owner.filter(|_| has_users),
@@ -82,7 +95,7 @@ pub fn recover(
     if recovered > 0 {
         info!(swarms = recovered, "recovered");
     }
-    Ok(recovered)
+    recovered
 }
 
 /// The spec and the creation of a swarm, what is to be replayed, and where the swarm was reset.
@@ -93,6 +106,7 @@ fn load(
     replies: &impl ReplyCache,
     swarm: &str,
     metadata: &[u8],
+    progress: &Arc<RecoveryProgress>,
 ) -> Result<Loaded, Box<dyn Error>> {
     let SwarmMetadata { spec, creation } = ciborium::from_reader(metadata)?;
     let spec = jostle_convert::spec::from_proto(&spec, jostle_convert::value::count(spec.n))?;
@@ -134,14 +148,20 @@ fn load(
     let resets = resets(before.iter().chain(replayed));
     let entries = history_before(store, swarm, &checkpoint, before)?;
     let (replies, swarm) = (replies.clone(), swarm.to_owned());
+    let (lines, steps) = (progress.clone(), progress.clone());
+    let on_line: OnProgress = Box::new(move |_| lines.note_work());
+    let on_step: GoesOn = Box::new(move || {
+        steps.note_work();
+        true
+    });
     let source = ReplaySource {
         checkpoint,
         lines: Box::new(tail.into_iter()),
         entries,
         reply_for: Box::new(move |sender| rebuild_reply(&replies, &swarm, sender)),
         to: ReplayTarget::LastInput,
-        on_progress: None,
-        goes_on: None,
+        on_progress: Some(on_line),
+        goes_on: Some(on_step),
     };
     Ok(((spec, creation), source, resets))
 }

@@ -67,7 +67,7 @@ impl Steering {
             Command::Control {
                 controller, set, ..
             } => return Ok(self.steer(&controller, Some(&set))),
-            Command::Leave(controller) | Command::Lost(controller) => {
+            Command::Leave(controller) | Command::Lost(controller) | Command::Idle(controller) => {
                 return self.remove(&controller);
             }
             Command::Deadline(controller) => return self.miss(&controller),

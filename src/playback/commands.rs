@@ -23,6 +23,7 @@ impl Player {
                 self.waiters.add(waiter);
                 self.reply_to_waiters();
             }
+            Message::WaitFor(wait) => self.reject(wait.reply_to, SwarmError::Recorded),
             Message::TakeCheckpoint(answer) => self.reject(answer, SwarmError::Recorded),
             Message::Seek(seek, sender, answer) => match self.find(seek) {
                 Ok(frame) => {
@@ -36,7 +37,10 @@ impl Player {
             Message::RecordingFailed(recording, reason) => {
                 self.publish_event(EventKind::RecordingFailed(recording, reason));
             }
-            Message::Put(..) | Message::Lost(_) | Message::Wake => {}
+            Message::Put(..)
+            | Message::TokenLost(_)
+            | Message::TokenDeclared(_)
+            | Message::Wake => {}
             Message::Stop => return Some(End::Stopped),
         }
         None

@@ -10,6 +10,7 @@ mod audit;
 mod backlog;
 mod copy;
 mod damaged_copy;
+mod data_id;
 mod error;
 mod failpoint;
 mod health;
@@ -140,6 +141,7 @@ pub struct Store(Arc<Inner>);
 
 struct Inner {
     file: PathBuf,
+    data_id: Option<String>,
     shared: Arc<Shared>,
     reader: Mutex<Option<Connection>>,
     thread: Option<JoinHandle<()>>,
@@ -182,7 +184,9 @@ impl Store {
             return Err(StoreError::Unrestored(folder.to_path_buf()));
         }
         let file = folder.join(FILE);
+        let is_new = !file.exists();
         let mut connection = schema::open(&file, max_checked_bytes)?;
+        let data_id = data_id::of(folder, is_new);
         let size = fs::metadata(&file).map_or(0, |file| file.len());
         if size <= max_checked_bytes {
             repair::on_open(folder, &mut connection)?;
@@ -207,6 +211,7 @@ impl Store {
         let (reader, thread) = (Mutex::new(Some(reader)), Some(thread));
         Ok(Store(Arc::new(Inner {
             file,
+            data_id,
             shared,
             reader,
             thread,
@@ -233,6 +238,12 @@ impl Store {
         let (done, is_done) = sync_channel(1);
         self.push(writes, Durability::Sync(Box::new(done)));
         is_done.recv().unwrap_or(Err(StoreFault::Stopped))
+    }
+
+    /// The id of the data, which stays the same while they have all replies that were sent; `None` if it
+    /// could not be stored.
+    pub fn data_id(&self) -> Option<&str> {
+        self.0.data_id.as_deref()
     }
 
     /// Whether the last write succeeded.

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use jostle_measures::Past;
 use jostle_physics::simulation::{self, Rate};
 
+use crate::swarm::command::Command;
 use crate::swarm::membership::ControllerState;
 use crate::swarm::phase::{PauseReason, Phase};
 use crate::swarm::schedule::Scheduled;
@@ -69,9 +70,19 @@ impl Checkpoint {
         self.simulation.seq + self.annotations
     }
 
-    /// The start of another swarm with the same state: paused, with a history of its own.
+    /// The start of another swarm with the same state: paused, with a history of its own, and without the
+    /// conditions with an event, for which clients of the first one wait.
     #[must_use]
     pub fn for_another(mut self, phase: Phase) -> Self {
+        let is_event = |action: &watch::Action| matches!(action, watch::Action::Event(_));
+        self.watches.retain(|it| !is_event(&it.watch.action));
+        self.scheduled.retain(|(_, it)| match &it.command {
+            Command::Watch(watch) => !is_event(&watch.action),
+            _ => true,
+        });
+        if self.watches.is_empty() {
+            self.past = Past::default();
+        }
         for (k, (_, scheduled)) in self.scheduled.iter_mut().enumerate() {
             // Their lines are in another journal: numbers that this one does not reach.
             scheduled.input = u64::MAX - k as u64;

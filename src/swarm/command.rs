@@ -50,6 +50,8 @@ pub enum Command {
     Deadline(String),
     /// The liveliness token of this controller is lost.
     Lost(String),
+    /// This controller held the swarm and sent nothing for too long.
+    Idle(String),
     /// Apply set-points that a controller put.
     Control {
         /// Its name.
@@ -63,8 +65,8 @@ pub enum Command {
     Annotate,
     /// Execute an action once a condition holds.
     Watch(Box<Watch>),
-    /// Remove all waiting conditions, or the one with this event.
-    Unwatch(Option<Arc<str>>),
+    /// Remove waiting conditions.
+    Unwatch(Which),
     /// This condition holds: execute its action.
     Fired(Box<Watch>),
     /// Delete the swarm.
@@ -97,7 +99,7 @@ impl Command {
     /// not depend on it.
     pub fn is_annotation(&self) -> bool {
         match self {
-            Command::Annotate | Command::Unwatch(Some(_)) => true,
+            Command::Annotate | Command::Unwatch(Which::Event(_)) => true,
             Command::Watch(watch) | Command::Fired(watch) => {
                 matches!(watch.action, Action::Event(_))
             }
@@ -113,9 +115,21 @@ impl Command {
                 | Command::Advance { .. }
                 | Command::Deadline(_)
                 | Command::Lost(_)
+                | Command::Idle(_)
                 | Command::Control { .. }
         )
     }
+}
+
+/// Which waiting conditions are removed.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Which {
+    /// All.
+    All,
+    /// The one with this event.
+    Event(Arc<str>),
+    /// The one of this id.
+    Id(String),
 }
 
 /// Where a run ends.

@@ -16,6 +16,7 @@ use jostle_physics::model::selection::{Candidates, Selection, select};
 use jostle_physics::simulation::{ChangeError, SetPoints, Simulation};
 
 pub use input::{Effect, Input, Swarm};
+pub use member::{Expiry, TimeLimits};
 
 use crate::swarm::command::Command;
 use crate::swarm::controllers::member::Member;
@@ -90,20 +91,33 @@ impl Controllers {
         self.targets().next().is_some()
     }
 
-    /// The next deadline or end of a lease.
-    pub fn due(&self) -> Option<Instant> {
-        self.deadlines().map(|(_, due)| due).min()
+    /// When something runs out next for a controller.
+    pub fn due(&self, limits: &TimeLimits) -> Option<Instant> {
+        let due = self.members.values().filter_map(|it| it.due(limits));
+        due.map(|(due, _)| due).min()
     }
 
-    pub fn overdue(&self, now: Instant) -> Vec<String> {
-        let overdue = self.deadlines().filter(|(_, due)| *due <= now);
-        overdue.map(|(name, _)| name.clone()).collect()
+    /// What has run out by `now`, and for whom.
+    pub fn overdue(&self, now: Instant, limits: &TimeLimits) -> Vec<(String, Expiry)> {
+        let overdue = self.members.iter().filter_map(|(name, member)| {
+            let (due, expiry) = member.due(limits)?;
+            (due <= now).then(|| (name.clone(), expiry))
+        });
+        overdue.collect()
     }
 
-    fn deadlines(&self) -> impl Iterator<Item = (&String, Instant)> {
-        let due = |it: &Member| Some(it.since? + it.state.settings.deadline);
-        let members = self.members.iter();
-        members.filter_map(move |(name, member)| Some((name, due(member)?)))
+    /// Why the swarm takes no steps of its own: it is in lock-step.
+    pub fn lockstep(&self, swarm: &str, step: u64) -> SwarmError {
+        let lockstep = || self.members.iter().filter(|(_, it)| it.is_lockstep());
+        let holding = lockstep().filter(|(_, it)| it.holds(step));
+        let mut controllers: Vec<String> = holding.map(|(name, _)| name.clone()).collect();
+        if controllers.is_empty() {
+            controllers = lockstep().map(|(name, _)| name.clone()).collect();
+        }
+        SwarmError::Lockstep {
+            swarm: swarm.to_owned(),
+            controllers,
+        }
     }
 
     /// Takes the set-points for the next step as commands, in the order of the controllers' names.
@@ -143,6 +157,21 @@ impl Controllers {
             Input::Interrupted(next) => {
                 swarm.phase = next;
                 self.end_advances(true, swarm);
+                return Ok(Outcome::Done);
+            }
+            Input::Away(controller, since) => {
+                if let Some(member) = self.members.get_mut(controller) {
+                    member.away_since = Some(since);
+                }
+                return Ok(Outcome::Done);
+            }
+            Input::Returned(controller) => {
+                if let Some(member) = self.members.get_mut(controller)
+                    && member.away_since.take().is_some()
+                {
+                    member.since = member.since.map(|_| swarm.now);
+                    member.heard(swarm.now);
+                }
                 return Ok(Outcome::Done);
             }
             Input::Faulted(error) => {
@@ -238,11 +267,14 @@ impl Controllers {
                 // `Updated` follows once all set-points for the step are applied.
                 return Ok(outcome);
             }
-            Command::Deadline(controller) | Command::Lost(controller) => {
+            Command::Deadline(controller)
+            | Command::Lost(controller)
+            | Command::Idle(controller) => {
                 self.find(controller)?;
                 swarm.effects.push(Effect::Journal(None));
                 match command {
                     Command::Deadline(_) => self.miss(controller, swarm)?,
+                    Command::Idle(_) => self.remove(controller, Departure::Idle, swarm),
                     _ => self.remove(controller, Departure::Lost, swarm),
                 }
                 swarm.effects.push(Effect::Publish);
@@ -450,6 +482,9 @@ impl Controllers {
             let is_awaited = !is_faulted && member.is_awaited(step, is_waiting);
             let since = member.since.unwrap_or(swarm.now);
             member.since = is_awaited.then_some(since);
+            let silent_since = member.silent_since.unwrap_or(swarm.now);
+            let holds = !is_faulted && member.holds(step);
+            member.silent_since = holds.then_some(silent_since);
         }
     }
 

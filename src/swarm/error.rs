@@ -2,12 +2,15 @@
 
 use std::sync::Arc;
 
-use jostle_measures::{PastError, TooCostly};
+use jostle_measures::{PastError, TooCostly, TooCostlyTogether};
 use jostle_physics::simulation::{ChangeError, ReserveError};
 use thiserror::Error;
 
 use crate::swarm::membership::{Departure, MAX_MISSES};
 use crate::swarm::phase::PhaseError;
+
+/// Controllers that an error names.
+const MAX_NAMED: usize = 3;
 
 /// Why a command was rejected; nothing has changed.
 #[derive(Clone, Debug, Error)]
@@ -24,15 +27,46 @@ pub enum SwarmError {
     },
     #[error("at_step {at_step} is in the past, the swarm is at step {step}: name a later one")]
     Late { at_step: u64, step: u64 },
-    #[error("{}", too_many_scheduled(*.count, .user.as_deref()))]
+    #[error("{}", too_many_scheduled(*.count, *.max_bytes, .user.as_deref()))]
     TooManyScheduled {
         /// How many are scheduled.
         count: usize,
+        /// What the text of all may take.
+        max_bytes: usize,
         /// The user whose they are, of a daemon with users.
         user: Option<String>,
     },
-    #[error("{0} conditions wait already: remove them with `cancel`, or reset")]
+    #[error(
+        "{0} conditions wait already: `jostle when NAME` lists them, and `jostle when NAME --cancel ID` removes one"
+    )]
     TooManyWatches(usize),
+    #[error("{}", too_many_waits(*.count, .user.as_deref()))]
+    TooManyWaits {
+        /// How many wait.
+        count: usize,
+        /// The user whose they are, if the limit is that of a user.
+        user: Option<String>,
+    },
+    #[error("{}", too_many_measures(*.count, *.limit, .user))]
+    TooManyMeasuresOfUser {
+        /// How many different ones the waits of the user would compare.
+        count: usize,
+        limit: usize,
+        user: String,
+    },
+    /// The measures of the conditions take too long together.
+    #[error(transparent)]
+    TooCostlyTogether(#[from] TooCostlyTogether),
+    #[error(
+        "no memory is left for the earlier states of the condition: {needed} bytes are needed, {free} are \
+             free: choose a shorter lag, end other waits, delete a swarm, or raise max_memory_mb"
+    )]
+    NoMemoryOfPast { needed: u64, free: u64 },
+    /// The key of a liveliness token; empty for a connection.
+    #[error("{}", not_held(.0))]
+    NotHeld(String),
+    #[error("no condition {0:?} waits: `jostle when NAME` lists those that do")]
+    NoCondition(String),
     /// The measures of a condition need too many states of earlier steps.
     #[error(transparent)]
     TooMuchPast(#[from] PastError),
@@ -91,11 +125,12 @@ pub enum SwarmError {
     NotClaimed { id: u32, owner: Option<String> },
     #[error("controller {0} did not join to drive individuals directly: join with `driving`")]
     NotDriving(String),
-    #[error(
-        "controllers have joined, and the swarm steps when all of them `advance`: remove them \
-         first"
-    )]
-    Lockstep,
+    #[error("{}", lockstep(.swarm, .controllers))]
+    Lockstep {
+        swarm: String,
+        /// Those that the swarm waits for; all in lock-step while it steps.
+        controllers: Vec<String>,
+    },
     #[error("controller {0} joined in mode free_running: join again in mode lockstep to advance")]
     RunsFreely(String),
     #[error("controller {controller} is advancing to step {target} already: wait for that reply")]
@@ -194,19 +229,71 @@ fn not_joined(controller: &str, left: Option<(Departure, u64)>) -> String {
         Some((Departure::Late, step)) => {
             format!("missed {MAX_MISSES} deadlines up to step {step} and was removed")
         }
+        Some((Departure::Idle, step)) => {
+            format!("was removed at step {step}, since it sent nothing for max_idle_secs")
+        }
     };
     format!("controller {controller} {why}: join again")
 }
 
-fn too_many_scheduled(count: usize, user: Option<&str>) -> String {
+fn lockstep(swarm: &str, controllers: &[String]) -> String {
+    let named = controllers.len().min(MAX_NAMED);
+    let mut names = controllers[..named].join(", ");
+    if named < controllers.len() {
+        names = format!("{names} and {} others", controllers.len() - named);
+    }
+    let one = controllers.first().map_or("", String::as_str);
+    format!(
+        "the swarm steps when its controllers in lock-step `advance`, and waits for {names}: an operator \
+         removes one with `jostle leave {swarm} {one}`, and those that send nothing for a minute with \
+         `jostle set {swarm} max_idle_secs=60`"
+    )
+}
+
+fn too_many_scheduled(count: usize, max_bytes: usize, user: Option<&str>) -> String {
+    let max = max_bytes / 1024;
     match user {
         Some(user) => format!(
-            "{count} commands of {user} are scheduled in this swarm already: send this one once some of them \
-             are executed; a `reset` of an operator removes them"
+            "{count} commands of {user} are scheduled in this swarm, of at most {max} KiB: send this one once \
+             some of them are executed; a `reset` of an operator removes them"
         ),
-        None => {
-            format!("{count} commands are scheduled already: send this one later, or reset")
-        }
+        None => format!(
+            "{count} commands are scheduled, of at most {max} KiB: send this one later, or reset"
+        ),
+    }
+}
+
+fn too_many_waits(count: usize, user: Option<&str>) -> String {
+    match user {
+        Some(user) => format!(
+            "{count} requests of {user} wait for conditions of this swarm already, which is the most of a \
+             user: end one of them, or wait until its condition holds"
+        ),
+        None => format!(
+            "{count} requests wait for conditions of this swarm already: `jostle status` lists them; send this \
+             one once one of them has ended"
+        ),
+    }
+}
+
+fn too_many_measures(count: usize, limit: usize, user: &str) -> String {
+    let of = match user {
+        "" => "of clients without a token".to_owned(),
+        user => format!("of {user}"),
+    };
+    format!(
+        "the waits {of} in this swarm would compare {count} different measures after every step, the limit of a \
+         user who is no operator is {limit}: compare fewer, or end other waits"
+    )
+}
+
+fn not_held(key: &str) -> String {
+    match key {
+        "" => "the connection that held this wait is closed: send it again".to_owned(),
+        key => format!(
+            "the liveliness token {key} of this wait is not declared: declare it before the query, and keep it \
+             until the wait has ended"
+        ),
     }
 }
 

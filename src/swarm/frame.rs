@@ -12,6 +12,7 @@ use jostle_physics::model::{State, WarmStart};
 use jostle_physics::observables::{Order, RunningMeans};
 use jostle_physics::simulation::{Exactness, Rate};
 
+use crate::swarm::awaited::{WaitSummary, WatchStatus};
 use crate::swarm::error::SwarmError;
 use crate::swarm::membership::ControllerStatus;
 use crate::swarm::phase::Phase;
@@ -43,12 +44,14 @@ pub struct Frame {
     pub publish_every: u64,
     /// The names of the measures that are published.
     pub measures: Vec<String>,
+    /// For how many seconds the swarm waits for a silent controller in lockstep.
+    pub max_idle_secs: Option<f64>,
     /// The seed of every draw.
     pub seed: u64,
     /// The number of scheduled commands.
     pub scheduled: usize,
     /// The conditions that it waits for.
-    pub conditions: Vec<Arc<str>>,
+    pub conditions: Vec<WatchStatus>,
     /// The individuals.
     pub configuration: Configuration,
     /// Order and drift now.
@@ -67,6 +70,8 @@ pub struct Frame {
     pub replay: Option<Replay>,
     /// The controllers that have joined, if requested.
     pub controllers: Vec<ControllerStatus>,
+    /// The waits for conditions, if requested.
+    pub waits: Vec<WaitSummary>,
     /// BLAKE3 of the state, if requested.
     pub hash: Option<[u8; 32]>,
     /// Computed by the first reader, not on the thread of the swarm.

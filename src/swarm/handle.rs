@@ -10,6 +10,7 @@ use parking_lot::Mutex;
 use tracing::info;
 
 use crate::auth::User;
+use crate::swarm::awaited::Awaited;
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::command::{Command, Seek, WaitCondition, When};
 use crate::swarm::error::SwarmError;
@@ -30,6 +31,8 @@ pub enum Message {
     Query(ReplyTo),
     /// Reply with the state when a condition is met.
     Wait(Waiter),
+    /// Reply with the state when a condition on measures holds.
+    WaitFor(Box<ConditionWait>),
     /// Reply with a checkpoint.
     TakeCheckpoint(ReplyTo),
     /// Seek in a recording.
@@ -37,8 +40,10 @@ pub enum Message {
     /// Set-points of a controller, and the epoch for which they were computed if it is known; `None` if
     /// they could not be parsed.
     Put(String, Option<u64>, Option<Put>),
-    /// The liveliness token of a controller is lost.
-    Lost(String),
+    /// The liveliness token of a controller is gone.
+    TokenLost(String),
+    /// The liveliness token of a controller is declared.
+    TokenDeclared(String),
     /// A recording of the swarm has failed: its name and the reason.
     RecordingFailed(Arc<str>, Arc<str>),
     /// Check again what the swarm waits for: a core, or room in a lossless recording.
@@ -66,6 +71,16 @@ pub struct Waiter {
     /// The condition.
     pub condition: WaitCondition,
     /// Whether the client no longer waits for the reply.
+    pub is_abandoned: Box<dyn Fn() -> bool + Send>,
+    /// Receives the state.
+    pub reply_to: ReplyTo,
+}
+
+/// A query that waits for a condition on measures.
+pub struct ConditionWait {
+    /// What it waits for.
+    pub awaited: Awaited,
+    /// Whether the query has a reply, or its client is gone.
     pub is_abandoned: Box<dyn Fn() -> bool + Send>,
     /// Receives the state.
     pub reply_to: ReplyTo,
@@ -254,6 +269,16 @@ impl Handle {
         message.reject(self.step(), error);
     }
 
+    /// Queues a message without a reply, and returns it if the queue is full.
+    #[expect(clippy::result_large_err, reason = "the caller passes it on later")]
+    pub fn offer(&self, message: Message) -> Result<(), Message> {
+        match self.messages.try_send(message) {
+            Err(TrySendError::Full(message)) => Err(message),
+            // A swarm that has ended needs no message.
+            Ok(()) | Err(TrySendError::Disconnected(_)) => Ok(()),
+        }
+    }
+
     /// A callback that wakes the thread of the swarm. It does not keep the queue alive.
     pub(crate) fn waker(&self) -> impl Fn() + Send + Sync + use<> {
         let messages = Arc::downgrade(&self.messages);
@@ -320,8 +345,10 @@ impl Message {
             | Message::Wait(Waiter { reply_to, .. }) => {
                 reply_to.send(Err(Rejection { step, error }));
             }
+            Message::WaitFor(wait) => wait.reply_to.send(Err(Rejection { step, error })),
             Message::Put(..)
-            | Message::Lost(_)
+            | Message::TokenLost(_)
+            | Message::TokenDeclared(_)
             | Message::RecordingFailed(..)
             | Message::Wake
             | Message::Stop => {}

@@ -38,7 +38,8 @@ pub struct Entry {
 pub struct Page<T> {
     /// Oldest first.
     pub records: Vec<T>,
-    /// The number of the oldest record that is kept.
+    /// The number of the oldest record that is kept; of events not that of the creation, if those after it
+    /// are missing.
     pub oldest: Option<u64>,
     /// The number of the newest record; 0 before the first.
     pub newest: u64,
@@ -47,12 +48,17 @@ pub struct Page<T> {
 /// The past events and applied commands of a swarm. The oldest are evicted.
 #[derive(Default)]
 pub struct History {
-    /// Those that are neither notes nor the creation.
-    events: Mutex<Ring<Event>>,
-    notes: Mutex<Ring<Event>>,
-    /// The creation, which stays.
-    created: Mutex<Ring<Event>>,
+    events: Mutex<Events>,
     entries: Mutex<Ring<Entry>>,
+}
+
+/// The past events.
+#[derive(Default)]
+struct Events {
+    /// The creation, which stays.
+    created: Option<Event>,
+    notes: Ring<Event>,
+    others: Ring<Event>,
 }
 
 impl History {
@@ -66,12 +72,18 @@ impl History {
             });
         }
         let bytes = RECORD_BYTES + event.kind.bytes();
-        let (ring, limits) = match &event.kind {
-            EventKind::Command(sender) if sender.verb == ANNOTATE => (&self.notes, MAX_NOTES),
-            EventKind::Created(_) => (&self.created, (1, 0)),
-            _ => (&self.events, MAX_EVENTS),
-        };
-        ring.lock().push(event.number, bytes, event.clone(), limits);
+        let mut events = self.events.lock();
+        match &event.kind {
+            EventKind::Created(_) => events.created = Some(event.clone()),
+            kind if kind.is_note() => {
+                let notes = &mut events.notes;
+                notes.push(event.number, bytes, event.clone(), MAX_NOTES);
+            }
+            _ => {
+                let others = &mut events.others;
+                others.push(event.number, bytes, event.clone(), MAX_EVENTS);
+            }
+        }
     }
 
     /// Adds a command that has no event in this history.
@@ -85,15 +97,27 @@ impl History {
         }
     }
 
-    /// At most `limit` events after number `after`. Notes may be missing among them, and events after the
-    /// creation.
+    /// At most `limit` events after number `after`. Notes may be missing among them, and events between the
+    /// creation and the oldest other one.
     pub fn events(&self, after: u64, limit: usize) -> Page<Event> {
-        let mut page = self.events.lock().after(after, limit);
-        for other in [&self.notes, &self.created] {
-            let other = other.lock().after(after, limit);
-            page.records.extend(other.records);
-            page.oldest = page.oldest.into_iter().chain(other.oldest).min();
-            page.newest = page.newest.max(other.newest);
+        let events = self.events.lock();
+        let mut page = events.others.after(after, limit);
+        let notes = events.notes.after(after, limit);
+        page.records.extend(notes.records);
+        page.oldest = page.oldest.into_iter().chain(notes.oldest).min();
+        page.newest = page.newest.max(notes.newest);
+        if let Some(created) = &events.created {
+            page.records
+                .extend((created.number > after).then(|| created.clone()));
+            // Behind a gap it is not the oldest, so that clients see the gap.
+            let is_next = page
+                .oldest
+                .is_none_or(|oldest| oldest == created.number + 1);
+            page.oldest = match is_next {
+                true => Some(created.number),
+                false => page.oldest,
+            };
+            page.newest = page.newest.max(created.number);
         }
         page.records.sort_by_key(|event| event.number);
         page.records.truncate(limit);
@@ -153,6 +177,16 @@ impl<T: Clone> Ring<T> {
 }
 
 impl EventKind {
+    /// Whether it is a note, or the scheduling or rejection of one.
+    fn is_note(&self) -> bool {
+        match self {
+            EventKind::Command(sender)
+            | EventKind::Scheduled(_, sender)
+            | EventKind::Rejected(sender, _) => sender.verb == ANNOTATE,
+            _ => false,
+        }
+    }
+
     /// Bytes of its text.
     fn bytes(&self) -> usize {
         match self {
@@ -193,6 +227,7 @@ mod tests {
     #![expect(clippy::unwrap_used, reason = "tests")]
 
     use super::*;
+    use crate::swarm::error::SwarmError;
     use crate::swarm::phase::{PauseReason, Phase};
 
     /// The event of a command with this verb.
@@ -239,6 +274,24 @@ mod tests {
     }
 
     #[test]
+    fn scheduled_and_rejected_notes_evict_only_notes() {
+        let history = History::default();
+        history.record_event(&event(1, "inform"));
+        for number in 2..=4000 {
+            let note = event(number, ANNOTATE);
+            let EventKind::Command(sender) = note.kind else {
+                unreachable!()
+            };
+            let kind = match number % 2 {
+                0 => EventKind::Scheduled(9, sender),
+                _ => EventKind::Rejected(sender, SwarmError::Recorded),
+            };
+            history.record_event(&Event { kind, ..note });
+        }
+        assert_eq!(history.events(0, 1).records[0].number, 1);
+    }
+
+    #[test]
     fn nothing_evicts_the_creation() {
         let history = History::default();
         let creation = Creation {
@@ -250,15 +303,18 @@ mod tests {
             ..event(1, "inform")
         };
         history.record_event(&created);
-        for number in 2..=3000 {
+        assert_eq!(history.events(0, 10).oldest, Some(1));
+        history.record_event(&event(2, "inform"));
+        assert_eq!(history.events(0, 10).oldest, Some(1));
+        for number in 3..=3000 {
             history.record_event(&event(number, "inform"));
         }
+        let first_kept = 3000 - MAX_EVENTS.0 as u64 + 1;
         let numbers = |after, limit| -> Vec<u64> {
             let page = history.events(after, limit);
-            assert_eq!((page.oldest, page.newest), (Some(1), 3000));
+            assert_eq!((page.oldest, page.newest), (Some(first_kept), 3000));
             page.records.iter().map(|it| it.number).collect()
         };
-        let first_kept = 3000 - MAX_EVENTS.0 as u64 + 1;
         assert_eq!(numbers(0, 3), [1, first_kept, first_kept + 1]);
         assert_eq!(numbers(0, 5000).len(), MAX_EVENTS.0 + 1);
         assert_eq!(numbers(1, 1), [first_kept]);

@@ -65,6 +65,8 @@ pub enum Departure {
     Left,
     Lost,
     Late,
+    /// It held the swarm and sent nothing for `max_idle_secs`. To others it was late.
+    Idle,
 }
 
 #[derive(Clone, Debug, PartialEq, Eq)]

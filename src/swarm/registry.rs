@@ -1,6 +1,6 @@
 //! The named swarms: create, find and remove them, within the limits of the daemon.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::num::NonZero;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, sync_channel};
@@ -22,6 +22,7 @@ use crate::swarm::output::Output;
 use crate::swarm::runner::{Built, End, JournalFactory, PersistNew, Playback, SwarmObserver};
 use crate::swarm::scheduler::{self, CpuScheduler};
 use crate::swarm::sender::Creation;
+use crate::swarm::waits::ReservePast;
 use crate::swarm::worker::Worker;
 use crate::swarm::worker::replay::ReplaySource;
 
@@ -36,6 +37,9 @@ const BYTES_PER_INDIVIDUAL: u64 = 8192;
 /// Memory per swarm whatever its size: the used stack of its thread, queues and buffers, its
 /// history and scheduled commands. A swarm of 20 without commands takes a third of it.
 const BYTES_PER_SWARM: u64 = 1024 * 1024;
+
+/// The earlier states of waits take at most this part of the memory, a quarter: every role may wait.
+const PAST_SHARE: u64 = 4;
 
 /// The limits of the daemon.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -79,8 +83,9 @@ pub enum RegistryError {
     Stopping,
 }
 
-/// Called on the thread of a recovered swarm, with its state, before it continues.
-pub type OnRecovered = Box<dyn FnOnce(&Handle, &Arc<Frame>) + Send>;
+/// Called on the thread of a recovered swarm, with its state, before it continues. Returns the controllers of
+/// this swarm whose liveliness tokens are declared.
+pub type OnRecovered = Box<dyn FnOnce(&Handle, &Arc<Frame>) -> BTreeSet<String> + Send>;
 
 enum StartFrom {
     Spec(Box<dyn PersistNew>),
@@ -114,6 +119,8 @@ struct State {
 struct Entry {
     handle: Handle,
     memory_bytes: u64,
+    /// Of it, that of the earlier states that waits need.
+    past_bytes: u64,
     thread: Option<thread::JoinHandle<()>>,
 }
 
@@ -264,6 +271,7 @@ impl SwarmRegistry {
             Entry {
                 handle,
                 memory_bytes,
+                past_bytes: 0,
                 thread: Some(thread),
             },
         );
@@ -401,10 +409,10 @@ impl SwarmRegistry {
             Reservation::Grow(n) | Reservation::Return(n) => n,
         };
         let mut state = self.state.lock();
-        let needed = memory_of(n);
         let Some(entry) = state.swarms.get(name) else {
             return Ok(());
         };
+        let needed = memory_of(n).saturating_add(entry.past_bytes);
         let before = entry.memory_bytes;
         let others = state.memory_bytes - before;
         let free = self.limits.max_memory_bytes.saturating_sub(others);
@@ -412,6 +420,28 @@ impl SwarmRegistry {
         if needed > free && needed > before {
             return Err(ReserveError::NoMemory { n, needed, free });
         }
+        state.set_memory(name, needed);
+        Ok(())
+    }
+
+    /// Reserves memory for the earlier states that the waits of a swarm need, in place of that before. Those of
+    /// all swarms take at most a share of the memory, so that a user who may only wait does not prevent new swarms.
+    fn reserve_past(&self, name: &str, bytes: u64) -> Result<(), SwarmError> {
+        let mut state = self.state.lock();
+        let max = self.limits.max_memory_bytes;
+        let pasts: u64 = state.swarms.values().map(|it| it.past_bytes).sum();
+        let free = max.saturating_sub(state.memory_bytes);
+        let free = free.min((max / PAST_SHARE).saturating_sub(pasts));
+        let Some(entry) = state.swarms.get_mut(name) else {
+            return Ok(());
+        };
+        let before = entry.past_bytes;
+        if bytes.saturating_sub(before) > free {
+            let needed = bytes;
+            return Err(SwarmError::NoMemoryOfPast { needed, free });
+        }
+        entry.past_bytes = bytes;
+        let needed = entry.memory_bytes - before + bytes;
         state.set_memory(name, needed);
         Ok(())
     }
@@ -454,6 +484,8 @@ impl SwarmRegistry {
         let name = &handle.output.name;
         let (registry, swarm) = (self.clone(), name.clone());
         let reserve: ReserveMemory = Box::new(move |size| registry.reserve(&swarm, size));
+        let (registry, swarm) = (self.clone(), name.clone());
+        let reserve_past: ReservePast = Box::new(move |bytes| registry.reserve_past(&swarm, bytes));
         let min_interval = Duration::from_secs(1) / self.limits.max_hz.max(1);
         let writer = self.journals.open(name);
         let (checkpoint, persist) = match from {
@@ -468,11 +500,13 @@ impl SwarmRegistry {
                     return Ok(Err(end));
                 }
                 self.state.lock().set_memory(name, memory_of(worker.n()));
+                worker.set_reserve_of_waits(reserve_past);
                 if let Err(fault) = worker.resume(reserve) {
                     warn!(swarm = name, %fault, "failed to journal the restart");
                 }
                 let (stamp, frame) = worker.stamp_and_frame();
-                on_recovered(handle, &frame);
+                // Later changes are messages to this swarm, which the registry contains by now.
+                worker.await_tokens(&on_recovered(handle, &frame));
                 return Ok(Ok(((stamp, frame), Box::new(worker))));
             }
             StartFrom::Recording(playback) => {
@@ -484,6 +518,7 @@ impl SwarmRegistry {
         let writer = (writer, reserve);
         let ignored = &|_: &_| ReplyTo::ignored();
         let mut worker = Worker::restore(checkpoint, handle, min_interval, writer, ignored);
+        worker.set_reserve_of_waits(reserve_past);
         worker.publish_created(handle.creation.clone());
         let (stamp, frame) = worker.stamp_and_frame();
         let creation = handle.creation.as_deref();

@@ -3,9 +3,11 @@
 use std::collections::HashMap;
 use std::hash::{BuildHasher as _, RandomState};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use parking_lot::Mutex;
+
+use crate::swarm::awaited::Holder;
 
 /// The parameter of a query that names its HTTP request. Like those of zenoh it begins with `_`, so no
 /// daemon rejects it.
@@ -19,8 +21,8 @@ struct Inner {
     /// Differs between daemons, which receive queries of each other's HTTP servers.
     instance: u64,
     number: AtomicU64,
-    /// Whether the client of each request is gone.
-    is_gone: Mutex<HashMap<u64, Arc<AtomicBool>>>,
+    /// The connection of each request.
+    connections: Mutex<HashMap<u64, Arc<Holder>>>,
 }
 
 /// A request that waits until this is dropped: it has its reply, or its connection was closed.
@@ -41,7 +43,7 @@ impl Default for Inner {
         Inner {
             instance: RandomState::new().hash_one(()),
             number: AtomicU64::new(0),
-            is_gone: Mutex::default(),
+            connections: Mutex::default(),
         }
     }
 }
@@ -50,30 +52,31 @@ impl OpenRequests {
     /// Adds a request.
     pub fn begin(&self) -> OpenRequest {
         let number = self.0.number.fetch_add(1, Ordering::Relaxed);
-        self.0.is_gone.lock().insert(number, Arc::default());
+        let connection = Arc::new(Holder::connection(true));
+        self.0.connections.lock().insert(number, connection);
         OpenRequest {
             all: self.clone(),
             number,
         }
     }
 
-    /// Whether the client of the request of this name is gone, now and later; `None` if it is not a
-    /// request to this daemon's HTTP server. A client may be gone before its query arrives.
-    pub fn is_gone(&self, name: &str) -> Option<Arc<AtomicBool>> {
+    /// The connection of the request of this name; `None` if it is not a request to this daemon's HTTP
+    /// server. A client may be gone before its query arrives.
+    pub fn connection(&self, name: &str) -> Option<Arc<Holder>> {
         let (instance, number) = name.split_once('.')?;
         let (instance, number): (u64, u64) = (instance.parse().ok()?, number.parse().ok()?);
         if instance != self.0.instance {
             return None;
         }
-        let known = self.0.is_gone.lock().get(&number).cloned();
-        Some(known.unwrap_or_else(|| Arc::new(AtomicBool::new(true))))
+        let known = self.0.connections.lock().get(&number).cloned();
+        Some(known.unwrap_or_else(|| Arc::new(Holder::connection(false))))
     }
 }
 
 impl Drop for OpenRequest {
     fn drop(&mut self) {
-        if let Some(is_gone) = self.all.0.is_gone.lock().remove(&self.number) {
-            is_gone.store(true, Ordering::Relaxed);
+        if let Some(connection) = self.all.0.connections.lock().remove(&self.number) {
+            connection.set(false);
         }
     }
 }
@@ -87,18 +90,18 @@ mod tests {
         let (open, other) = (OpenRequests::default(), OpenRequests::default());
         let request = open.begin();
         let name = request.name();
-        let is_gone = || open.is_gone(&name).map(|it| it.load(Ordering::Relaxed));
-        let known = open.is_gone(&name);
+        let is_gone = || Some(open.connection(&name)?.gone_since().is_some());
+        let known = open.connection(&name);
         assert_eq!(is_gone(), Some(false));
         let theirs = other.begin();
         assert_eq!(theirs.number, request.number);
         drop(request);
-        assert!(known.is_some_and(|it| it.load(Ordering::Relaxed)));
+        assert!(known.is_some_and(|it| it.gone_since().is_some()));
         assert_eq!(is_gone(), Some(true));
         // Another daemon does not know it, and has one of the same number.
-        assert!(other.is_gone(&name).is_none());
+        assert!(other.connection(&name).is_none());
         for invalid in ["", "1", "a.b", "-1.2"] {
-            assert!(open.is_gone(invalid).is_none(), "{invalid:?}");
+            assert!(open.connection(invalid).is_none(), "{invalid:?}");
         }
     }
 }

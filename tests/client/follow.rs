@@ -19,10 +19,10 @@ const DAEMON: &str = "JOSTLE_CLIENT_TEST_DAEMON";
 const TIMEOUT: Duration = Duration::from_secs(60);
 
 /// The daemon process; ends with the test.
-struct Process(Child);
+pub struct Process(Child);
 
 impl Process {
-    fn start(folder: &Path, listen: &str) -> (Self, String) {
+    pub fn start(folder: &Path, listen: &str) -> (Self, String) {
         let mut child = Command::new(std::env::current_exe().unwrap())
             .args(["follow::daemon_process", "--exact", "--nocapture"])
             .env(DAEMON, format!("{} {listen}", folder.display()))
@@ -37,10 +37,9 @@ impl Process {
     }
 
     /// Suspends it, and waits until all of its threads have stopped; an end works as before.
-    fn suspend(&self) {
+    pub fn suspend(&self) {
+        signal(&self.0, "STOP");
         let id = self.0.id().to_string();
-        let status = Command::new("kill").args(["-STOP", &id]).status().unwrap();
-        assert!(status.success());
         let threads = Path::new("/proc").join(&id).join("task");
         let is_stopped = |thread: std::io::Result<std::fs::DirEntry>| {
             // The state follows the name, which is in parentheses.
@@ -54,10 +53,22 @@ impl Process {
         }
     }
 
-    fn kill(mut self) {
+    /// Resumes it.
+    pub fn resume(&self) {
+        signal(&self.0, "CONT");
+    }
+
+    pub fn kill(mut self) {
         self.0.kill().unwrap();
         self.0.wait().unwrap();
     }
+}
+
+/// Sends a signal to a process.
+pub fn signal(process: &Child, name: &str) {
+    let (name, id) = (format!("-{name}"), process.id().to_string());
+    let status = Command::new("kill").args([name, id]).status().unwrap();
+    assert!(status.success());
 }
 
 impl Drop for Process {
@@ -251,5 +262,55 @@ async fn events_without_gaps_and_errors_with_their_variant() {
     let expected: Vec<u64> = (1..=numbers.len() as u64).collect();
     assert_eq!(numbers, expected);
     assert!(numbers.len() > 200);
+    client.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_dropped_next_loses_no_update() {
+    let daemon = Daemon::start().await;
+    let client = Client::connect(ConnectOptions::to(daemon.endpoint()))
+        .await
+        .unwrap();
+    create(&client).await;
+    let options = FollowOptions {
+        events: Some(EventsFrom::After(0)),
+        ..FollowOptions::default()
+    };
+    let mut updates = client.follow("demo", options).await.unwrap();
+    let send = async {
+        // More than the queue of events holds, so that some are queried.
+        for number in 0..200 {
+            let set = SetArgs {
+                pi3: Some(1.0 + f64::from(number) / 1000.0),
+                ..SetArgs::default()
+            };
+            client.execute("demo", &set).await.unwrap();
+        }
+        client.execute("demo", &note("last")).await.unwrap();
+    };
+    let read = async {
+        let (mut numbers, mut dropped, began) = (Vec::new(), 0, Instant::now());
+        loop {
+            let micros = Duration::from_micros(50 * (dropped % 40));
+            tokio::select! {
+                biased;
+                update = updates.next() => {
+                    let update = update.unwrap().unwrap();
+                    if let Update::Event(event) = &update {
+                        numbers.push(event.number);
+                    }
+                    if is_note(&update, "last").is_some() {
+                        return (numbers, dropped);
+                    }
+                }
+                () = tokio::time::sleep(micros) => dropped += 1,
+            }
+            assert!(began.elapsed() < TIMEOUT);
+        }
+    };
+    let ((), (numbers, dropped)) = tokio::join!(send, read);
+    let expected: Vec<u64> = (1..=numbers.len() as u64).collect();
+    assert_eq!(numbers, expected);
+    assert!(dropped > 100, "{dropped}");
     client.close().await;
 }

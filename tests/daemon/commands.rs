@@ -10,8 +10,17 @@ use crate::support::{Client, Daemon, NODE, PREFIX, read, until};
 /// A swarm that faults within a few steps: bodies that turn at a touch, in the longest step that
 /// is allowed, are turned so far that two of them cross.
 pub async fn fault(client: &Client, name: &str) {
-    let spec = json!({"n": 60, "pi4": 1e6, "dt": 0.2497, "seed": 2});
-    client.create(name, spec).await;
+    client.create(name, faulting_spec()).await;
+    fault_soon(client, name).await;
+}
+
+/// The spec of a swarm that faults.
+pub fn faulting_spec() -> Value {
+    json!({"n": 60, "pi4": 1e6, "dt": 0.2497, "seed": 2})
+}
+
+/// Steps a swarm of [`faulting_spec`] until it faults.
+pub async fn fault_soon(client: &Client, name: &str) {
     let error = client.cmd(
         name,
         "step",

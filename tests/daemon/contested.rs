@@ -192,6 +192,40 @@ fn assert_all(executed: &BTreeMap<String, usize>, expected: usize) {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_daemon_that_recovers_its_swarms_leaves_the_names_of_others_to_them() {
+    let (a, b) = (RestartableDaemon::new("a"), RestartableDaemon::new("b"));
+    b.prepare(&["own", "school"]).await;
+    let _first = a.start();
+    let router = Router::connected_to(&[&a.endpoint, &b.endpoint]);
+    let client = Client::open(&router.1).await;
+    until("the router is connected", async || {
+        node_is_there(&client, "a").await
+    })
+    .await;
+    create(&client, "a", "school").await.unwrap();
+    let starting = thread::spawn(move || (b.start_failing("recover-swarm=sleep(2000)"), b));
+    let standings = [("a", Standing::Changed), ("b", Standing::Waiting)];
+    until_standings(&client, "school", &standings).await;
+    let is_recovering = async || {
+        let replies = set(&client, "own", "x", 2.0).await;
+        matches!(&replies[..], [Err(error)] if error.details["reason"] == "recovering")
+    };
+    until("the second daemon recovers its swarms", is_recovering).await;
+    let mut sent = 0;
+    while !starting.is_finished() {
+        sent += 1;
+        let replies = set(&client, "school", &format!("x{sent}"), 2.0).await;
+        assert!(matches!(replies[..], [Ok(_)]), "{replies:?}");
+    }
+    assert!(sent > 1, "the recovery was too short");
+    let _second = starting.join().unwrap();
+    until("its own swarm is served", async || {
+        matches!(set(&client, "own", "x", 2.0).await[..], [Ok(_)])
+    })
+    .await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_second_daemon_serves_once_the_first_is_gone_and_yields_when_it_is_back() {
     let (a, b) = (RestartableDaemon::new("a"), RestartableDaemon::new("b"));
     b.prepare(&["school", "own"]).await;

@@ -191,6 +191,12 @@ async fn every_channel_of_the_document_is_served() {
                         .unwrap();
                     send_again(client, &swarm, &verb, &args).await
                 }
+                "when" if args.get("id").is_some() => {
+                    // The condition of this id.
+                    let first = json!({"condition": "order > 0.9 for 20", "pause": true});
+                    send(client, &swarm, &verb, &first).await.unwrap();
+                    send_again(client, &swarm, &verb, &args).await
+                }
                 _ => send(client, &swarm, &verb, &args).await,
             };
             if fixture.starts_with("experiment.args.expand_files") {

@@ -1,8 +1,12 @@
 //! Controllers in lock-step and in free-running mode.
 
 mod driving;
+mod idle;
 mod late;
 mod order;
+mod restarted;
+mod suspended;
+mod tokens;
 
 use std::time::{Duration, Instant};
 

@@ -208,7 +208,7 @@ async fn notes_beyond_their_limits_are_rejected_and_evict_nothing() {
         accepted >= 50 && f64::from(accepted) <= most,
         "{accepted} of at most {most}"
     );
-    assert!(rejected[0].contains("wait a second"), "{}", rejected[0]);
+    assert!(rejected[0].contains("write it again in"), "{}", rejected[0]);
     until("a note is accepted again", async || {
         let note = json!({"text": "short"});
         client.cmd("shoal", "annotate", note).await.is_ok()

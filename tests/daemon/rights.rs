@@ -30,7 +30,7 @@ use tempfile::TempDir;
 use zenoh::Session;
 use zenoh::bytes::Encoding;
 
-use crate::support::{NODE, PREFIX, QueryResult, TIMEOUT, result_of};
+use crate::support::{NODE, PREFIX, QueryResult, TIMEOUT, hold_token, result_of};
 
 /// Two viewers, two controllers, an operator.
 const PEOPLE: [(&str, Role); 5] = [
@@ -172,6 +172,7 @@ impl UserSession {
         let mut query = self.session.get(selector).timeout(2 * TIMEOUT);
         if let Some(payload) = payload {
             let payload = payload.to_string();
+            hold_token(&self.session, selector, payload.as_bytes()).await;
             query = query.payload(payload).encoding(Encoding::APPLICATION_JSON);
         }
         if let Some(token) = &self.token {

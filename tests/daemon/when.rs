@@ -1,6 +1,7 @@
 //! Conditions: a swarm pauses or changes at the first step after which one holds, also after kills, in
 //! forks and in restored snapshots.
 
+mod costs;
 mod events;
 mod past;
 mod played;
@@ -194,7 +195,7 @@ async fn kills_do_not_change_the_step() {
 }
 
 /// The snapshot file of a swarm.
-async fn snapshot_of(client: &Client, swarm: &str) -> Vec<u8> {
+pub async fn snapshot_of(client: &Client, swarm: &str) -> Vec<u8> {
     let replies = client.session.get(keys::get(PREFIX, swarm, "snapshot"));
     let sample = replies.await.unwrap().recv_async().await.unwrap();
     let sample = sample.into_result().unwrap();
@@ -203,7 +204,7 @@ async fn snapshot_of(client: &Client, swarm: &str) -> Vec<u8> {
 }
 
 /// Creates a swarm from a snapshot file.
-async fn restore(client: &Client, snapshot: &[u8], name: &str) {
+pub async fn restore(client: &Client, snapshot: &[u8], name: &str) {
     let args = json!({"name": name, "snapshot": STANDARD.encode(snapshot)}).to_string();
     let key = keys::node_cmd(PREFIX, NODE, "restore");
     client.query(&key, Some(args.as_bytes())).await.unwrap();

@@ -5,6 +5,7 @@
 #![expect(clippy::unwrap_used, reason = "tests")]
 
 mod abuse;
+mod conditions;
 mod crash;
 mod idle_http;
 mod load;

@@ -75,8 +75,9 @@ impl Daemon {
 
     /// Stops it and starts another with its data.
     pub async fn restart(self) -> Self {
-        self.client.session.close().await.unwrap();
+        // The daemon ends first: a controller that ends before it leaves its swarm.
         self.server.stop().await;
+        self.client.session.close().await.unwrap();
         Self::on(&[], self.folder).await
     }
 
@@ -126,6 +127,7 @@ impl Client {
         // A replay of many steps takes a minute on a busy machine.
         let mut query = self.session.get(selector).timeout(6 * TIMEOUT);
         if let Some(payload) = payload {
+            hold_token(&self.session, selector, payload).await;
             query = query.payload(payload).encoding(Encoding::APPLICATION_JSON);
         }
         let replies = query.await.unwrap();
@@ -210,6 +212,25 @@ impl Client {
                 Err(error) => panic!("{error:?}"),
             }
         }
+    }
+}
+
+/// Declares the token of the controller in a `join`, as a client of its own does. The session holds it until
+/// it is closed.
+pub async fn hold_token(session: &Session, selector: &str, request: &[u8]) {
+    let swarm = selector.strip_prefix(PREFIX).and_then(|it| {
+        let swarm = it.strip_prefix('/')?;
+        swarm.strip_suffix("/cmd/join")
+    });
+    let request: Value = serde_json::from_slice(request).unwrap_or_default();
+    let controller = request.get("args").unwrap_or(&request)["controller"].as_str();
+    if let (Some(swarm), Some(controller)) = (swarm, controller)
+        && keys::is_name(swarm)
+        && keys::is_name(controller)
+    {
+        let key = keys::ctl_alive(PREFIX, swarm, controller);
+        let token = session.liveliness().declare_token(key).await.unwrap();
+        std::mem::forget(token);
     }
 }
 

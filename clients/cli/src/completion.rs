@@ -232,6 +232,7 @@ fn names(
         endpoint: given(&["-e", "--endpoint"], "JOSTLE_ENDPOINT"),
         prefix: option(&words, &["--prefix"]).unwrap_or_else(|| DEFAULT_PREFIX.into()),
         timeout: COMPLETION_TIMEOUT,
+        wait: Duration::ZERO,
         ..ConnectOptions::default()
     };
     let Ok(runtime) = tokio::runtime::Builder::new_multi_thread()

@@ -302,8 +302,11 @@ impl From<Error> for Failure {
             }
             Error::Option { option, problem } => Failure::argument(format!("--{option}"), problem),
             Error::NoDaemon { endpoint, cause } => {
+                // Only how long the client tried: zenoh's text names no remedy.
+                let tried = cause.starts_with("tried for").then(|| format!(", {cause}"));
+                let tried = tried.unwrap_or_default();
                 let message = format!(
-                    "no daemon answers at {endpoint}: start one with `jostled serve`, or name \
+                    "no daemon answers at {endpoint}{tried}: start one with `jostled serve`, or name \
                      another with -e"
                 );
                 Failure::new("unreachable", message)

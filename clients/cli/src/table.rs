@@ -3,7 +3,10 @@
 use comfy_table::presets::NOTHING;
 use comfy_table::{CellAlignment, ColumnConstraint, ContentArrangement, Table};
 use jostle_proto::verbs::SetResult;
-use jostle_proto::{HistoryFrom, ParameterValues, Reply, Status, contract};
+use jostle_proto::{
+    HistoryFrom, ParameterValues, Reply, Status, WaitingAction, WaitingClient, WaitingCondition,
+    contract,
+};
 use serde_json::Value;
 
 use crate::format;
@@ -130,6 +133,8 @@ pub fn status(reply: &Reply<Status>) -> String {
         parameters,
         scheduled,
         when,
+        conditions: owned,
+        waits,
         controllers,
         waiting_for,
         state_hash,
@@ -190,8 +195,14 @@ pub fn status(reply: &Reply<Status>) -> String {
         lines.push(("scheduled", format!("{commands} for a step to come")));
     }
     if let Some(conditions) = when {
-        lines.push(("when", conditions.join("; ")));
+        // An older daemon sends only the texts.
+        let texts = || conditions.iter().map(|it| ("when", it.clone()));
+        match owned.is_empty() {
+            true => lines.extend(texts()),
+            false => lines.extend(owned.iter().map(|it| ("when", condition(it)))),
+        }
     }
+    lines.extend(waits.iter().map(|it| ("waits", wait(it))));
     if *controllers > 0 {
         let joined = format::count(*controllers, "controller");
         let awaited = waiting_for.iter().map(|it| {
@@ -250,6 +261,39 @@ pub fn status(reply: &Reply<Status>) -> String {
     pairs(&lines)
 }
 
+/// A condition that waits: its id, its action and its client.
+fn condition(waiting: &WaitingCondition) -> String {
+    let WaitingCondition { id, condition, .. } = waiting;
+    let of = client(waiting);
+    format!("{id}  {condition}: {}, of {of}", action(waiting))
+}
+
+/// What a swarm does once a condition holds, and whether the condition is not evaluated.
+pub fn action(waiting: &WaitingCondition) -> String {
+    let action = match (waiting.action, &waiting.event) {
+        (WaitingAction::Pause, _) => "pause".to_owned(),
+        (WaitingAction::Commands, _) => "commands".to_owned(),
+        (WaitingAction::Event, event) => format!("event {}", format::or_none(event.as_ref())),
+    };
+    match waiting.evaluated {
+        true => action,
+        false => format!("{action} (not evaluated)"),
+    }
+}
+
+/// The client that sent a condition.
+pub fn client(waiting: &WaitingCondition) -> String {
+    format::or_none(waiting.client.as_deref().map(format::printable))
+}
+
+/// A condition for which a client waits.
+fn wait(waiting: &WaitingClient) -> String {
+    match &waiting.user {
+        Some(user) => format!("{user} for {}", waiting.condition),
+        None => format!("a client for {}", waiting.condition),
+    }
+}
+
 /// The changes of a `set`.
 pub fn changes(result: &SetResult) -> String {
     table(["parameter", "before", "now"], changed(result))
@@ -281,7 +325,11 @@ fn fields(values: &ParameterValues) -> Vec<(String, String)> {
         [] => "none".to_owned(),
         names => names.join(","),
     };
-    written.chain([("measures".to_owned(), measures)]).collect()
+    let idle = values.max_idle_secs;
+    let idle = idle.map_or_else(|| "none".to_owned(), |secs| secs.to_string());
+    let others = [("measures", measures), ("max_idle_secs", idle)];
+    let others = others.map(|(name, value)| (name.to_owned(), value));
+    written.chain(others).collect()
 }
 
 fn with_mean(now: Option<f64>, mean: Option<f64>) -> String {

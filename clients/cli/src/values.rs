@@ -335,6 +335,12 @@ pub fn assignment(text: &str) -> Result<Assignment, String> {
             value: measures(value).into(),
         });
     }
+    if (field, value) == ("max_idle_secs", "none") {
+        return Ok(Assignment {
+            field: field.to_owned(),
+            value: 0.into(),
+        });
+    }
     // An integer stays one: counts are rejected as 5.0.
     let value = serde_json::from_str::<serde_json::Number>(value)
         .map(Value::Number)
@@ -481,6 +487,7 @@ mod tests {
         assert_eq!(value("publish_every=5"), Value::from(5));
         assert_eq!(value("pi1=.5"), Value::from(0.5));
         assert_eq!(value("pi2=-2"), Value::from(-2));
+        assert_eq!(value("max_idle_secs=none"), Value::from(0));
         assert_eq!(value("pi1=six"), Value::from("six"));
         assert_eq!(value("pi1=nan"), Value::from("nan"));
         assert_eq!(

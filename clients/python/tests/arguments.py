@@ -132,6 +132,7 @@ NO_REQUEST: dict[str, str] = {
     "Client.close": "ends the connection",
     "Local.close": "ends the daemon",
     "Swarm.close": "ends its streams",
+    "Controller.cancel": "joins again if an exchange is under way: test_controllers.py",
     "Stream.close": "ends it",
     "Recording.frame": "makes a table of a file",
     **dict.fromkeys(

@@ -30,6 +30,8 @@ SHORT_TIMEOUT_SECS = 1.0
 # Between two requests of a kind.
 PAUSE_SECS = 0.05
 LAST_NOTE = "last"
+# Undefined, and so it does not hold, until there are informed individuals.
+LAST_CONDITION = "front >= 0"
 
 # By the call: its beginning, its end and the code of its error.
 seen: dict[str, list[tuple[float, float, str | None]]] = {}
@@ -154,6 +156,7 @@ def work_of(form: str, client: Any, short: Any, last: int) -> dict[str, Callable
             f"{form} events", events, note, lambda it: note(it)[2] == LAST_NOTE
         ),
         "wait": lambda: once(f"{form} wait", lambda: done(swarm.wait(step=last, show=False))),
+        "condition": lambda: once(f"{form} condition", lambda: done(swarm.wait(LAST_CONDITION))),
         "run": lambda: once(
             f"{form} run",
             lambda: done(

@@ -91,7 +91,9 @@ class Recorder:
         repeats: The requests that it was sent again under the same id.
     """
 
-    def __init__(self, endpoint: str, passwords: Path | None = None) -> None:
+    def __init__(
+        self, endpoint: str, passwords: Path | None = None, *, has_claims: bool = False
+    ) -> None:
         self.endpoint = endpoint
         self.late: list[dict[str, Any]] = []
         self.trouble: list[Exception] = []
@@ -117,11 +119,17 @@ class Recorder:
         self._kept = [
             self.session.liveliness().declare_token(f"jostle/@node/{NODE}/alive"),
             self.session.liveliness().declare_token(f"jostle/school/alive/{NODE}"),
+            # Of a row with another prefix.
+            self.session.liveliness().declare_token(f"a/b/@node/{NODE}/alive"),
             # No wildcard matches a part of a key that begins with @.
             self.session.declare_queryable("**", self._hear),
             self.session.declare_queryable("**/@node/**", self._hear),
             self.session.declare_subscriber("**", self._take),
         ]
+        if has_claims:
+            for name in (f"@node/{NODE}/claim/1", f"school/claim/{NODE}/1"):
+                token = self.session.liveliness().declare_token(f"jostle/{name}/serving")
+                self._kept.append(token)
 
     def clear(self) -> None:
         """Clears the record, and replies to everything as at the start."""

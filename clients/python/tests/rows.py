@@ -94,6 +94,20 @@ class AtMost:
         return hash(self.start)
 
 
+@dataclass(frozen=True, eq=False)
+class AnyId:
+    """A selector that contains the id of a wait, between these parts."""
+
+    start: str
+    end: str
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, str) and other.startswith(self.start) and other.endswith(self.end)
+
+    def __hash__(self) -> int:
+        return hash(self.start)
+
+
 def call(*args: Any, **kwargs: Any) -> Arguments:
     """The arguments of a call."""
     return Arguments(args, kwargs)

@@ -202,7 +202,6 @@ CALLS = {row.call for row in ROWS}
 WITHOUT_OPTIONS: dict[str, str] = {
     **dict.fromkeys(CALLS, "connects, and what it sends then are other calls"),
     "Swarm.frame": "steps from one state to the next, each expected",
-    "Swarm.wait": "a condition is sent and removed under the timeout of the client",
     "Client.play": "its options are those of several requests: test_play.py",
     "Controller.sync": "joins on the terms that the controller had",
     **{

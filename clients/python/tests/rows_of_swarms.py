@@ -9,7 +9,7 @@ import numpy as np
 
 import jostle
 from recorder import Sent
-from rows import AtMost, File, Row, call, cmd, get, put
+from rows import AnyId, AtMost, File, Row, call, cmd, get, put
 
 HOUR: dict[str, Any] = {"timeout_secs": 3600.0}
 STATE = [get("state"), get("get/status")]
@@ -44,6 +44,7 @@ ALL_SET: dict[str, Any] = {
     "noise": 0.125,
     "publish_every": 2,
     "measures": ["drift", "milling"],
+    "max_idle_secs": 60.0,
     "make_room": True,
 }
 
@@ -213,11 +214,8 @@ QUESTIONS = [
     ),
     Row(
         "Swarm.wait",
-        call("order > 0.9", event="mine"),
-        [
-            cmd("when", {"condition": "order > 0.9", "event": "mine", "from_step": 0}),
-            get("get/wait?event=mine;timeout_secs=30.000"),
-        ],
+        call("order > 0.9"),
+        [Sent(AnyId("jostle/school/get/wait?condition=order > 0.9;id=", ";timeout_secs=30.000"))],
     ),
     Row("Swarm.states", call(), STATE),
     Row("Swarm.orders", call(), [get("get/status")]),
@@ -277,6 +275,11 @@ COMMANDS = [
     ),
     Row("Swarm.pause", call(), [cmd("pause", {})]),
     Row("Swarm.when", call(cancel=True), [cmd("when", {"cancel": True})]),
+    Row(
+        "Swarm.when",
+        call(cancel=True, id="3f9c01be"),
+        [cmd("when", {"cancel": True, "id": "3f9c01be"})],
+    ),
     Row(
         "Swarm.when",
         call("order > 0.9", event="mine", from_step=np.int64(3), before_step=9),

@@ -38,7 +38,7 @@ class Clients:
 
     def __init__(self, folder: Path, is_known: bool) -> None:
         passwords = folder / "passwords" if is_known else None
-        self.recorder = Recorder(find_free_endpoint(), passwords)
+        self.recorder = Recorder(find_free_endpoint(), passwords, has_claims=True)
         proof = credentials(folder / "credentials") if is_known else None
         settings: dict[str, Any] = {
             "client": CLIENT,
@@ -51,6 +51,9 @@ class Clients:
             return await aio.connect(self.recorder.endpoint, **settings)
 
         self.awaited = asyncio.run(connect())
+        # Before its first command a client asks for the data of the daemon.
+        self.blocking.swarm("school").pause()
+        asyncio.run(self.awaited.swarm("school").pause())
 
     def close(self) -> None:
         """Closes all of them."""

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 import jostle
+from jostle import _queries, _waits
 
 Create = Callable[..., jostle.Swarm]
 
@@ -271,8 +274,53 @@ def test_wait_for_a_condition_changes_nothing(create: Create) -> None:
             swarm.wait(wrong)
     with pytest.raises(jostle.InvalidArgument):
         swarm.wait("order > 0", step=1)  # type: ignore[call-overload]
-    with pytest.raises(jostle.InvalidArgument):
-        swarm.wait(step=1, event="mine")  # type: ignore[call-overload]
+    with pytest.raises(jostle.InvalidArgument, match=";"):
+        swarm.wait("order > 0; phase=paused")
+
+
+def test_a_wait_whose_token_arrives_late_is_asked_again_for_a_time(
+    create: Create, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    swarm = create(n=3)
+    missed = jostle.IncorrectState("no token", details={"token": "key"})
+    query, left = swarm._session.get_once, 12
+
+    def without_token(*arguments: Any, **options: Any) -> Any:
+        nonlocal left
+        left -= 1
+        if left >= 0:
+            raise missed
+        return query(*arguments, **options)
+
+    monkeypatch.setattr(swarm._session, "get_once", without_token)
+    # As often as the token may be missed within this time, each at once.
+    assert swarm.wait("order >= 0").step == 0
+    assert left < 0
+    monkeypatch.setattr(_queries, "_TOKEN_TIMEOUT_SECS", 0.2)
+    left = 10**6
+    with pytest.raises(jostle.IncorrectState, match="no token"):
+        swarm.wait("order >= 0")
+
+
+def test_a_wait_that_has_ended_leaves_its_place_to_the_next(create: Create) -> None:
+    swarm = create(n=3)
+    for _ in range(40):
+        with pytest.raises(jostle.DeadlineExceeded):
+            swarm.wait("msd(1) > 0", timeout=0.02)
+
+
+def test_a_wait_takes_no_id_that_the_daemon_may_still_know(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = 0.0
+    monkeypatch.setattr(_waits, "time", SimpleNamespace(monotonic=lambda: now))
+    wait_ids = _waits.WaitIds()
+    first, second, third = (wait_ids.take() for _ in range(3))
+    wait_ids.give_back(second)
+    now = 14.0
+    wait_ids.give_back(first)
+    assert wait_ids.take() not in (first, second, third)
+    now = 16.0
+    assert wait_ids.take() == second
+    assert wait_ids.take() not in (first, second, third)
 
 
 def test_wait_gives_the_reason_why_a_step_will_not_be_reached(create: Create) -> None:

@@ -145,12 +145,12 @@ def test_a_conflict_with_an_advance_that_takes_long_names_its_remedy(create: Cre
         with pytest.raises(jostle.DeadlineExceeded, match=r"not advanced within 1\.2 s"):
             ada.advance(10**9, timeout=1.2)
         for _ in range(2):
-            with pytest.raises(jostle.Conflict, match=r"`Swarm\.pause\(\)` ends that"):
+            with pytest.raises(jostle.Conflict, match=r"`cancel\(\)` ends that"):
                 ada.advance(timeout=20.0)
             ada.sync()
-        swarm.pause()
-        assert ada.sync().phase == "paused"
-        assert ada.advance().steps == 1
+        state = ada.cancel()
+        assert (state.phase, ada.ids) == ("paused", [1])
+        assert ada.advance().step == state.step + 1
         swarm.reset()
         with pytest.raises(jostle.Conflict, match=r"`sync\(\)` resumes"):
             ada.advance()
@@ -306,6 +306,44 @@ def test_an_interruption_ends_the_wait_of_each_controller(
         instead = pool.submit(ada.advance, direction=4.0)
         eventually("it takes its place", lambda: swarm.state().direction[0] == 4.0)
         assert bob.advance().step == instead.result(MAX_WAIT_SECS).step == 4
+
+
+def test_a_cancelled_advance_permits_no_steps(create: Create, pool: ThreadPoolExecutor) -> None:
+    swarm = create(n=6)
+    with swarm.join("ada", jostle.ids([1])) as ada, swarm.join("bob", jostle.ids([2])) as bob:
+        with pytest.raises(jostle.DeadlineExceeded):
+            ada.advance(5, timeout=0.1)
+        waits_for(swarm, "bob")
+        assert (ada.cancel().step, ada.ids) == (0, [1])
+        waiting = pool.submit(bob.advance)
+        waits_for(swarm, "ada")
+        assert swarm.status().step == 0
+        assert ada.advance().step == waiting.result(MAX_WAIT_SECS).step == 1
+        # Without an advance it returns the state.
+        assert ada.cancel().step == 1
+        ada.leave()
+        assert ada.cancel().step == 1
+        assert (ada.ids, len(swarm.controllers())) == ([1], 2)
+
+
+def test_after_a_cancelled_advance_it_steers_the_individuals_that_were_drawn(
+    create: Create,
+) -> None:
+    swarm = create(n=40)
+    with swarm.join("ada", jostle.fraction(0.25)) as ada, swarm.join("bob", jostle.count(8)):
+        drawn = ada.ids
+        assert len(drawn) == 10
+        with pytest.raises(jostle.DeadlineExceeded):
+            ada.advance(direction=1.0, timeout=0.1)
+        ada.cancel()
+        listed = {it.controller: it.ids for it in swarm.controllers()}
+        assert ada.ids == listed["ada"] == drawn
+        # Without those that another client has removed.
+        swarm.remove(jostle.ids(drawn[:3]))
+        with pytest.raises(jostle.DeadlineExceeded):
+            ada.advance(direction=2.0, timeout=0.1)
+        ada.cancel()
+        assert ada.ids == drawn[3:]
 
 
 def test_an_error_in_a_with_block_is_the_one_raised(create: Create) -> None:

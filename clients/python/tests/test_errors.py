@@ -28,14 +28,14 @@ from recorder import Recorder
 Create = Callable[..., jostle.Swarm]
 
 
-def test_without_a_daemon_the_error_comes_at_once_with_a_remedy() -> None:
+def test_without_a_daemon_the_error_comes_within_the_timeout_with_a_remedy() -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         endpoint = f"tcp/127.0.0.1:{taken.getsockname()[1]}"
         began = time.monotonic()
         with pytest.raises(jostle.Unavailable, match="jostled serve") as caught:
-            jostle.connect(endpoint, timeout=10 * MAX_WAIT_SECS)
-    assert endpoint in caught.value.message
+            jostle.connect(endpoint, timeout=0.3)
+    assert f"{endpoint}, tried for 0.3 s" in caught.value.message
     assert time.monotonic() - began < MAX_WAIT_SECS
 
 
@@ -136,9 +136,9 @@ def test_invalid_endpoints_are_rejected(arguments: dict[str, Any]) -> None:
 
 def test_an_unknown_node_or_prefix_is_unavailable(daemon: Daemon) -> None:
     with pytest.raises(jostle.Unavailable, match="unknown-node"):
-        jostle.connect(daemon.endpoint, node="unknown-node")
+        jostle.connect(daemon.endpoint, node="unknown-node", timeout=0.3)
     with pytest.raises(jostle.Unavailable, match="prefix"):
-        jostle.connect(daemon.endpoint, prefix="elsewhere")
+        jostle.connect(daemon.endpoint, prefix="elsewhere", timeout=0.3)
 
 
 def test_every_call_raises_not_found(client: jostle.Client) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import random
 import signal
 import subprocess
@@ -14,6 +15,7 @@ import tomllib
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -21,7 +23,7 @@ import pytest
 import jostle
 from conftest import MAX_WAIT_SECS, ROOT, Daemon, Router, eventually
 from jostle import _outage, _retry
-from outage_client import LAST_NOTE, SHORT_TIMEOUT_SECS
+from outage_client import LAST_CONDITION, LAST_NOTE, SHORT_TIMEOUT_SECS
 
 TABLE = tomllib.loads((ROOT / "tests" / "outages.toml").read_text())
 FAULTS = {fault["name"]: fault for fault in TABLE["faults"]}
@@ -33,8 +35,6 @@ SLOW = ("stopped_1", "stopped_8", "stopped_15", "suspended")
 # How much longer than its timeout a request may take, as documented, and on a busy machine.
 GRACE_SECS = 2.0
 TOLERANCE_SECS = 20.0
-# How long a client on a busy machine may take to notice that its daemon was killed.
-NOTICE_SECS = 1.0
 # The swarms reach it long after the outage, or at once without a rate.
 LAST_STEP = 20_000
 
@@ -45,7 +45,6 @@ class Scene:
     def __init__(self, folder: Path, is_routed: bool) -> None:
         self.daemon = Daemon(folder)
         self.folder = folder
-        self.killed_at: float | None = None
         self.is_suspended = False
         self.router = Router(self.daemon.endpoint) if is_routed else None
         endpoint = self.daemon.endpoint if self.router is None else self.router.endpoint
@@ -91,7 +90,6 @@ class Scene:
     def restart_daemon(self, seconds: float) -> None:
         """Kills the daemon, and starts it again after a time."""
         self.daemon.kill()
-        self.killed_at = time.monotonic()
         time.sleep(seconds)
         self.daemon = Daemon(self.folder, listen=self.daemon.endpoint)
 
@@ -113,6 +111,7 @@ class Scene:
         """Lets the calls succeed after the outage; returns what the client has seen."""
         with jostle.connect(self.daemon.endpoint, timeout=MAX_WAIT_SECS) as client:
             for form in FORMS:
+                client.swarm(form).inform(jostle.count(1), direction=0.0)
                 for swarm in (form, f"{form}-run"):
                     client.swarm(swarm).run(until_step=LAST_STEP, rate=None, wait=True)
             assert self.process.stdin is not None
@@ -217,10 +216,6 @@ def differs(
 ) -> str | None:
     """How what a call saw differs from the table; None if it does not."""
     attempts = found["seen"][f"{form} {call}"]
-    if scene.killed_at is not None and call == "command":
-        # One of them was in flight when the daemon was killed, or the client had not noticed that.
-        noticed = scene.killed_at + NOTICE_SECS
-        attempts = [it for it in attempts if it[0] > noticed or it[1] < outage[0]]
     codes = {code for _, _, code in attempts if code is not None}
     if expected not in ("goes_on", "reconnects"):
         if codes != {expected}:
@@ -236,6 +231,7 @@ def differs(
         "states": f"the stream of states of swarm {form!r} ",
         "events": f"the stream of events of swarm {form!r} ",
         "wait": f"the wait for step={LAST_STEP} of swarm {form!r} ",
+        "condition": f"the wait for {LAST_CONDITION} of swarm {form!r} ",
         "run": f"the wait for step={LAST_STEP} of swarm {form + '-run'!r} ",
     }
     if call in waits:
@@ -259,7 +255,7 @@ def test_the_page_has_the_table() -> None:
     for fault in TABLE["faults"]:
         seen = fault["seen"]
         assert seen["read"] == seen["command"]
-        assert len({seen[call] for call in ("states", "events", "wait", "run")}) == 1
+        assert len({seen[call] for call in ("states", "events", "wait", "condition", "run")}) == 1
         columns = [seen.get(call) for call in ("read", "short_read", "states", "advance")]
         cells = [words.get(it, f"`{it}`") for it in columns]
         row = f"| {' | '.join([fault['fault'], *cells])} |".replace("|  |", "| |")
@@ -284,7 +280,27 @@ def test_the_delays_are_those_of_the_table(monkeypatch: pytest.MonkeyPatch) -> N
     shares = (1.0 - policy["jitter"], 1.0 + policy["jitter"])
     assert waited == pytest.approx([share * delay for share in shares for delay in expected])
     assert policy["max_silent_retries"] == _retry.MAX_SILENT_RETRIES
+    assert policy["forgotten_commands"] == list(_retry.FORGOTTEN_COMMANDS)
     assert TABLE["limits"]["wait_secs"] == _outage.RECONNECT_TIMEOUT_SECS
+
+
+def test_each_outage_of_a_wait_has_its_own_limit(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = 0.0
+    monkeypatch.setattr(_retry, "time", SimpleNamespace(monotonic=lambda: now))
+    monkeypatch.setattr(_retry, "sleep", lambda _: None)
+    limit, gone = TABLE["limits"]["wait_secs"], jostle.Unavailable("gone")
+    backoff = _retry.Backoff(now, math.inf, limit)
+    for _ in range(3):
+        for passed in (0.0, limit - 2.0):
+            now += passed
+            backoff.sleep(gone)
+        # An attempt does not fail.
+        backoff.reset()
+        now += 1.0
+    backoff.sleep(gone)
+    now += limit
+    with pytest.raises(jostle.Unavailable):
+        backoff.sleep(gone)
 
 
 def test_a_command_in_flight_goes_on_behind_a_restarted_router(own_daemon: Daemon) -> None:
@@ -305,6 +321,75 @@ def test_a_command_in_flight_goes_on_behind_a_restarted_router(own_daemon: Daemo
             assert swarm.status().step == 1000
     finally:
         router.close()
+
+
+def change_often(client: jostle.Client, number: int, is_over: threading.Event) -> list[str]:
+    """Sends commands, one after the other, to the swarm and to the daemon; returns their names."""
+    sent: list[str] = []
+    swarm = client.swarm("school")
+    while not is_over.is_set():
+        sent.append(f"{number}-{len(sent)}")
+        if number == 0:
+            client.create(sent[-1], jostle.Spec(n=1)).delete()
+        else:
+            swarm.set(pi3=(100 * len(sent) + number) / 1e6)
+    return sent
+
+
+def test_commands_in_flight_at_a_kill_are_executed_once(tmp_path: Path) -> None:
+    daemon = Daemon(tmp_path)
+    numbers, is_over = range(6), threading.Event()
+    try:
+        with (
+            jostle.connect(daemon.endpoint, timeout=MAX_WAIT_SECS) as client,
+            ThreadPoolExecutor(len(numbers)) as pool,
+        ):
+            client.create("school", jostle.Spec(n=3))
+            sent = [pool.submit(change_often, client, number, is_over) for number in numbers]
+            try:
+                for _ in range(3):
+                    time.sleep(0.5)
+                    daemon.kill()
+                    daemon = Daemon(tmp_path, daemon.endpoint)
+                time.sleep(0.5)
+            finally:
+                is_over.set()
+            counts = {
+                number: len(it.result(MAX_WAIT_SECS))
+                for number, it in zip(numbers, sent, strict=True)
+            }
+            journal = [
+                it.args["pi3"] for it in client.swarm("school").journal() if it.verb == "set"
+            ]
+            assert [it.swarm for it in client.swarms()] == ["school"]
+    finally:
+        daemon.kill()
+    expected = [(100 * (k + 1) + it) / 1e6 for it in numbers if it for k in range(counts[it])]
+    assert sorted(journal) == sorted(expected)
+    assert min(counts.values()) > 0
+
+
+def test_a_command_is_not_sent_again_to_a_daemon_with_other_data(tmp_path: Path) -> None:
+    for folder in ("a", "b"):
+        (tmp_path / folder).mkdir()
+    daemon = Daemon(tmp_path / "a", node="lab")
+    try:
+        with (
+            jostle.connect(daemon.endpoint, timeout=MAX_WAIT_SECS) as client,
+            ThreadPoolExecutor(1) as pool,
+        ):
+            swarm = client.create("school", jostle.Spec(n=100))
+            result = pool.submit(swarm.step, 10**7)
+            swarm.wait(phase="running", timeout=MAX_WAIT_SECS)
+            daemon.kill()
+            daemon = Daemon(tmp_path / "b", daemon.endpoint, node="lab")
+            with jostle.connect(daemon.endpoint) as other:
+                other.create("school", jostle.Spec(n=100))
+            with pytest.raises(jostle.Unavailable):
+                result.result(MAX_WAIT_SECS)
+            assert swarm.status().step == 0
+    finally:
+        daemon.kill()
 
 
 def test_a_daemon_that_is_away_is_told_from_the_others_behind_its_router(tmp_path: Path) -> None:

@@ -1,12 +1,13 @@
 //! The client: a session with a daemon, its subscriptions, and queries with retries.
 
-use std::collections::HashSet;
+use std::collections::HashMap;
 use std::fmt;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use jostle_proto::{Credentials, JSON};
+use jostle_proto::claim::Claimant;
+use jostle_proto::{Credentials, JSON, Request, keys};
 use zenoh::Session;
 use zenoh::handlers::{RingChannel, RingChannelHandler};
 use zenoh::pubsub::Subscriber;
@@ -16,7 +17,7 @@ use crate::connect::{self, ConnectOptions};
 use crate::error::Error;
 use crate::payload::Payload;
 use crate::retry::RetryPolicy;
-use crate::tls::WrongName;
+use crate::wait_numbers::WaitNumbers;
 
 /// How much longer than the daemon the client waits, so that it receives the daemon's timeout error.
 pub(crate) const TIMEOUT_MARGIN: Duration = Duration::from_secs(2);
@@ -25,12 +26,22 @@ const CLOSE_TIMEOUT: Duration = Duration::from_secs(1);
 /// The longest that a daemon holds a request.
 const MAX_HELD: Duration = Duration::from_secs(3600);
 
+/// The interval of checks for a connection.
+const CONNECTION_POLL_INTERVAL: Duration = Duration::from_millis(20);
+
+/// A command without a reply is sent again after this time, then after twice as long each time: zenoh
+/// loses a query that is sent while its connection breaks.
+const FIRST_RESEND: Duration = Duration::from_secs(1);
+const MAX_RESEND: Duration = Duration::from_secs(30);
+/// The shortest timeout that the daemon accepts.
+const MIN_HELD: Duration = Duration::from_millis(1);
+
 /// A query that ends without a reply after this share of its timeout ended because of it.
 const LATE_SHARE: f64 = 0.9;
 
 /// A session with a daemon. Clones share it.
 ///
-/// zenoh requires a multi-thread runtime of tokio.
+/// zenoh requires a multi-thread runtime of tokio: `#[tokio::main(flavor = "multi_thread")]`.
 #[derive(Clone)]
 pub struct Client(pub(crate) Arc<Inner>);
 
@@ -43,11 +54,21 @@ pub(crate) struct Inner {
     pub timeout: Duration,
     /// The name of the sender in commands.
     pub name: String,
-    pub next_request: AtomicU64,
+    pub next_request: Arc<AtomicU64>,
     connections_lost: Arc<AtomicU64>,
-    /// Targets whose claims were checked, each with the number of connections lost before.
-    pub uncontested: Mutex<HashSet<(String, u64)>>,
+    /// Targets whose claims were checked, each with the number of connections lost before, and the
+    /// daemons that serve it.
+    pub uncontested: Mutex<HashMap<String, (u64, Servers)>>,
+    /// The data of runs of daemons, by instance.
+    pub data_ids: Arc<DataIds>,
+    pub waits: Arc<Mutex<WaitNumbers>>,
 }
+
+/// The daemons that serve a name: one, while no two claim it.
+pub(crate) type Servers = Arc<[Claimant]>;
+
+/// The ids of the data of runs of daemons, by instance; `None` of a daemon that does not say.
+pub(crate) type DataIds = Mutex<HashMap<String, Option<String>>>;
 
 /// How long the daemon may hold a request with this timeout before it replies.
 pub(crate) fn hold_time(timeout: Duration) -> Duration {
@@ -76,7 +97,9 @@ impl Subscription {
         Some(Payload::from(&sample))
     }
 
-    /// The next sample. Cancel safe.
+    /// The next sample.
+    ///
+    /// Cancel safety: no sample is lost; the next call returns it.
     ///
     /// # Errors
     ///
@@ -87,46 +110,25 @@ impl Subscription {
 }
 
 impl Client {
-    /// Connects to a daemon.
+    /// Connects to a daemon. Waits for it, at most [`ConnectOptions::wait`], while it is not there yet or
+    /// recovers its swarms.
+    ///
+    /// Cancel safety: the session is closed; call it again.
     ///
     /// # Errors
     ///
-    /// [`Error::Option`] for invalid options or unreadable credentials; [`Error::NoDaemon`],
-    /// [`Error::UnknownHost`], [`Error::Mute`], [`Error::NotAdmitted`] or [`Error::WrongName`] if the session cannot be opened.
+    /// [`Error::Runtime`] in a current-thread runtime; [`Error::Option`] for invalid options or unreadable
+    /// credentials; [`Error::NoDaemon`], [`Error::UnknownHost`], [`Error::Mute`], [`Error::NotAdmitted`] or
+    /// [`Error::WrongName`] if the session cannot be opened; [`Error::Rejected`] with `busy` if the daemon
+    /// still recovers its swarms at the end of the timeout.
     pub async fn connect(options: ConnectOptions) -> Result<Self, Error> {
+        if !connect::has_runtime() {
+            return Err(Error::Runtime);
+        }
         let identity = options.identity()?;
         let endpoint = options.endpoint_of(identity.as_ref());
-        let config = connect::config(&endpoint, options.timeout, identity.as_ref())?;
-        let began = Instant::now();
-        let session = match zenoh::open(config).await {
-            Ok(session) => session,
-            // A daemon that rejects a client closes the connection at once.
-            Err(_) if began.elapsed() < options.timeout && connect::is_listening(&endpoint) => {
-                let wrong_name = identity.as_ref().and_then(|it| it.wrong_name(&endpoint));
-                return Err(match wrong_name {
-                    Some(WrongName { host, names }) => Error::WrongName {
-                        endpoint,
-                        host,
-                        names,
-                    },
-                    None => Error::NotAdmitted {
-                        endpoint,
-                        person: identity.map(|it| it.credentials.person),
-                    },
-                });
-            }
-            Err(_) if let Some(host) = connect::unknown_host(&endpoint) => {
-                return Err(Error::UnknownHost { endpoint, host });
-            }
-            Err(_) if began.elapsed() >= options.timeout && connect::is_listening(&endpoint) => {
-                let secs = options.timeout.as_secs_f64();
-                return Err(Error::Mute { endpoint, secs });
-            }
-            Err(error) => {
-                let cause = connect::words(&error);
-                return Err(Error::NoDaemon { endpoint, cause });
-            }
-        };
+        let deadline = Instant::now() + options.wait.min(options.timeout);
+        let session = connect::open(&endpoint, &options, identity.as_ref(), deadline).await?;
         let connections_lost = Arc::new(AtomicU64::new(0));
         let counter = connections_lost.clone();
         session
@@ -140,7 +142,7 @@ impl Client {
             .background()
             .await
             .map_err(Error::internal)?;
-        Ok(Client(Arc::new(Inner {
+        let client = Client(Arc::new(Inner {
             session,
             endpoint,
             prefix: options.prefix,
@@ -148,13 +150,44 @@ impl Client {
             credentials: identity.map(|it| it.credentials),
             timeout: options.timeout,
             name: options.client.unwrap_or_else(connect::user_and_host),
-            next_request: AtomicU64::new(0),
+            next_request: Arc::default(),
             connections_lost,
             uncontested: Mutex::default(),
-        })))
+            data_ids: Arc::default(),
+            waits: Arc::default(),
+        }));
+        if !options.wait.is_zero()
+            && let Err(error) = client.await_recovery(deadline).await
+        {
+            client.close().await;
+            return Err(error);
+        }
+        Ok(client)
+    }
+
+    /// A client of the same session, each of whose requests has this timeout.
+    #[must_use]
+    pub fn with_timeout(&self, timeout: Duration) -> Self {
+        let this = &self.0;
+        Client(Arc::new(Inner {
+            session: this.session.clone(),
+            endpoint: this.endpoint.clone(),
+            prefix: this.prefix.clone(),
+            node: this.node.clone(),
+            credentials: this.credentials.clone(),
+            timeout,
+            name: this.name.clone(),
+            next_request: this.next_request.clone(),
+            connections_lost: this.connections_lost.clone(),
+            uncontested: Mutex::default(),
+            data_ids: this.data_ids.clone(),
+            waits: this.waits.clone(),
+        }))
     }
 
     /// Closes the session, which ends it for all clones.
+    ///
+    /// Cancel safety: the session may be closed; call it again.
     pub async fn close(&self) {
         // The daemon notices the end anyway; a stuck connection must not delay the caller.
         let _ = tokio::time::timeout(CLOSE_TIMEOUT, async { self.0.session.close().await }).await;
@@ -197,6 +230,8 @@ impl Client {
 
     /// Subscribes to the samples of a key; the queue holds the newest `capacity`.
     ///
+    /// Cancel safety: the subscription ends; call it again.
+    ///
     /// # Errors
     ///
     /// [`Error::Internal`] if the key is invalid or the session closed.
@@ -215,49 +250,159 @@ impl Client {
         Ok(Subscription(subscriber.await.map_err(Error::internal)?))
     }
 
-    /// Sends a query, with retries until the timeout of the client. With a payload it is a command.
+    /// Sends a query, with retries until the timeout of the client. With a payload, a [`Request`] as
+    /// JSON, it is a command.
+    ///
+    /// Cancel safety: as [`Client::command`].
     ///
     /// # Errors
     ///
-    /// As [`Client::command`].
+    /// As [`Client::command`]; [`Error::Decode`] if the payload is no request.
     pub async fn query(
         &self,
         target: Target<'_>,
         key: &str,
         payload: Option<Vec<u8>>,
     ) -> Result<Payload, Error> {
-        self.query_within(target, key, payload, self.0.timeout)
+        let request = payload.map(|payload| Request::from_json(&payload));
+        let request = request.transpose().map_err(Error::decode)?;
+        let timeout = self.0.timeout;
+        self.query_within(target, key, request, timeout, timeout)
             .await
     }
 
-    /// [`Client::query`] with another timeout.
+    /// [`Client::query`] with other limits: `timeout`, and how long every attempt may fail.
     pub(crate) async fn query_within(
         &self,
         target: Target<'_>,
         key: &str,
-        payload: Option<Vec<u8>>,
+        mut request: Option<Request>,
         timeout: Duration,
+        failing: Duration,
     ) -> Result<Payload, Error> {
-        let deadline = Instant::now() + timeout;
-        let mut policy = RetryPolicy::new(deadline, payload.is_some());
+        let began = Instant::now();
+        let deadline = began + timeout;
+        let mut policy = RetryPolicy::new(deadline, failing);
+        let mut resend = FIRST_RESEND;
+        // The daemons that may have executed the command.
+        let mut sent_to: Option<Servers> = None;
         let lost_before = self.connections_lost();
-        let timeout = hold_time(timeout) + TIMEOUT_MARGIN;
-        self.check_contested(target).await?;
+        let was_connected = self.is_connected().await;
+        if !was_connected {
+            self.await_connection(deadline.min(began + failing)).await;
+        }
         loop {
-            let attempt = self.query_once(target, key, payload.clone(), timeout);
+            let left = deadline.saturating_duration_since(Instant::now());
+            let left = left.max(MIN_HELD);
+            let wait = match &mut request {
+                Some(request) => {
+                    request.timeout_secs = Some(hold_time(left).as_secs_f64());
+                    match left > resend {
+                        true => resend,
+                        false => left + TIMEOUT_MARGIN,
+                    }
+                }
+                None => hold_time(left) + TIMEOUT_MARGIN,
+            };
+            let was_sent = sent_to.is_some();
+            let attempt = self.attempt(target, key, request.as_ref(), wait, &mut sent_to);
             let error = match attempt.await {
-                Ok(reply) => return Ok(reply),
+                Ok(Some(reply)) => return Ok(reply),
+                Ok(None) => return Err(self.forgotten()),
                 Err(error) => error,
             };
-            let is_interrupted = self.connections_lost() != lost_before;
+            if !was_sent && error.is_busy() {
+                // This attempt has executed nothing.
+                sent_to = None;
+            }
+            if request.is_some() && matches!(error, Error::TimedOut { .. }) {
+                if Instant::now() >= deadline {
+                    return Err(Error::TimedOut {
+                        target: target.to_string(),
+                        secs: timeout.as_secs_f64(),
+                    });
+                }
+                // The command takes long; the connection is fine.
+                policy.reset();
+                resend = MAX_RESEND.min(2 * resend);
+                continue;
+            }
+            let is_interrupted = !was_connected
+                || self.connections_lost() != lost_before
+                || self.is_gone(target, &error).await;
             match policy.delay(&error, is_interrupted, Instant::now()) {
                 Some(delay) => tokio::time::sleep(delay).await,
                 None => return Err(error),
             }
+            self.await_connection(policy.give_up_at()).await;
+        }
+    }
+
+    /// Sends a request once. `None` if it is a command that `sent_to` may have executed, and the daemon that
+    /// serves the name now does not know that.
+    async fn attempt(
+        &self,
+        target: Target<'_>,
+        key: &str,
+        request: Option<&Request>,
+        wait: Duration,
+        sent_to: &mut Option<Servers>,
+    ) -> Result<Option<Payload>, Error> {
+        if let Some(before) = &sent_to
+            && !self.is_known(target, key, before).await?
+        {
+            return Ok(None);
+        }
+        let mut servers = self.check_contested(target).await?;
+        if let (Some(request), None) = (request, &sent_to) {
+            if servers.is_empty() {
+                // No daemon serves the name: any may begin to, such as one behind a router.
+                servers = self.serving(Target::Node("*")).await?.into();
+            }
+            if servers.is_empty() {
+                // A daemon without claims is one of an earlier version.
+                let nodes = self.tokens(&keys::node_alive(self.prefix(), "*")).await?;
+                if nodes.is_empty() {
+                    return Err(self.no_node().await);
+                }
+            }
+            let left = Duration::from_secs_f64(request.timeout_secs.unwrap_or_default());
+            self.learn_data_ids(&servers, left).await;
+            *sent_to = Some(servers);
+        }
+        let payload = request.map(serde_json::to_vec).transpose();
+        let payload = payload.map_err(Error::internal)?;
+        let reply = self.query_once(target, key, payload, wait).await?;
+        Ok(Some(reply))
+    }
+
+    /// The error of a command whose daemon is gone.
+    fn forgotten(&self) -> Error {
+        Error::NoDaemon {
+            endpoint: self.0.endpoint.clone(),
+            cause: "the daemon that got the command is gone, perhaps after executing it, and the one there now \
+                    does not know that"
+                .into(),
+        }
+    }
+
+    /// Whether the session is connected to a daemon or a router.
+    pub(crate) async fn is_connected(&self) -> bool {
+        let info = self.0.session.info();
+        info.peers_zid().await.next().is_some() || info.routers_zid().await.next().is_some()
+    }
+
+    /// Waits at most until `deadline` while zenoh reconnects.
+    pub(crate) async fn await_connection(&self, deadline: Instant) {
+        while !self.is_connected().await && !self.0.session.is_closed() && Instant::now() < deadline
+        {
+            tokio::time::sleep(CONNECTION_POLL_INTERVAL).await;
         }
     }
 
     /// Sends a query once; returns the first reply.
+    ///
+    /// Cancel safety: as [`Client::command`].
     ///
     /// # Errors
     ///

@@ -2,13 +2,15 @@
 
 use std::net::{IpAddr, TcpStream, ToSocketAddrs};
 use std::path::{Path, PathBuf};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use jostle_proto::Credentials;
 use jostle_proto::keys::DEFAULT_PREFIX;
+use tokio::runtime::RuntimeFlavor;
 use zenoh::config::EndPoint;
 
 use crate::error::Error;
+use crate::retry::Delays;
 use crate::tls::{self, WrongName};
 
 /// The endpoint of a daemon with default settings.
@@ -19,6 +21,9 @@ const PROTOCOLS: [&str; 3] = ["tcp", "tls", "unixsock-stream"];
 
 /// The timeout of a TCP connection that only tests whether a process listens.
 const PROBE_TIMEOUT: Duration = Duration::from_secs(1);
+
+/// The shortest timeout of opening a session; zenoh takes 0 for none.
+const MIN_OPEN_TIMEOUT: Duration = Duration::from_millis(1);
 
 /// The endpoint, the credentials and the other options of a connection.
 #[derive(Clone, Debug)]
@@ -34,6 +39,9 @@ pub struct ConnectOptions {
     pub prefix: String,
     /// The timeout of connecting and of each request, by default 5 s.
     pub timeout: Duration,
+    /// How long connecting waits, at most the timeout, for a daemon that is not there yet or recovers its
+    /// swarms, as after a restart. By default the timeout.
+    pub wait: Duration,
     /// The name that events and the journal contain for this client, by default `user@host`.
     pub client: Option<String>,
 }
@@ -46,6 +54,7 @@ impl Default for ConnectOptions {
             node: None,
             prefix: DEFAULT_PREFIX.to_owned(),
             timeout: Duration::from_secs(5),
+            wait: Duration::MAX,
             client: None,
         }
     }
@@ -167,6 +176,80 @@ pub(crate) fn unknown_host(endpoint: &str) -> Option<String> {
     let (host, port) = tcp_address(endpoint)?.rsplit_once(':')?;
     let is_unknown = port.parse::<u16>().is_ok() && (host, 1).to_socket_addrs().is_err();
     (is_unknown && !host.starts_with('[')).then(|| host.to_owned())
+}
+
+/// Whether zenoh works with the runtime of this task; with another one it panics.
+pub(crate) fn has_runtime() -> bool {
+    let runtime = tokio::runtime::Handle::try_current();
+    runtime.is_ok_and(|it| it.runtime_flavor() != RuntimeFlavor::CurrentThread)
+}
+
+/// Opens a session with the endpoint within the timeout. Waits until the deadline for a process to listen
+/// there.
+pub(crate) async fn open(
+    endpoint: &str,
+    options: &ConnectOptions,
+    identity: Option<&Identity>,
+    deadline: Instant,
+) -> Result<zenoh::Session, Error> {
+    let mut delays = Delays::default();
+    let mut was_rejected = false;
+    let start = Instant::now();
+    loop {
+        let timeout = options.timeout.saturating_sub(start.elapsed());
+        let timeout = timeout.max(MIN_OPEN_TIMEOUT);
+        let config = config(endpoint, timeout, identity)?;
+        let began = Instant::now();
+        let cause = match zenoh::open(config).await {
+            Ok(session) => return Ok(session),
+            Err(error) => words(&error),
+        };
+        let is_early = began.elapsed() < timeout;
+        if let Some(host) = unknown_host(endpoint) {
+            let endpoint = endpoint.to_owned();
+            return Err(Error::UnknownHost { endpoint, host });
+        }
+        let is_listening = is_listening(endpoint);
+        if is_listening && !is_early {
+            return Err(Error::Mute {
+                endpoint: endpoint.to_owned(),
+                secs: options.timeout.as_secs_f64(),
+            });
+        }
+        // A daemon that rejects a client closes the connection at once. One that was not there yet, or has
+        // just ended, does so too, but not twice.
+        if is_listening && std::mem::replace(&mut was_rejected, true) {
+            return Err(rejected(endpoint, identity));
+        }
+        was_rejected &= is_listening;
+        let delay = delays.next();
+        if !is_listening && Instant::now() + delay >= deadline {
+            let waited = deadline.saturating_duration_since(start).as_secs_f64();
+            return Err(Error::NoDaemon {
+                endpoint: endpoint.to_owned(),
+                cause: match waited > 0.0 {
+                    true => format!("tried for {waited:.1} s"),
+                    false => cause,
+                },
+            });
+        }
+        tokio::time::sleep(delay).await;
+    }
+}
+
+fn rejected(endpoint: &str, identity: Option<&Identity>) -> Error {
+    let endpoint = endpoint.to_owned();
+    match identity.and_then(|it| it.wrong_name(&endpoint)) {
+        Some(WrongName { host, names }) => Error::WrongName {
+            endpoint,
+            host,
+            names,
+        },
+        None => Error::NotAdmitted {
+            endpoint,
+            person: identity.map(|it| it.credentials.person.clone()),
+        },
+    }
 }
 
 /// The configuration of a session that connects to this endpoint only.

@@ -2,14 +2,16 @@
 
 use std::time::{Duration, Instant};
 
+use jostle_proto::claim::{self, Claim, Claimant, Standing};
 use jostle_proto::role::rejection;
-use jostle_proto::{Claim, NodeReply, WhoAmI, claim, keys};
+use jostle_proto::{NodeReply, WhoAmI, keys};
 
-use crate::client::{Client, Target};
+use crate::client::{Client, Servers, Target};
 use crate::error::Error;
+use crate::retry::Delays;
 
 /// The timeout of a query for tokens.
-const QUERY_TIMEOUT: Duration = Duration::from_secs(2);
+pub(crate) const QUERY_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// How long after it listens a daemon may declare its token, and the interval of the queries for it.
 const START_TIMEOUT: Duration = Duration::from_secs(1);
@@ -22,6 +24,8 @@ const CONTEST_TIMEOUT: Duration = Duration::from_secs(1);
 impl Client {
     /// The daemons that host a swarm.
     ///
+    /// Cancel safety: a dropped query changes nothing.
+    ///
     /// # Errors
     ///
     /// [`Error::TimedOut`] after 2 s, or [`Error::Internal`].
@@ -31,6 +35,8 @@ impl Client {
 
     /// The daemons that are reachable.
     ///
+    /// Cancel safety: a dropped query changes nothing.
+    ///
     /// # Errors
     ///
     /// [`Error::TimedOut`] after 2 s, or [`Error::Internal`].
@@ -39,6 +45,8 @@ impl Client {
     }
 
     /// The swarms of all daemons.
+    ///
+    /// Cancel safety: a dropped query changes nothing.
     ///
     /// # Errors
     ///
@@ -59,6 +67,8 @@ impl Client {
 
     /// The daemon that receives requests to a daemon: that named in the options, or the only one.
     ///
+    /// Cancel safety: a dropped query changes nothing.
+    ///
     /// # Errors
     ///
     /// [`Error::ManyNodes`]; [`Error::NoNode`] or [`Error::NoDaemon`] if there is none.
@@ -66,7 +76,7 @@ impl Client {
         if let Some(node) = &self.0.node {
             return Ok(node.clone());
         }
-        let mut there = self.nodes_soon().await?;
+        let mut there = self.nodes_in_time().await?;
         match there.len() {
             0 => Err(self.no_node().await),
             1 => Ok(there.remove(0)),
@@ -76,6 +86,8 @@ impl Client {
 
     /// The daemon named in the options, or all.
     ///
+    /// Cancel safety: a dropped query changes nothing.
+    ///
     /// # Errors
     ///
     /// [`Error::NoNode`] or [`Error::NoDaemon`] if there is none.
@@ -83,23 +95,101 @@ impl Client {
         if let Some(node) = &self.0.node {
             return Ok(vec![node.clone()]);
         }
-        let there = self.nodes_soon().await?;
+        let there = self.nodes_in_time().await?;
         if there.is_empty() {
             return Err(self.no_node().await);
         }
         Ok(there)
     }
 
-    /// The daemons that are reachable; waits for the token of one that starts.
-    async fn nodes_soon(&self) -> Result<Vec<String>, Error> {
+    /// The daemons that are reachable. If none is connected, or it does not reply, waits for it at most
+    /// for the timeout of the client.
+    async fn nodes_in_time(&self) -> Result<Vec<String>, Error> {
+        let deadline = Instant::now() + self.0.timeout;
+        loop {
+            self.await_connection(deadline).await;
+            let lost_before = self.connections_lost();
+            let there = self.nodes_soon(self.0.timeout).await;
+            let may_change = match &there {
+                // A connection may be restored before its loss is looked at.
+                Ok(there) => {
+                    let is_lost = self.connections_lost() != lost_before;
+                    there.is_empty() && (is_lost || !self.is_connected().await)
+                }
+                Err(error) => matches!(error, Error::TimedOut { .. }),
+            };
+            if !may_change || self.0.session.is_closed() || Instant::now() >= deadline {
+                return there;
+            }
+        }
+    }
+
+    /// The daemons that are reachable; waits for the token of one that starts, and at most
+    /// `recovery_timeout` if one recovers its swarms.
+    async fn nodes_soon(&self, recovery_timeout: Duration) -> Result<Vec<String>, Error> {
         let start = Instant::now();
         loop {
             let there = self.nodes().await?;
-            if !there.is_empty() || start.elapsed() > START_TIMEOUT {
+            if !there.is_empty() || !self.is_connected().await {
+                return Ok(there);
+            }
+            let timeout = match self.recovery().await {
+                Some(_) => recovery_timeout,
+                None => START_TIMEOUT,
+            };
+            if start.elapsed() >= timeout {
                 return Ok(there);
             }
             tokio::time::sleep(POLL_INTERVAL).await;
         }
+    }
+
+    /// Waits until the daemons have recovered their swarms.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Rejected`] with `busy` if one has not by the deadline.
+    pub(crate) async fn await_recovery(&self, deadline: Instant) -> Result<(), Error> {
+        // A daemon declares its token when it has recovered them.
+        let there = self.nodes().await.unwrap_or_default();
+        let is_there = match &self.0.node {
+            Some(node) => there.contains(node),
+            None => !there.is_empty(),
+        };
+        if is_there {
+            return Ok(());
+        }
+        let mut delays = Delays::default();
+        while let Some(error) = self.recovery().await {
+            let delay = delays.next();
+            if Instant::now() + delay >= deadline {
+                return Err(error);
+            }
+            tokio::time::sleep(delay).await;
+        }
+        Ok(())
+    }
+
+    /// The reply of a daemon that recovers its swarms; of the one that was named in the options, or of any.
+    /// Such a daemon has no token yet.
+    async fn recovery(&self) -> Option<Error> {
+        let node = self.0.node.as_deref().unwrap_or("*");
+        let key = keys::node_get(&self.0.prefix, node, "hello");
+        let mut query = self.0.session.get(key).timeout(QUERY_TIMEOUT);
+        if let Some(token) = self.token() {
+            query = query.attachment(token);
+        }
+        let replies = query.await.ok()?;
+        while let Ok(reply) = replies.recv_async().await {
+            if let Err(error) = reply.into_result()
+                && let Ok(error) = serde_json::from_slice(&error.payload().to_bytes())
+                && let error = Error::rejected(error)
+                && error.is_recovering()
+            {
+                return Some(error);
+            }
+        }
+        None
     }
 
     /// The daemons in the keys of liveliness tokens, ordered.
@@ -117,21 +207,21 @@ impl Client {
     /// Fails if several daemons serve the name for longer than [`CONTEST_TIMEOUT`] or the timeout of
     /// the client, since each of them would execute a command. Checks once per connection: while the
     /// daemons can reach each other, they reject commands themselves.
-    pub(crate) async fn check_contested(&self, target: Target<'_>) -> Result<(), Error> {
-        let checked = (target.to_string(), self.connections_lost());
-        if self
-            .0
-            .uncontested
-            .lock()
-            .is_ok_and(|all| all.contains(&checked))
+    /// Returns those that serve it.
+    pub(crate) async fn check_contested(&self, target: Target<'_>) -> Result<Servers, Error> {
+        let (name, lost) = (target.to_string(), self.connections_lost());
+        if let Some((at, servers)) = self.checked(&name)
+            && at == lost
         {
-            return Ok(());
+            return Ok(servers);
         }
         let timeout = CONTEST_TIMEOUT.min(self.0.timeout);
         let deadline = Instant::now() + timeout;
-        while let Some(servers) = claim::servers(&self.claims(target).await?) {
+        let mut claims = self.claims(target).await?;
+        while let Some(servers) = claim::servers(&claims) {
             if Instant::now() < deadline {
                 tokio::time::sleep(POLL_INTERVAL).await;
+                claims = self.claims(target).await?;
                 continue;
             }
             let swarm = match target {
@@ -140,10 +230,40 @@ impl Client {
             };
             return Err(Error::rejected(claim::rejection(swarm, &servers)));
         }
+        let servers: Servers = serving(claims).into();
         if let Ok(mut all) = self.0.uncontested.lock() {
-            all.insert(checked);
+            all.insert(name, (lost, servers.clone()));
         }
-        Ok(())
+        Ok(servers)
+    }
+
+    /// The daemons that served a name when its claims were checked, and the number of connections lost
+    /// before.
+    fn checked(&self, name: &str) -> Option<(u64, Servers)> {
+        self.0.uncontested.lock().ok()?.get(name).cloned()
+    }
+
+    /// Whether the daemons that served a target are not reachable, although others may be: the error of
+    /// a request is then due to an interruption.
+    pub(crate) async fn is_gone(&self, target: Target<'_>, error: &Error) -> bool {
+        if !matches!(
+            error,
+            Error::NoNode { .. } | Error::UnknownNode { .. } | Error::NoSwarm { .. }
+        ) {
+            return false;
+        }
+        match self.checked(&target.to_string()) {
+            Some((_, servers)) if !servers.is_empty() => {
+                let there = self.nodes().await;
+                there.is_ok_and(|there| !servers.iter().any(|it| there.contains(&it.node)))
+            }
+            _ => false,
+        }
+    }
+
+    /// The daemons that serve a name.
+    pub(crate) async fn serving(&self, target: Target<'_>) -> Result<Vec<Claimant>, Error> {
+        Ok(serving(self.claims(target).await?))
     }
 
     /// The claims of a name.
@@ -184,7 +304,7 @@ impl Client {
     /// The error for a query without a reply, whose cause zenoh does not report: derived from the
     /// tokens, and from the daemon's reply to `whoami`.
     pub(crate) async fn explain_silence(&self, target: Target<'_>, key: &str) -> Error {
-        let there = self.nodes_soon().await;
+        let there = self.nodes_soon(Duration::ZERO).await;
         let hosts = match target {
             Target::Swarm(swarm) => self.hosts_of(swarm).await,
             Target::Node(_) => Ok(Vec::new()),
@@ -220,6 +340,8 @@ impl Client {
     }
 
     /// The error for a swarm that does not exist; names those that do.
+    ///
+    /// Cancel safety: a dropped query changes nothing.
     pub async fn no_swarm(&self, swarm: &str) -> Error {
         Error::NoSwarm {
             swarm: swarm.into(),
@@ -261,10 +383,14 @@ impl Client {
         Some(reply.result)
     }
 
-    /// The error if there is no daemon.
+    /// The error if there is no daemon that has recovered its swarms.
+    ///
+    /// Cancel safety: a dropped query changes nothing.
     pub async fn no_node(&self) -> Error {
-        let info = self.0.session.info();
-        let connected = info.peers_zid().await.count() + info.routers_zid().await.count() > 0;
+        let connected = self.is_connected().await;
+        if connected && let Some(error) = self.recovery().await {
+            return error;
+        }
         let claims = match connected {
             true => self.claims(Target::Node("*")).await.unwrap_or_default(),
             false => Vec::new(),
@@ -283,6 +409,17 @@ impl Client {
             }
         }
     }
+}
+
+/// Those of the claimants who serve the name.
+fn serving(claims: Vec<Claim>) -> Vec<Claimant> {
+    let serving = claims
+        .into_iter()
+        .filter(|it| it.standing > Standing::Waiting);
+    let mut claimants: Vec<Claimant> = serving.map(|it| it.claimant).collect();
+    claimants.sort();
+    claimants.dedup();
+    claimants
 }
 
 /// The name of the daemon in the key of its own token or of a swarm's token.

@@ -17,6 +17,12 @@ pub enum Error {
         /// What is wrong with its value, and the remedy.
         problem: String,
     },
+    /// Not a runtime that zenoh works with.
+    #[error(
+        "zenoh needs a multi-thread runtime of tokio: use #[tokio::main(flavor = \"multi_thread\")] or \
+         #[tokio::test(flavor = \"multi_thread\")], or tokio::runtime::Builder::new_multi_thread()"
+    )]
+    Runtime,
     /// Nothing listens at the endpoint, or the connection was lost.
     #[error("no daemon answers at {endpoint} ({cause}): start one with `jostled serve`")]
     NoDaemon {
@@ -100,8 +106,8 @@ pub enum Error {
     },
     /// The receiver exists but sent no reply.
     #[error(
-        "{target} exists but does not reply: it is shutting down, or its access control drops the \
-         request; retry, or use credentials that permit it"
+        "{target} exists but does not reply: it is suspended or shutting down, or its access control \
+         drops the request; retry, or use credentials that permit it"
     )]
     Silent {
         /// A swarm or a node.
@@ -140,23 +146,44 @@ pub enum Error {
 }
 
 impl Error {
-    /// Whether a later retry may succeed without any other action: the daemon is unreachable or
-    /// busy, did not reply in time, or access control rejected the request.
+    /// Whether a later retry may succeed without any other action: the daemon is unreachable, recovers its
+    /// swarms or is busy, or did not reply in time. A wrong name, of a swarm, a daemon, a host or in a
+    /// certificate, and credentials or a role that do not permit it stay wrong.
     pub fn is_transient(&self) -> bool {
         match self {
-            Error::Rejected(error) => {
-                matches!(error.code, ErrorCode::Busy | ErrorCode::PermissionDenied)
-            }
+            Error::Rejected(error) => error.code == ErrorCode::Busy,
             Error::NoDaemon { .. }
-            | Error::UnknownHost { .. }
             | Error::Mute { .. }
             | Error::NoNode { .. }
-            | Error::NotAdmitted { .. }
-            | Error::WrongName { .. }
             | Error::Silent { .. }
             | Error::TimedOut { .. } => true,
-            _ => false,
+            Error::Option { .. }
+            | Error::Runtime
+            | Error::UnknownHost { .. }
+            | Error::NotAdmitted { .. }
+            | Error::WrongName { .. }
+            | Error::UnknownNode { .. }
+            | Error::ManyNodes { .. }
+            | Error::NoSwarm { .. }
+            | Error::NotRecovered { .. }
+            | Error::TooLarge { .. }
+            | Error::Decode { .. }
+            | Error::Internal { .. } => false,
         }
+    }
+
+    /// Whether the daemon has executed nothing, and may later.
+    pub(crate) fn is_busy(&self) -> bool {
+        matches!(self, Error::Rejected(error) if error.code == ErrorCode::Busy)
+    }
+
+    /// Whether the daemon has not yet recovered its swarms after a start.
+    pub(crate) fn is_recovering(&self) -> bool {
+        let Error::Rejected(error) = self else {
+            return false;
+        };
+        let reason = error.details.get("reason");
+        error.code == ErrorCode::Busy && reason.is_some_and(|it| it == "recovering")
     }
 
     /// Whether the swarm or what the request names does not exist.
@@ -182,5 +209,120 @@ impl Error {
     pub(crate) fn internal(error: impl ToString) -> Self {
         let problem = error.to_string();
         Error::Internal { problem }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::{Map, json};
+
+    use super::*;
+
+    fn text() -> String {
+        "a".to_owned()
+    }
+
+    /// Every error, by whether a retry may succeed without any other action.
+    #[test]
+    fn only_what_may_pass_by_itself_is_transient() {
+        let rejected = |code| {
+            Error::rejected(jostle_proto::Error {
+                code,
+                message: text(),
+                details: Map::new(),
+                step: None,
+            })
+        };
+        let (endpoint, there) = (text, Vec::new);
+        let transient = [
+            rejected(ErrorCode::Busy),
+            Error::NoDaemon {
+                endpoint: endpoint(),
+                cause: text(),
+            },
+            Error::Mute {
+                endpoint: endpoint(),
+                secs: 1.0,
+            },
+            Error::NoNode {
+                endpoint: endpoint(),
+                prefix: text(),
+            },
+            Error::Silent { target: text() },
+            Error::TimedOut {
+                target: text(),
+                secs: 1.0,
+            },
+        ];
+        for error in transient {
+            assert!(error.is_transient(), "{error:?}");
+        }
+        let lasting = [
+            Error::Option {
+                option: "node",
+                problem: text(),
+            },
+            Error::Runtime,
+            Error::UnknownHost {
+                endpoint: endpoint(),
+                host: text(),
+            },
+            Error::NotAdmitted {
+                endpoint: endpoint(),
+                person: None,
+            },
+            Error::WrongName {
+                endpoint: endpoint(),
+                host: text(),
+                names: there(),
+            },
+            Error::UnknownNode {
+                node: text(),
+                there: there(),
+            },
+            Error::ManyNodes { there: there() },
+            Error::NoSwarm {
+                swarm: text(),
+                there: there(),
+            },
+            Error::NotRecovered { swarm: text() },
+            Error::TooLarge { bytes: 2, limit: 1 },
+            Error::Decode { problem: text() },
+            Error::Internal { problem: text() },
+        ];
+        let codes = [
+            ErrorCode::NotFound,
+            ErrorCode::AlreadyExists,
+            ErrorCode::InvalidArgument,
+            ErrorCode::IncorrectState,
+            ErrorCode::ResourceExhausted,
+            ErrorCode::Conflict,
+            ErrorCode::Contested,
+            ErrorCode::PermissionDenied,
+            ErrorCode::StorageFull,
+            ErrorCode::DeadlineExceeded,
+            ErrorCode::Faulted,
+            ErrorCode::Internal,
+        ];
+        for error in lasting.into_iter().chain(codes.map(rejected)) {
+            assert!(!error.is_transient(), "{error:?}");
+        }
+    }
+
+    #[test]
+    fn only_busy_with_the_reason_is_of_a_recovery() {
+        let error = |code, details| {
+            Error::rejected(jostle_proto::Error {
+                code,
+                message: text(),
+                details: serde_json::from_value(details).unwrap_or_default(),
+                step: None,
+            })
+        };
+        let recovering = json!({"reason": "recovering", "swarms_left": 3});
+        assert!(error(ErrorCode::Busy, recovering.clone()).is_recovering());
+        assert!(!error(ErrorCode::Busy, json!({"reason": "handover"})).is_recovering());
+        assert!(!error(ErrorCode::Busy, json!({})).is_recovering());
+        assert!(!error(ErrorCode::Internal, recovering).is_recovering());
     }
 }

@@ -16,11 +16,12 @@ use serde_json::value::RawValue;
 use tokio::time::{Instant, Interval, MissedTickBehavior, interval, sleep_until};
 use zenoh::sample::{Sample, SampleKind};
 
-use crate::client::{Client, Subscription};
+use crate::client::{Client, Subscription, Target};
 use crate::discovery::node_of;
 use crate::error::Error;
 use crate::payload::{Message, Payload};
 use crate::presence::{Change, Presence};
+use crate::retry::Delays;
 
 /// The queue of events. Events that are dropped are queried again.
 const EVENT_CAPACITY: usize = 64;
@@ -81,7 +82,9 @@ pub enum Update {
 pub struct Follow(Pin<Box<dyn Stream<Item = Result<Update, Error>> + Send>>);
 
 impl Follow {
-    /// The next update, `None` after the last. Cancel safe.
+    /// The next update, `None` after the last.
+    ///
+    /// Cancel safety: no update is lost; the next call returns it.
     pub async fn next(&mut self) -> Option<Result<Update, Error>> {
         poll_fn(|context| self.0.as_mut().poll_next(context)).await
     }
@@ -117,9 +120,12 @@ impl fmt::Debug for Follow {
 impl Client {
     /// Follows a swarm until it is deleted.
     ///
+    /// Cancel safety: the subscriptions end; call it again.
+    ///
     /// # Errors
     ///
-    /// As [`Client::get`], if the options require a query. Items of the stream are
+    /// [`Error::NoSwarm`] if there is no such swarm; as [`Client::get`], if it is not reachable or the
+    /// options require a query. Items of the stream are
     /// [`Error::NotRecovered`] if the daemon came back without the swarm, [`Error::Decode`] for an
     /// undecodable message, or the error of a query for missed events that a retry cannot resolve.
     pub async fn follow(&self, swarm: &str, options: FollowOptions) -> Result<Follow, Error> {
@@ -156,7 +162,8 @@ impl Client {
             has_events: false,
             poll: interval(EVENT_POLL_INTERVAL),
             updates: VecDeque::new(),
-            is_stale: false,
+            refresh_at: None,
+            delays: Delays::default(),
             is_over: false,
         };
         follower
@@ -165,9 +172,15 @@ impl Client {
         follower.poll.tick().await;
         // The subscribers have received the tokens that exist once this query has its replies. The end
         // of a token that was not received would not be reported.
-        let tokens = self.tokens(&keys::alive(prefix, swarm, "*")).await;
-        tolerate(tokens.map(drop))?;
-        follower.refresh().await?;
+        let hosts = self.tokens(&keys::alive(prefix, swarm, "*")).await;
+        let sends_a_query =
+            options.status || options.states.is_some() || follower.last_event.is_some();
+        if !sends_a_query && hosts.as_ref().is_ok_and(Vec::is_empty) {
+            // Nothing would be received: the error says why, unless the swarm begins now.
+            self.status(swarm).await?;
+        }
+        tolerate(hosts.map(drop))?;
+        follower.refresh(self.0.timeout).await?;
         let updates = unfold(follower, |mut follower| async move {
             let update = follower.next().await.transpose()?;
             Some((update, follower))
@@ -177,18 +190,22 @@ impl Client {
 
     /// The events of a swarm with numbers above `after` that the daemon still stores, oldest first.
     ///
+    /// Cancel safety: a dropped query changes nothing.
+    ///
     /// # Errors
     ///
     /// As [`Client::get`], and [`Error::Decode`].
     pub async fn events(&self, swarm: &str, after: u64) -> Result<Vec<Message<Event>>, Error> {
-        Ok(self.events_and_newest(swarm, after).await?.0)
+        let failing = self.0.timeout;
+        Ok(self.events_and_newest(swarm, after, failing).await?.0)
     }
 
-    /// As [`Client::events`], with the number of the newest event.
+    /// As [`Client::events`], with the number of the newest event. Gives up after `failing`.
     async fn events_and_newest(
         &self,
         swarm: &str,
         mut after: u64,
+        failing: Duration,
     ) -> Result<(Vec<Message<Event>>, u64), Error> {
         /// Events as received, with fields that this version does not know.
         #[derive(Deserialize)]
@@ -199,7 +216,13 @@ impl Client {
         let mut all: Vec<Message<Event>> = Vec::new();
         loop {
             let noun = format!("events?after={after};limit=1000");
-            let payload = self.get(swarm, &noun).await?;
+            let (key, target) = (
+                keys::get(&self.0.prefix, swarm, &noun),
+                Target::Swarm(swarm),
+            );
+            let timeout = self.0.timeout;
+            let query = self.query_within(target, &key, None, timeout, failing);
+            let payload = query.await?;
             let page = payload.read::<Reply<Events>>()?.result;
             let raw: Reply<Raw> = payload.read()?;
             for (value, raw) in page.events.into_iter().zip(raw.result.events) {
@@ -250,8 +273,10 @@ struct Follower {
     has_events: bool,
     poll: Interval,
     updates: VecDeque<Update>,
-    /// Whether to refresh after an interruption.
-    is_stale: bool,
+    /// When to refresh, after an interruption or a query that failed.
+    refresh_at: Option<Instant>,
+    /// The delays before a refresh is repeated.
+    delays: Delays,
     is_over: bool,
 }
 
@@ -264,41 +289,75 @@ impl Follower {
             if self.is_over {
                 return Ok(None);
             }
-            if std::mem::take(&mut self.is_stale) {
-                // If a query fails, the next publications show the changes.
-                tolerate(self.refresh().await)?;
-                continue;
-            }
-            // In random order, so that a frequent publication does not starve the others.
             tokio::select! {
+                // Tokens first: they show that what is received next follows an interruption.
+                biased;
                 token = self.swarm_tokens.sample() => self.swarm_token(&token?),
                 token = self.node_tokens.sample() => self.node_token(&token?),
                 () = reach(self.presence.deadline()) => self.judge().await?,
-                event = self.events.next() => self.event(event?).await?,
-                state = next(self.states.as_ref()) => self.state(state?)?,
-                order = next(self.order.as_ref()) => self.order(order?)?,
+                () = reach(self.refresh_at), if self.presence == Presence::Present => {
+                    let outcome = self.refresh(Duration::ZERO).await;
+                    self.refresh_later_after(outcome)?;
+                }
                 _ = self.poll.tick(), if self.presence == Presence::Present => {
-                    tolerate(self.query_events().await)?;
+                    let outcome = self.query_events(Duration::ZERO).await;
+                    self.refresh_later_after(outcome)?;
+                }
+                received = publication(&self.events, self.states.as_ref(), self.order.as_ref()) => {
+                    match received? {
+                        Publication::Event(event) => self.event(event).await?,
+                        Publication::State(state) => self.state(state)?,
+                        Publication::Order(order) => self.order(order)?,
+                    }
                 }
             }
         }
     }
 
-    /// Queries what a paused swarm does not publish, and the missed events.
-    async fn refresh(&mut self) -> Result<(), Error> {
-        self.connections_lost = self.client.connections_lost();
+    /// Schedules a refresh if a query failed for a reason that may pass.
+    fn refresh_later_after(&mut self, outcome: Result<(), Error>) -> Result<(), Error> {
+        match outcome {
+            Ok(()) => {
+                self.delays = Delays::default();
+                Ok(())
+            }
+            Err(error) if may_pass(&error) => {
+                self.refresh_at = Some(Instant::now() + self.delays.next());
+                Ok(())
+            }
+            Err(error) => Err(error),
+        }
+    }
+
+    /// Queries what a paused swarm does not publish, and the missed events; each query may fail for so
+    /// long. After the first refresh none is repeated here: the tokens of an interruption would not be
+    /// received meanwhile, and the reply of a restarted daemon would precede them.
+    async fn refresh(&mut self, failing: Duration) -> Result<(), Error> {
+        self.refresh_at = None;
+        let connections_lost = self.client.connections_lost();
         if self.options.status {
-            let status = self.client.status(&self.swarm).await?;
+            let key = keys::get(self.client.prefix(), &self.swarm, "status");
+            let status: Reply<Status> = self.query(&key, failing).await?.read()?;
             self.see_epoch(status.epoch);
             self.updates.push_back(Update::Status(Box::new(status)));
         }
         if self.options.states.is_some() {
-            let state = self.client.state(&self.swarm).await?;
+            let key = keys::state(self.client.prefix(), &self.swarm);
+            let state = self.query(&key, failing).await?;
             self.state(state)?;
         }
-        self.query_events().await?;
+        self.query_events(failing).await?;
+        self.connections_lost = connections_lost;
         self.epoch_before = None;
         Ok(())
+    }
+
+    async fn query(&self, key: &str, failing: Duration) -> Result<Payload, Error> {
+        let (target, timeout) = (Target::Swarm(&self.swarm), self.client.0.timeout);
+        let query = self
+            .client
+            .query_within(target, key, None, timeout, failing);
+        query.await
     }
 
     /// Notes the epoch of a message.
@@ -335,7 +394,13 @@ impl Follower {
         let event: Message<Event> = payload.try_into()?;
         let is_last = matches!(event.event, EventKind::Deleted { .. });
         if self.last_event.is_some_and(|last| event.number > last + 1) {
-            tolerate(self.query_events().await)?;
+            match self.query_events(Duration::ZERO).await {
+                // The refresh yields it, and those before it.
+                Err(error) if may_pass(&error) && !is_last => {
+                    return self.refresh_later_after(Err(error));
+                }
+                outcome => tolerate(outcome)?,
+            }
         }
         if self.last_event.is_none_or(|last| event.number > last) {
             self.push_event(event);
@@ -353,15 +418,17 @@ impl Follower {
         self.updates.push_back(Update::Event(Box::new(event)));
     }
 
-    /// Queries the events after the last one, if that is known.
-    async fn query_events(&mut self) -> Result<(), Error> {
+    /// Queries the events after the last one, if that is known. Gives up after `failing`.
+    async fn query_events(&mut self, failing: Duration) -> Result<(), Error> {
         let Some(last) = self.last_event else {
             return Ok(());
         };
-        let (mut events, newest) = self.client.events_and_newest(&self.swarm, last).await?;
+        let query = self.client.events_and_newest(&self.swarm, last, failing);
+        let (mut events, newest) = query.await?;
         if newest < last && self.has_events {
             // Another swarm of the same name, whose events are numbered from 1.
-            events = self.client.events(&self.swarm, 0).await?;
+            let query = self.client.events_and_newest(&self.swarm, 0, failing);
+            events = query.await?.0;
         }
         events.into_iter().for_each(|event| self.push_event(event));
         Ok(())
@@ -374,13 +441,20 @@ impl Follower {
         } else {
             self.epoch_before = (self.epoch > 0).then_some(self.epoch);
         }
+        let was_missing = matches!(self.presence, Presence::Missing { .. });
         let change = self.presence.swarm_token(is_alive, Instant::now());
         if change == Some(Change::Back) {
             self.updates.push_back(Update::Back);
         }
         // A connection may also be lost and restored before its tokens are received.
         let is_interrupted = self.connections_lost != self.client.connections_lost();
-        self.is_stale |= change == Some(Change::Back) || is_alive && is_interrupted;
+        if was_missing && is_alive && is_interrupted {
+            self.updates.extend([Update::Away, Update::Back]);
+        }
+        if change == Some(Change::Back) || is_alive && is_interrupted {
+            self.delays = Delays::default();
+            self.refresh_at = Some(Instant::now());
+        }
     }
 
     fn node_token(&mut self, token: &Sample) {
@@ -393,10 +467,23 @@ impl Follower {
 
     /// Decides whether a swarm whose token disappeared is away, was deleted or not recovered.
     async fn judge(&mut self) -> Result<(), Error> {
-        let nodes = self.client.nodes().await?;
+        let nodes = match self.client.nodes().await {
+            // The deadline has passed, so that this is asked again.
+            Err(Error::TimedOut { .. }) => return Ok(()),
+            nodes => nodes?,
+        };
         let is_node_there = nodes.iter().any(|node| self.is_its_node(node));
-        match self.presence.judge(is_node_there) {
-            Some(Change::Away) => self.updates.push_back(Update::Away),
+        let is_missing = matches!(self.presence, Presence::Missing { .. });
+        // The connection was lost with the token, and is back before that was noticed.
+        let is_interrupted = self.connections_lost != self.client.connections_lost();
+        let is_back = is_missing && is_interrupted && is_node_there;
+        match self.presence.judge(is_node_there && !is_back) {
+            Some(Change::Away) => {
+                self.updates.push_back(Update::Away);
+                if is_back {
+                    self.presence.node_token(true, Instant::now());
+                }
+            }
             Some(Change::Deleted) => self.finish()?,
             Some(Change::NotRecovered) => {
                 self.is_over = true;
@@ -427,12 +514,37 @@ impl Follower {
     }
 }
 
+/// Whether a query may have failed because of an interruption.
+fn may_pass(error: &Error) -> bool {
+    error.is_transient() || error.is_not_found()
+}
+
 /// Ignores the error of a query that failed because of an interruption: the tokens report it.
 fn tolerate(outcome: Result<(), Error>) -> Result<(), Error> {
-    outcome.or_else(|error| match error.is_transient() || error.is_not_found() {
+    outcome.or_else(|error| match may_pass(&error) {
         true => Ok(()),
         false => Err(error),
     })
+}
+
+/// What a swarm publishes.
+enum Publication {
+    Event(Payload),
+    State(Payload),
+    Order(Payload),
+}
+
+/// The next publication; in random order, so that a frequent one does not starve the others.
+async fn publication(
+    events: &Subscription,
+    states: Option<&Subscription>,
+    order: Option<&Subscription>,
+) -> Result<Publication, Error> {
+    tokio::select! {
+        event = events.next() => Ok(Publication::Event(event?)),
+        state = next(states) => Ok(Publication::State(state?)),
+        order = next(order) => Ok(Publication::Order(order?)),
+    }
 }
 
 /// Completes at `deadline`, never without one.

@@ -32,8 +32,9 @@
 //! # }
 //! ```
 //!
-//! A request is retried until [`ConnectOptions::timeout`] if its reply may be lost or the daemon is
-//! busy. A command is executed once however often it is sent, because it has a request id.
+//! A request is retried until [`ConnectOptions::timeout`] if its reply may be lost, or the daemon is
+//! busy or not reachable. A command is executed once however often it is sent, because it has a request
+//! id. What is left when a future is dropped is in its line *Cancel safety*.
 //!
 //! # Follow a swarm
 //!
@@ -122,6 +123,7 @@ mod client;
 mod command;
 mod connect;
 mod controller;
+mod data_ids;
 mod discovery;
 mod error;
 mod follow;
@@ -130,6 +132,8 @@ mod presence;
 mod requests;
 mod retry;
 mod tls;
+mod wait;
+mod wait_numbers;
 
 pub use jostle_proto as proto;
 
@@ -141,6 +145,7 @@ pub use error::Error;
 pub use follow::{EventsFrom, Follow, FollowOptions, Update};
 pub use payload::{Message, Payload};
 pub use requests::CommandOptions;
+pub use wait::ConditionWait;
 
 /// The example of the README.
 #[cfg(doctest)]

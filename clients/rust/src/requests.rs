@@ -38,6 +38,9 @@ pub struct CommandOptions {
 impl Client {
     /// Executes a command on a swarm once, with retries, and decodes the reply.
     ///
+    /// Cancel safety: the command may be executed nevertheless; [`Client::command`] with a
+    /// [`request_id`](CommandOptions::request_id) can be repeated.
+    ///
     /// # Errors
     ///
     /// As [`Client::command`], and [`Error::Decode`].
@@ -53,6 +56,9 @@ impl Client {
     /// Executes a verb on a swarm once, however often it is sent. The reply to a command that waits
     /// for its step is a `Reply<Scheduled>`.
     ///
+    /// Cancel safety: the command may be executed nevertheless. The same call with the same
+    /// [`request_id`](CommandOptions::request_id) returns its reply.
+    ///
     /// # Errors
     ///
     /// [`Error::Rejected`] with the daemon's error; [`Error::NoSwarm`], [`Error::NoDaemon`],
@@ -67,19 +73,23 @@ impl Client {
     ) -> Result<Payload, Error> {
         let options = options.into();
         let timeout = options.timeout.unwrap_or(self.0.timeout);
-        let payload = self.request(args, options)?;
-        if payload.len() > ALWAYS_ACCEPTED
+        let request = self.request(args, options)?;
+        let bytes = length(&request)?;
+        if bytes > ALWAYS_ACCEPTED
             && let Some(node) = self.hosts_of(swarm).await?.first()
         {
-            self.check_length(node, payload.len()).await?;
+            self.check_length(node, bytes).await?;
         }
         let key = keys::cmd(&self.0.prefix, swarm, verb);
         let target = Target::Swarm(swarm);
-        self.query_within(target, &key, Some(payload), timeout)
+        self.query_within(target, &key, Some(request), timeout, self.0.timeout)
             .await
     }
 
     /// Executes a verb on the daemon once, however often it is sent.
+    ///
+    /// Cancel safety: the command may be executed nevertheless. The same call with the same
+    /// [`request_id`](CommandOptions::request_id) returns its reply.
     ///
     /// # Errors
     ///
@@ -92,15 +102,19 @@ impl Client {
     ) -> Result<Payload, Error> {
         let options = options.into();
         let timeout = options.timeout.unwrap_or(self.0.timeout);
-        let payload = self.request(args, options)?;
+        let request = self.request(args, options)?;
         let node = self.node().await?;
-        self.check_length(&node, payload.len()).await?;
+        self.check_length(&node, length(&request)?).await?;
         let key = keys::node_cmd(&self.0.prefix, &node, verb);
-        self.query_within(Target::Node(&node), &key, Some(payload), timeout)
+        let target = Target::Node(&node);
+        self.query_within(target, &key, Some(request), timeout, self.0.timeout)
             .await
     }
 
     /// Creates a swarm.
+    ///
+    /// Cancel safety: the command may be executed nevertheless; [`Client::command`] with a
+    /// [`request_id`](CommandOptions::request_id) can be repeated.
     ///
     /// # Errors
     ///
@@ -111,6 +125,9 @@ impl Client {
     }
 
     /// Deletes the swarm on this daemon; a swarm of the same name on another daemon remains.
+    ///
+    /// Cancel safety: the command may be executed nevertheless. The same call with the same
+    /// [`request_id`](CommandOptions::request_id) returns its reply.
     ///
     /// # Errors
     ///
@@ -127,6 +144,8 @@ impl Client {
 
     /// Queries a swarm, such as `parameters` or `events?after=7`.
     ///
+    /// Cancel safety: a dropped query changes nothing.
+    ///
     /// # Errors
     ///
     /// As [`Client::command`].
@@ -137,6 +156,8 @@ impl Client {
 
     /// The status of a swarm.
     ///
+    /// Cancel safety: a dropped query changes nothing.
+    ///
     /// # Errors
     ///
     /// As [`Client::command`], and [`Error::Decode`].
@@ -146,6 +167,8 @@ impl Client {
 
     /// Measures of the newest state of a swarm, by name: `order`, `clusters.count(0.1)`; if `names` is
     /// empty all that need no earlier state.
+    ///
+    /// Cancel safety: a dropped query changes nothing.
     ///
     /// # Errors
     ///
@@ -160,6 +183,8 @@ impl Client {
 
     /// The state of a swarm, a CBOR [`State`](jostle_proto::State).
     ///
+    /// Cancel safety: a dropped query changes nothing.
+    ///
     /// # Errors
     ///
     /// As [`Client::command`].
@@ -171,6 +196,8 @@ impl Client {
     /// The status of a swarm once `condition` holds, such as `step=5000` or `phase=paused`. The
     /// daemon holds the query for at most `held` and then rejects it with `deadline_exceeded`. Not
     /// retried.
+    ///
+    /// Cancel safety: a dropped query changes nothing.
     ///
     /// # Errors
     ///
@@ -190,6 +217,8 @@ impl Client {
 
     /// Queries the daemon.
     ///
+    /// Cancel safety: a dropped query changes nothing.
+    ///
     /// # Errors
     ///
     /// As [`Client::command_node`].
@@ -200,6 +229,8 @@ impl Client {
     }
 
     /// The swarms of a daemon, ordered by name.
+    ///
+    /// Cancel safety: a dropped query changes nothing.
     ///
     /// # Errors
     ///
@@ -213,6 +244,8 @@ impl Client {
 
     /// The key of an experiment's `progress` and other nouns.
     ///
+    /// Cancel safety: a dropped query changes nothing.
+    ///
     /// # Errors
     ///
     /// As [`Client::node`].
@@ -222,6 +255,8 @@ impl Client {
     }
 
     /// Queries an experiment, such as `progress` or `results?after=7`.
+    ///
+    /// Cancel safety: a dropped query changes nothing.
     ///
     /// # Errors
     ///
@@ -234,6 +269,8 @@ impl Client {
 
     /// The names of the daemon's experiments.
     ///
+    /// Cancel safety: a dropped query changes nothing.
+    ///
     /// # Errors
     ///
     /// As [`Client::command_node`], and [`Error::Decode`].
@@ -244,6 +281,8 @@ impl Client {
     }
 
     /// The names of the daemon's recordings.
+    ///
+    /// Cancel safety: a dropped query changes nothing.
     ///
     /// # Errors
     ///
@@ -277,10 +316,10 @@ impl Client {
         format!("{}-{number}", self.0.session.zid())
     }
 
-    /// The payload of a command.
-    fn request<A: Serialize>(&self, args: &A, options: CommandOptions) -> Result<Vec<u8>, Error> {
+    /// The envelope of a command.
+    fn request<A: Serialize>(&self, args: &A, options: CommandOptions) -> Result<Request, Error> {
         let timeout = options.timeout.unwrap_or(self.0.timeout);
-        let request = Request {
+        Ok(Request {
             request_id: Some(options.request_id.unwrap_or_else(|| self.new_id())),
             client: Some(options.client.unwrap_or_else(|| self.0.name.clone())),
             at_step: options.at_step,
@@ -288,7 +327,11 @@ impl Client {
             expect_step: options.expect_step,
             timeout_secs: Some(hold_time(timeout).as_secs_f64()),
             args: Some(serde_json::value::to_raw_value(args).map_err(Error::internal)?),
-        };
-        serde_json::to_vec(&request).map_err(Error::internal)
+        })
     }
+}
+
+/// The length of a request as JSON.
+fn length(request: &Request) -> Result<usize, Error> {
+    Ok(serde_json::to_vec(request).map_err(Error::internal)?.len())
 }

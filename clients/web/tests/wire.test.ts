@@ -1,6 +1,8 @@
 import assert from "node:assert/strict";
 import { execFileSync } from "node:child_process";
 import { mkdtempSync, readFileSync, rmSync, writeFileSync } from "node:fs";
+import { createServer } from "node:http";
+import type { AddressInfo } from "node:net";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
 import { test } from "node:test";
@@ -17,6 +19,7 @@ import { rangeOf } from "../src/panels/ranges.ts";
 import { brief, degrees, fixed, rates, short, signed } from "../src/ui/format.ts";
 import { parseRoute } from "../src/ui/router.ts";
 import { linkCommand } from "../src/ui/session.ts";
+import { command, get, RequestError } from "../src/wire/http.ts";
 import type { Hello, OrderMessage, Parameter, Reply, SwarmEvent } from "../src/wire/messages.ts";
 import { decodeState } from "../src/wire/state.ts";
 
@@ -177,4 +180,47 @@ test("a brief number has four digits, and a small one a power of ten", () => {
   const numbers = [0, 13, 0.0123456, 1234.56, -0.25, -1.234e-8, 0.00099, Number.NaN, null];
   const texts = ["0", "13", "0.01235", "1235", "−0.25", "−1.2e-8", "9.9e-4", "–", "–"];
   assert.deepEqual(numbers.map(brief), texts);
+});
+
+test("a request is sent again while the daemon recovers its swarms, a command under its id", async () => {
+  const busy = (reason: string) => ({
+    code: "busy",
+    message: "try again",
+    details: { reason, swarms_left: 2 },
+    step: null,
+  });
+  const replies: [number, object][] = [];
+  const received: string[] = [];
+  const server = createServer((request, response) => {
+    let body = "";
+    request.on("data", (chunk) => {
+      body += chunk;
+    });
+    request.on("end", () => {
+      received.push(body);
+      const [status, reply] = replies.shift() ?? [200, { result: {} }];
+      response.writeHead(status, { "Content-Type": "application/json", Connection: "close" });
+      response.end(JSON.stringify(reply));
+    });
+  });
+  await new Promise<void>((resolve) => server.listen(0, "127.0.0.1", resolve));
+  const { port } = server.address() as AddressInfo;
+  // The page names paths only.
+  const { fetch } = globalThis;
+  globalThis.fetch = (path, init) => fetch(`http://127.0.0.1:${port}${path}`, init);
+  try {
+    replies.push([429, busy("recovering")], [429, busy("handover")]);
+    await command("school", "step", { steps: 3 });
+    assert.equal(received.length, 3);
+    assert.equal(new Set(received).size, 1, "the same request");
+    replies.push([429, busy("recovering")]);
+    await get("school", "status");
+    assert.equal(received.length, 5);
+    replies.push([429, { ...busy(""), details: {} }]);
+    await assert.rejects(get("school", "status"), RequestError);
+    assert.equal(received.length, 6, "an overloaded daemon is spared");
+  } finally {
+    globalThis.fetch = fetch;
+    server.close();
+  }
 });

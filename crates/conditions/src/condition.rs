@@ -57,6 +57,11 @@ impl Condition {
         &self.comparisons
     }
 
+    /// Returns the measures, each as often as it is compared.
+    pub fn measures(&self) -> impl Iterator<Item = &Measure> {
+        self.comparisons.iter().map(|it| &it.measure)
+    }
+
     /// Returns the number of earlier steps whose states the measures need.
     #[must_use]
     pub fn lag(&self, dt: f64) -> u64 {

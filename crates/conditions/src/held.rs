@@ -39,22 +39,26 @@ impl Condition {
     /// A comparison with a duration holds if it was fulfilled at each observed step since one that
     /// lies at least the duration back: `for 20` with `dt = 0.02` requires 1,001 states in a row.
     pub fn observe(&self, view: &View<'_>, step: u64, dt: f64, held: &mut Held) -> bool {
-        held.0.resize(self.comparisons.len(), None);
-        let mut holds = Vec::with_capacity(self.comparisons.len());
+        if held.0.len() != self.comparisons.len() {
+            held.0.resize(self.comparisons.len(), None);
+        }
         for (comparison, since) in self.comparisons.iter().zip(&mut held.0) {
             *since = comparison
-                .is_fulfilled_by(comparison.measure.evaluate(view))
+                .is_fulfilled_by(comparison.measure.value(view))
                 .then(|| since.filter(|&first| first <= step).unwrap_or(step));
-            holds.push(since.is_some_and(|first| step - first >= comparison.steps(dt)));
         }
-        is_true(&self.root, &holds)
+        self.is_true(&self.root, step, dt, held)
     }
-}
 
-fn is_true(node: &Node, holds: &[bool]) -> bool {
-    match node {
-        Node::Comparison(index) => holds[*index],
-        Node::All(nodes) => nodes.iter().all(|node| is_true(node, holds)),
-        Node::Any(nodes) => nodes.iter().any(|node| is_true(node, holds)),
+    fn is_true(&self, node: &Node, step: u64, dt: f64, held: &Held) -> bool {
+        match node {
+            Node::Comparison(index) => {
+                let comparison = &self.comparisons[*index];
+                let lasts = |first| step - first >= comparison.steps(dt);
+                held.0[*index].is_some_and(lasts)
+            }
+            Node::All(nodes) => nodes.iter().all(|it| self.is_true(it, step, dt, held)),
+            Node::Any(nodes) => nodes.iter().any(|it| self.is_true(it, step, dt, held)),
+        }
     }
 }

@@ -64,6 +64,7 @@ pub fn to_proto(change: &Change) -> verbs::Change {
             noise: settings.noise,
             publish_every: settings.publish_every,
             measures: settings.measures.clone(),
+            max_idle_secs: settings.max_idle_secs.map(Option::unwrap_or_default),
             make_room: settings.make_room,
         }),
         Change::Inform {
@@ -151,6 +152,7 @@ pub fn set(args: SetArgs) -> Result<Change, ArgsError> {
         noise,
         publish_every,
         measures,
+        max_idle_secs,
         make_room,
     } = args;
     if make_room && pi1.is_none() {
@@ -163,12 +165,13 @@ pub fn set(args: SetArgs) -> Result<Change, ArgsError> {
         return Err(ArgsError::Field {
             field: "args",
             problem: "has no parameter: give pi1, pi2, pi3, pi4, contacts, stepping, relinearise, \
-                      attraction, noise, publish_every or measures",
+                      attraction, noise, publish_every, measures or max_idle_secs",
         });
     }
     let publish_every = publish_every.map(value::publish_every).transpose()?;
     let measures = measures.as_deref().map(published).transpose();
     let measures = measures.map_err(WireError::from)?;
+    let max_idle_secs = max_idle_secs.map(value::max_idle_secs).transpose()?;
     Ok(Change::Set(Settings {
         pi1,
         pi2,
@@ -181,6 +184,7 @@ pub fn set(args: SetArgs) -> Result<Change, ArgsError> {
         noise,
         publish_every,
         measures,
+        max_idle_secs,
         make_room,
     }))
 }
@@ -365,8 +369,14 @@ pub fn changed(kind: ChangeKind, outcome: ChangeOutcome) -> Changed {
 
 /// Returns the result of `set`.
 pub fn set_result(before: &SettingValues, now: &SettingValues, scaled_by: f64) -> SetResult {
-    let values =
-        |it: &SettingValues| parameter_values(it.parameters, it.publish_every, &it.measures);
+    let values = |it: &SettingValues| {
+        parameter_values(
+            it.parameters,
+            it.publish_every,
+            &it.measures,
+            it.max_idle_secs,
+        )
+    };
     SetResult {
         before: values(before),
         now: values(now),

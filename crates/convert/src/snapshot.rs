@@ -13,7 +13,7 @@ use thiserror::Error;
 
 use crate::measures::published;
 use crate::spec::{self, parameter_values};
-use crate::value::{WireError, count, publish_every};
+use crate::value::{WireError, count, max_idle_secs, publish_every};
 
 /// Maximum distance of a group's origin from 0, in cells: a double represents it exactly.
 const MAX_ORIGIN: u64 = LARGEST_WHOLE;
@@ -58,6 +58,7 @@ pub fn to_proto(swarm: &str, checkpoint: &Checkpoint, doing: SnapshotPhase) -> p
         state,
         publish_every,
         measures,
+        max_idle_secs,
         epoch,
         seq,
         means,
@@ -75,7 +76,10 @@ pub fn to_proto(swarm: &str, checkpoint: &Checkpoint, doing: SnapshotPhase) -> p
         model_version: MODEL_VERSION,
         swarm: swarm.to_owned(),
         spec: spec::to_proto(spec, spec.seed),
-        parameters: parameters_to_proto(state.parameters, *publish_every, measures),
+        parameters: SnapshotParameters {
+            max_idle_secs: *max_idle_secs,
+            ..parameters_to_proto(state.parameters, *publish_every, measures)
+        },
         epoch: *epoch,
         step: state.step,
         seq: *seq,
@@ -158,6 +162,7 @@ pub fn from_proto(snapshot: &proto::Snapshot) -> Result<Checkpoint, SnapshotErro
         state,
         publish_every: snapshot.parameters.publish_every,
         measures: snapshot.parameters.measures.clone().unwrap_or_default(),
+        max_idle_secs: snapshot.parameters.max_idle_secs,
         epoch: snapshot.epoch,
         seq,
         means: RunningMeans {
@@ -256,7 +261,7 @@ fn parameters_to_proto(
     publish_every: u64,
     measures: &[String],
 ) -> SnapshotParameters {
-    let now = parameter_values(now, publish_every, measures);
+    let now = parameter_values(now, publish_every, measures, None);
     SnapshotParameters {
         pi1: now.pi1,
         pi2: now.pi2,
@@ -269,6 +274,7 @@ fn parameters_to_proto(
         noise: Some(now.noise),
         publish_every,
         measures: now.measures,
+        max_idle_secs: None,
     }
 }
 
@@ -353,6 +359,10 @@ pub fn check(checkpoint: &Checkpoint) -> Result<(), SnapshotError> {
         .map_err(|error| rejected(&error))?;
     publish_every(checkpoint.publish_every).map_err(|error| rejected(&error))?;
     published(&checkpoint.measures).map_err(|error| rejected(&error))?;
+    let max_idle_secs = checkpoint.max_idle_secs.map(max_idle_secs);
+    max_idle_secs
+        .transpose()
+        .map_err(|error| rejected(&error))?;
     let counts = [state.step, checkpoint.seq, means.count, means.directed];
     if counts.into_iter().any(|it| it > LARGEST_WHOLE) {
         return impossible("it has a count that is too large");

@@ -174,11 +174,12 @@ pub fn attraction_to_proto(law: Attraction) -> proto::Attraction {
     }
 }
 
-/// Returns the message of parameters, `publish_every` and the published measures.
+/// Returns the message of parameters, and of what else `set` changes.
 pub fn parameter_values(
     parameters: Parameters,
     publish_every: u64,
     measures: &[String],
+    max_idle_secs: Option<f64>,
 ) -> proto::ParameterValues {
     proto::ParameterValues {
         pi1: parameters.pi1,
@@ -192,5 +193,6 @@ pub fn parameter_values(
         noise: parameters.noise,
         publish_every,
         measures: published_to_proto(measures),
+        max_idle_secs,
     }
 }

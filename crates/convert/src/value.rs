@@ -13,6 +13,9 @@ const MAX_RATE: f64 = 1e6;
 /// Maximum number of steps between two published states.
 const MAX_PUBLISH_EVERY: u64 = 1_000_000_000;
 
+/// Maximum time for which a swarm waits for a silent controller, in seconds: eleven days.
+const MAX_IDLE_SECS: f64 = 1e6;
+
 /// Why a value of a message is rejected.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum WireError {
@@ -89,6 +92,19 @@ pub fn publish_every(steps: u64) -> Result<u64, WireError> {
         return Ok(steps);
     }
     Err(WireError::out_of_range("publish_every", steps))
+}
+
+/// Converts the longest time in seconds for which a swarm waits for a controller that sends nothing: 0 is
+/// no limit.
+///
+/// # Errors
+///
+/// [`WireError::OutOfRange`].
+pub fn max_idle_secs(secs: f64) -> Result<Option<f64>, WireError> {
+    match (0.0..=MAX_IDLE_SECS).contains(&secs) {
+        true => Ok((secs > 0.0).then_some(secs)),
+        false => Err(WireError::out_of_range("max_idle_secs", secs)),
+    }
 }
 
 /// Checks the weight with which individuals are informed. An individual of weight 0 is uninformed.

@@ -166,7 +166,7 @@ fn every_change_is_read() {
     let settings = json!({
         "pi1": 3.0, "pi2": 0.25, "pi3": 2.0, "pi4": 5.0, "contacts": "closest", "stepping": "velocity",
         "relinearise": 0, "attraction": {"kind": "voronoi"}, "noise": 0.5, "publish_every": 4,
-        "make_room": true, "measures": ["nematic"],
+        "make_room": true, "measures": ["nematic"], "max_idle_secs": 60.0,
     });
     let expected = Settings {
         pi1: Some(3.0),
@@ -181,6 +181,7 @@ fn every_change_is_read() {
         publish_every: Some(4),
         make_room: true,
         measures: Some(vec!["nematic".into()]),
+        max_idle_secs: Some(Some(60.0)),
     };
     assert_eq!(
         read(json!({"verb": "set", "args": settings})),
@@ -255,6 +256,7 @@ fn arguments_that_do_not_fit_are_rejected_with_their_field() {
         ),
         ("set", json!({"relinearise": 2}), "relinearise = 2"),
         ("set", json!({"publish_every": 0}), "publish_every = 0"),
+        ("set", json!({"max_idle_secs": -1.0}), "max_idle_secs = -1"),
         (
             "inform",
             json!({"select": {"count": 1}, "direction": 0.0, "for_time": 0.0}),

@@ -24,28 +24,40 @@ pub fn cluster_sizes(
     configuration: &Configuration,
     gap: f64,
 ) -> Vec<usize> {
-    let pairs = pairs_within_gap(parameters, configuration, gap);
-    sizes(configuration.n(), &pairs)
+    let pairs = near_pairs_within(parameters, configuration, gap);
+    sizes(configuration.n(), pairs.into_iter().map(|it| it.pair))
 }
 
-/// Returns all pairs of individuals with a gap of at most `gap` body sizes, by index.
-pub(crate) fn pairs_within_gap(
+/// Two individuals and the gap between them.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct NearPair {
+    /// Their indices.
+    pub(crate) pair: (u32, u32),
+    /// The gap, in body sizes.
+    pub(crate) gap: f64,
+}
+
+/// Returns all pairs of individuals with a gap of at most `gap` body sizes.
+pub(crate) fn near_pairs_within(
     parameters: &Parameters,
     configuration: &Configuration,
     gap: f64,
-) -> Vec<(u32, u32)> {
+) -> Vec<NearPair> {
     // The search distance has a margin, since pairs exactly at that distance may be omitted.
     near_pairs(Body::new(parameters), configuration, gap + MARGIN)
         .into_iter()
         .filter(|(_, _, nearness)| nearness.gap <= gap)
-        .map(|(one, other, _)| (one, other))
+        .map(|(one, other, nearness)| NearPair {
+            pair: (one, other),
+            gap: nearness.gap,
+        })
         .collect()
 }
 
 /// Returns the sizes of the sets of n individuals that `pairs` connect, the largest first.
-pub(crate) fn sizes(n: usize, pairs: &[(u32, u32)]) -> Vec<usize> {
+pub(crate) fn sizes(n: usize, pairs: impl Iterator<Item = (u32, u32)>) -> Vec<usize> {
     let mut parent: Vec<usize> = (0..n).collect();
-    for &(one, other) in pairs {
+    for (one, other) in pairs {
         let [one, other] = [one, other].map(|index| root(&mut parent, index as usize));
         parent[one.max(other)] = one.min(other);
     }

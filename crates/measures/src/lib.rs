@@ -35,6 +35,7 @@
 
 #![warn(missing_docs)]
 
+mod cost;
 mod definition;
 mod error;
 mod families;
@@ -47,6 +48,7 @@ mod registry;
 mod testing;
 mod view;
 
+pub use cost::{MAX_PLAIN, TooCostlyTogether, check_cost};
 pub use definition::{Argument, Definition};
 pub use error::{MAX_COSTLY_INDIVIDUALS, MeasureError, TooCostly};
 pub use families::alignment::nematic_order;

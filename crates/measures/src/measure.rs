@@ -74,6 +74,25 @@ impl Measure {
         value.is_finite().then_some(value)
     }
 
+    /// Announces the measure: those of clusters and contacts then share one search of neighbours, at the largest
+    /// gap of all.
+    pub fn announce(&self, view: &View<'_>) {
+        if let Some(gap) = self.gap() {
+            view.expect_gap(gap);
+        }
+    }
+
+    /// Returns the value as [`Measure::evaluate`], which is called once for equal measures of a view.
+    #[must_use]
+    pub fn value(&self, view: &View<'_>) -> Option<f64> {
+        let lag = self.lag(view.state().parameters.dt);
+        if lag > 0 && view.state().step.checked_sub(lag)? < view.first() {
+            return None;
+        }
+        let key = (self.index, self.argument);
+        view.value(key, lag > 0, |view| self.evaluate(view))
+    }
+
     /// Returns the definition.
     #[must_use]
     pub fn definition(&self) -> &'static Definition {
@@ -84,6 +103,12 @@ impl Measure {
     #[must_use]
     pub fn argument(&self) -> Option<f64> {
         self.argument
+    }
+
+    /// Returns the gap within which it needs the pairs of individuals, in body sizes, if it does.
+    pub(crate) fn gap(&self) -> Option<f64> {
+        let argument = self.definition().argument?;
+        (argument.name == "gap").then_some(self.argument?)
     }
 
     /// Returns how many steps of `dt` the past reaches back, which [`Past::new`](crate::Past::new)

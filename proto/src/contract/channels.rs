@@ -254,13 +254,24 @@ pub const CHANNELS: &[Channel] = &{
                      waits and none of the newest commands is that it held",
                 ),
                 (
+                    "condition",
+                    "a condition, such as `order > 0.9 for 20`: the reply is sent when it holds, in the \
+                     present state or after a later step, or if the swarm has faulted",
+                ),
+                (
+                    "id",
+                    "with `condition`: the id of the wait, which has the form of a name. The client holds \
+                     the token of this id; a query that repeats the id and the condition continues the wait. \
+                     Over HTTP the connection holds the wait, and the id may be left out",
+                ),
+                (
                     "timeout_secs",
                     "a number above 0, at most 30: the reply is `deadline_exceeded` after this \
                      time, or earlier if more than 1024 requests wait for the swarm",
                 ),
             ],
-            doc: "The status, when the swarm reaches a step or a phase or a condition has held; \
-                 requires one of `step`, `phase` and `event`.",
+            doc: "The status, when the swarm reaches a step or a phase, or a condition holds or has held; \
+                 requires one of `step`, `phase`, `condition` and `event`.",
         },
         plain(
             "{swarm}/cmd/delete",
@@ -364,6 +375,12 @@ pub const CHANNELS: &[Channel] = &{
             "{swarm}/ctl/{controller}/alive",
             ClientToken,
             "Held by a controller; if it disappears, the daemon removes the controller.",
+        ),
+        plain(
+            "{swarm}/wait/{id}/alive",
+            ClientToken,
+            "Held by a client that waits for a condition with this `id`; 2 s after it disappears, the wait \
+             ends.",
         ),
         plain("@node/{node}/alive", Token, "Exists while the daemon runs."),
         plain(

@@ -176,7 +176,7 @@ pub enum Departure {
     Left,
     /// Its liveliness token disappeared.
     Lost,
-    /// It missed three deadlines in a row.
+    /// It missed three deadlines in a row, or sent nothing for `max_idle_secs`.
     Late,
 }
 

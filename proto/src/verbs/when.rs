@@ -8,7 +8,7 @@ use crate::verbs::changes::{is_false, no_more_changes_if_given};
 use crate::verbs::{Change, MAX_CHANGES};
 
 /// Pauses a swarm, applies changes or publishes an event, once, at the first step after which a
-/// condition holds. `condition`, `cancel` or `cancel` with `event`; with a condition exactly one of
+/// condition holds. `condition`, or `cancel` alone or with `event` or `id`; with a condition exactly one of
 /// `pause`, `commands` and `event`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -52,9 +52,12 @@ pub struct WhenArgs {
     /// commands and the other conditions, except those with `event`, are removed.
     #[serde(default, skip_serializing_if = "is_false")]
     pub protocol: bool,
-    /// Remove all waiting conditions, or with `event` the one with this name.
+    /// Remove all waiting conditions, or with `event` the one with this name, or with `id` the one of this id.
     #[serde(default, skip_serializing_if = "is_false")]
     pub cancel: bool,
+    /// With `cancel`: the id of a condition, which `get/status` has.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub id: Option<String>,
 }
 
 /// The result of `when`.

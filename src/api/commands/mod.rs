@@ -4,6 +4,7 @@ mod create;
 mod discard;
 mod experiment;
 mod fork;
+mod join;
 mod record;
 mod replay;
 mod restore;
@@ -87,8 +88,16 @@ impl Context {
         self.audit(&incoming.key, &request, responder);
         let handle = self.find(swarm)?;
         self.admit(swarm, &message)?;
-        send(responder, &handle, timeout, message, returns_state);
-        Ok(())
+        match &message.command {
+            Command::Join(options) => {
+                let controller = options.controller.clone();
+                self.join(incoming, responder, (handle, &controller), timeout, message)
+            }
+            _ => {
+                send(responder, &handle, timeout, message, returns_state);
+                Ok(())
+            }
+        }
     }
 
     /// Counts a note, and a `join` or `leave` of a user who is no operator, unless it exceeds a limit.

@@ -12,6 +12,9 @@ use crate::auth::Rights;
 use crate::convert::commands::CommandError;
 use crate::convert::{self, Payload};
 
+/// The nouns with the same reply before and after the swarms are recovered, and the metrics of the moment.
+const INDEPENDENT_OF_SWARMS: [&str; 4] = ["whoami", "schema", "audit", "metrics"];
+
 impl Context {
     /// Replies to each noun that the key expression matches.
     pub(crate) fn node_get(&self, incoming: &Incoming) {
@@ -27,6 +30,12 @@ impl Context {
                 continue;
             }
             let responder = self.replies.responder(incoming, key);
+            if let Some(swarms_left) = self.recovery.swarms_left()
+                && !INDEPENDENT_OF_SWARMS.contains(&noun)
+            {
+                responder.reject(&CommandError::Recovering { swarms_left }, None);
+                continue;
+            }
             let payload = match noun {
                 "recording" => match self.recording(incoming, &responder) {
                     Ok(()) => continue,
@@ -104,6 +113,7 @@ impl Context {
             unix_secs: unix_secs(),
             limits: convert::limits(self.registry.limits(), limit, max_bytes),
             http: self.http.clone(),
+            data_id: self.data_id.clone(),
         })
     }
 

@@ -55,7 +55,7 @@ impl Context {
             is_known = true;
             let responder = match noun {
                 "wait" | "verify" | "experiment" => {
-                    self.replies.responder(&incoming.without_permit(), key)
+                    self.replies.responder(&incoming.without_places(), key)
                 }
                 _ => self.replies.responder(incoming, key),
             };

@@ -111,6 +111,7 @@ pub fn read_journaled(
     let command = match verb {
         "deadline" => Command::Deadline(controller(request)?),
         "lost" => Command::Lost(controller(request)?),
+        "idle" => Command::Idle(controller(request)?),
         "fired" => swarm::fired(request.args()?)?,
         "control" => set_points::parse_journaled(request)?,
         // Earlier versions accepted more characters.

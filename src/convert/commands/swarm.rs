@@ -12,7 +12,7 @@ use jostle_proto::verbs::{
 use jostle_proto::{RequestError, SeekArgs};
 
 use crate::convert::commands::{CommandError, check_name, is_legible};
-use crate::swarm::command::{Command, Seek, Until};
+use crate::swarm::command::{Command, Seek, Until, Which};
 use crate::swarm::membership::{self, ControllerSettings, JoinOptions};
 use crate::swarm::sender::Sender;
 use crate::swarm::watch::{Action, Draws, Watch};
@@ -104,6 +104,10 @@ pub fn when(args: WhenArgs) -> Result<Command, CommandError> {
         let problem = "removes waiting conditions: give it without condition";
         return Err(CommandError::field("cancel", problem));
     }
+    if args.id.is_some() {
+        let problem = "is chosen by the daemon: give it with cancel";
+        return Err(CommandError::field("id", problem));
+    }
     let condition = Condition::parse(text)?;
     // The journal and checkpoints have the normal form, which may be longer than the text.
     let normal = condition.to_string();
@@ -153,18 +157,30 @@ pub fn when(args: WhenArgs) -> Result<Command, CommandError> {
     })))
 }
 
-/// `when` without a condition: the end of all that wait, or of the one with an event.
+/// `when` without a condition: the end of all that wait, or of the one with an event or of an id.
 fn cancel(args: WhenArgs) -> Result<Command, CommandError> {
     let alone = WhenArgs {
         cancel: true,
         event: args.event.clone(),
+        id: args.id.clone(),
         ..WhenArgs::default()
     };
-    if args == alone {
-        return Ok(Command::Unwatch(args.event.map(Into::into)));
+    if args != alone {
+        let problem = "is missing: give a condition, such as \"order > 0.9\", or cancel alone";
+        return Err(CommandError::field("condition", problem));
     }
-    let problem = "is missing: give a condition, such as \"order > 0.9\", or cancel alone";
-    Err(CommandError::field("condition", problem))
+    Ok(Command::Unwatch(match (args.event, args.id) {
+        (None, None) => Which::All,
+        (Some(event), None) => Which::Event(event.into()),
+        (None, Some(id)) => {
+            check_name("id", &id)?;
+            Which::Id(id)
+        }
+        (Some(_), Some(_)) => {
+            let problem = "and event name one condition each: give one of them";
+            return Err(CommandError::field("id", problem));
+        }
+    }))
 }
 
 /// Checks the name of an event.

@@ -2,30 +2,42 @@
 
 use std::time::Duration;
 
+use jostle_conditions::Condition;
+
 use crate::convert::commands::swarm::check_event;
-use crate::convert::commands::{CommandError, selector};
+use crate::convert::commands::{CommandError, check_name, selector};
 use crate::swarm::command::WaitCondition;
 
 /// Maximum timeout of one `wait`; client libraries repeat it.
 pub const MAX_WAIT: Duration = Duration::from_secs(30);
 
-/// Parses the condition and the timeout from the parameters of a selector.
+/// What a query waits for.
+pub enum Awaited {
+    /// A step, a phase or an event.
+    Of(WaitCondition),
+    /// A condition on measures, and the id that the client gave its wait.
+    Holds(Box<Condition>, Option<String>),
+}
+
+/// Parses what is awaited and the timeout from the parameters of a selector.
 pub fn read<'a>(
     parameters: impl Iterator<Item = (&'a str, &'a str)>,
-) -> Result<(WaitCondition, Duration), CommandError> {
-    let (mut step, mut phase, mut event, mut timeout) = (None, None, None, MAX_WAIT);
-    for (name, value) in selector(parameters, &["step", "phase", "event", "timeout_secs"])? {
+) -> Result<(Awaited, Duration), CommandError> {
+    let known = &["step", "phase", "event", "condition", "id", "timeout_secs"];
+    let (mut awaited, mut id, mut timeout) = (Vec::new(), None, MAX_WAIT);
+    for (name, value) in selector(parameters, known)? {
         match name {
             "step" => {
                 let wrong = |_| CommandError::field("step", "is not a whole number");
-                step = Some(WaitCondition::Step(value.parse().map_err(wrong)?));
+                let step = value.parse().map_err(wrong)?;
+                awaited.push(Awaited::Of(WaitCondition::Step(step)));
             }
             "event" => {
                 check_event(value)?;
-                event = Some(WaitCondition::Event(value.into()));
+                awaited.push(Awaited::Of(WaitCondition::Event(value.into())));
             }
             "phase" => {
-                phase = Some(match value {
+                awaited.push(Awaited::Of(match value {
                     "paused" => WaitCondition::Paused,
                     "running" => WaitCondition::Running,
                     "faulted" => WaitCondition::Faulted,
@@ -33,7 +45,18 @@ pub fn read<'a>(
                         let problem = "is not paused, running or faulted";
                         return Err(CommandError::field("phase", problem));
                     }
-                });
+                }));
+            }
+            "condition" => {
+                let condition = Condition::parse(value)?;
+                if let Some(reason) = condition.never_holds() {
+                    return Err(CommandError::NeverHolds(reason));
+                }
+                awaited.push(Awaited::Holds(Box::new(condition), None));
+            }
+            "id" => {
+                check_name("id", value)?;
+                id = Some(value.to_owned());
             }
             _ => {
                 let wrong = |_| CommandError::field("timeout_secs", "is not a number");
@@ -41,12 +64,18 @@ pub fn read<'a>(
             }
         }
     }
-    match (step, phase, event) {
-        (Some(awaited), None, None) | (None, Some(awaited), None) | (None, None, Some(awaited)) => {
-            Ok((awaited, timeout))
+    match (awaited.pop(), awaited.pop(), id) {
+        (Some(Awaited::Holds(condition, _)), None, id) => {
+            Ok((Awaited::Holds(condition, id), timeout))
         }
+        (Some(Awaited::Of(_)), None, Some(_)) => {
+            let problem = "is that of a wait for a condition: leave it out";
+            Err(CommandError::field("id", problem))
+        }
+        (Some(of), None, None) => Ok((of, timeout)),
         _ => {
-            let problem = "phase or event is required, and only one of them: wait?step=100";
+            let problem =
+                "phase, condition or event is required, and only one of them: wait?step=100";
             Err(CommandError::field("step", problem))
         }
     }

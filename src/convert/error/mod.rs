@@ -7,6 +7,7 @@ use jostle_conditions::ConditionError;
 use jostle_convert::error::{named, object};
 use jostle_convert::range::range_of;
 use jostle_convert::{ArgsError, MeasuresError, WireCode, WireError};
+use jostle_physics::plural::counted;
 use jostle_physics::simulation::ChangeError;
 use jostle_proto::role::rejection;
 use jostle_proto::{Claimant, Error, ErrorCode, RequestError, claim, keys};
@@ -120,6 +121,12 @@ pub enum CommandError {
         "daemon {0:?} claims this name: choose another name, or delete the swarm of this name there"
     )]
     Claimed(String),
+    /// A controller joins without the token by which the daemon learns that its client is gone.
+    #[error(
+        "controller {controller} does not hold its liveliness token: declare {key} in a zenoh session that \
+         stays open, then send `join` again"
+    )]
+    NoToken { controller: String, key: String },
     /// The daemon has a defect.
     #[error("a defect of the daemon: nothing was changed; please report what you sent")]
     Internal,
@@ -144,6 +151,13 @@ pub enum CommandError {
          the machine was suspended: try again in half a second"
     )]
     HandingOver,
+    /// Its reply could be wrong before every swarm of the previous run is recovered.
+    #[error(
+        "this daemon has started and recovers its swarms, {} left, so it executes nothing that depends on \
+         them: try again in a moment",
+        counted(*.swarms_left, "swarm")
+    )]
+    Recovering { swarms_left: usize },
     #[error("not done within {after_secs} s: {remedy}")]
     Deadline {
         after_secs: f64,
@@ -301,6 +315,7 @@ impl WireCode for CommandError {
             CommandError::OtherRequest(_)
             | CommandError::NotReached { .. }
             | CommandError::History(_) => ErrorCode::Conflict,
+            CommandError::NoToken { .. } => ErrorCode::IncorrectState,
             CommandError::Contested { .. } => ErrorCode::Contested,
             CommandError::Claimed(_) => ErrorCode::AlreadyExists,
             CommandError::Internal | CommandError::Dropped | CommandError::Store(_) => {
@@ -311,7 +326,9 @@ impl WireCode for CommandError {
             | CommandError::ExportTooLong { .. }
             | CommandError::Limit(_)
             | CommandError::TooManyClients { .. } => ErrorCode::ResourceExhausted,
-            CommandError::Busy | CommandError::HandingOver => ErrorCode::Busy,
+            CommandError::Busy | CommandError::HandingOver | CommandError::Recovering { .. } => {
+                ErrorCode::Busy
+            }
             CommandError::Deadline { .. } | CommandError::NotYet { .. } => {
                 ErrorCode::DeadlineExceeded
             }
@@ -341,6 +358,9 @@ impl WireCode for CommandError {
             CommandError::Contested { swarm, claimants } => {
                 claim::rejection(swarm.as_deref(), claimants).details
             }
+            CommandError::NoToken { controller, key } => {
+                object(json!({"field": "controller", "value": controller, "token": key}))
+            }
             CommandError::Claimed(node) => object(json!({"node": node})),
             CommandError::Snapshot(_) => named("snapshot", Value::Null, range_of("snapshot")),
             CommandError::Parameter { name, known } => {
@@ -359,9 +379,15 @@ impl WireCode for CommandError {
                 object(json!({"after_secs": after_secs}))
             }
             CommandError::Limit(LimitError::Membership { verb, retry_secs }) => {
-                object(json!({"field": verb, "retry_secs": retry_secs}))
+                object(json!({"verb": verb, "retry_secs": retry_secs}))
+            }
+            CommandError::Limit(LimitError::Rate { retry_secs }) => {
+                object(json!({"retry_secs": retry_secs}))
             }
             CommandError::HandingOver => object(json!({"reason": "handover"})),
+            CommandError::Recovering { swarms_left } => {
+                object(json!({"reason": "recovering", "swarms_left": swarms_left}))
+            }
             CommandError::TooManyClients { limit } => object(json!({"limit": limit})),
             CommandError::OtherRequest(id) => object(json!({"field": "request_id", "value": id})),
             _ => Map::new(),

@@ -44,9 +44,10 @@ impl WireCode for SwarmError {
             | SwarmError::Playback(_)
             | SwarmError::OutsideRecording { .. } => ErrorCode::InvalidArgument,
             SwarmError::Phase(_)
-            | SwarmError::Lockstep
+            | SwarmError::Lockstep { .. }
             | SwarmError::Recorded
             | SwarmError::NotRecorded
+            | SwarmError::NotHeld(_)
             | SwarmError::RunsFreely(_) => ErrorCode::IncorrectState,
             SwarmError::Conflict { .. }
             | SwarmError::Past { .. }
@@ -58,14 +59,19 @@ impl WireCode for SwarmError {
             | SwarmError::Advancing { .. }
             | SwarmError::Superseded
             | SwarmError::RejectedBefore => ErrorCode::Conflict,
-            SwarmError::NotJoined { .. } | SwarmError::NoEvent(_) | SwarmError::Gone => {
-                ErrorCode::NotFound
-            }
+            SwarmError::NotJoined { .. }
+            | SwarmError::NoEvent(_)
+            | SwarmError::NoCondition(_)
+            | SwarmError::Gone => ErrorCode::NotFound,
             SwarmError::HasJoined(_) => ErrorCode::AlreadyExists,
             SwarmError::TooManyControllers(_)
             | SwarmError::TooManyOfUser { .. }
             | SwarmError::TooManyScheduled { .. }
-            | SwarmError::TooManyWatches(_) => ErrorCode::ResourceExhausted,
+            | SwarmError::TooManyWatches(_)
+            | SwarmError::TooManyWaits { .. }
+            | SwarmError::TooManyMeasuresOfUser { .. }
+            | SwarmError::TooCostlyTogether(_)
+            | SwarmError::NoMemoryOfPast { .. } => ErrorCode::ResourceExhausted,
             SwarmError::NotDurable(_) => ErrorCode::StorageFull,
             SwarmError::Displaced { .. } => ErrorCode::DeadlineExceeded,
             SwarmError::Busy => ErrorCode::Busy,
@@ -84,6 +90,7 @@ impl WireCode for SwarmError {
             } => {
                 json!({"field": format!("expect_{what}"), "expected": expected, "actual": actual})
             }
+            SwarmError::Lockstep { controllers, .. } => json!({"controllers": controllers}),
             SwarmError::Past { until, step } => {
                 json!({"field": "until_step", "until": until, "step": step})
             }
@@ -106,10 +113,27 @@ impl WireCode for SwarmError {
             }
             SwarmError::TooMuchPast(_) => json!({"field": "condition"}),
             SwarmError::TooManyWatches(limit) => json!({"field": "condition", "limit": limit}),
-            SwarmError::TooManyScheduled { count, user: None } => {
+            SwarmError::TooManyWaits { count, user: None } => {
+                json!({"field": "condition", "limit": count})
+            }
+            SwarmError::TooManyWaits { count, user } => {
+                json!({"field": "condition", "limit": count, "person": user})
+            }
+            SwarmError::TooManyMeasuresOfUser { limit, user, .. } => {
+                json!({"field": "condition", "limit": limit, "person": user})
+            }
+            SwarmError::TooCostlyTogether(_) => json!({"field": "condition"}),
+            SwarmError::NoMemoryOfPast { needed, free } => {
+                json!({"field": "condition", "needed": needed, "free": free})
+            }
+            SwarmError::NotHeld(key) => json!({"token": key}),
+            SwarmError::NoCondition(id) => json!({"field": "id", "value": id}),
+            SwarmError::TooManyScheduled {
+                count, user: None, ..
+            } => {
                 json!({"field": "at_step", "limit": count})
             }
-            SwarmError::TooManyScheduled { count, user } => {
+            SwarmError::TooManyScheduled { count, user, .. } => {
                 json!({"field": "at_step", "limit": count, "person": user})
             }
             SwarmError::TooManyOfUser { count, user } => {

@@ -24,6 +24,10 @@ pub enum Input<'a> {
     /// Another command ends the pending advances; this phase follows.
     Interrupted(Phase),
     Faulted(SwarmError),
+    /// The liveliness token of a controller is gone, and may be declared again since this time.
+    Away(&'a str, Instant),
+    /// The liveliness token of a controller is declared.
+    Returned(&'a str),
     /// The swarm is back at its start; this phase follows.
     Restarted(Phase),
     Changed,

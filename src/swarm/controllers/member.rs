@@ -1,15 +1,40 @@
 //! A controller that has joined a swarm.
 
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
+use crate::suspension::GRACE;
 use crate::swarm::handle::ReplyTo;
 use crate::swarm::membership::{ControllerState, Mode, Put, Puts};
+
+/// What runs out for controllers depends on this, too.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct TimeLimits {
+    /// How long the swarm waits for a controller in lock-step that sends nothing.
+    pub max_idle: Option<Duration>,
+    /// When the daemon resumed after it was suspended: no time before that counts.
+    pub resumed: Option<Instant>,
+}
+
+/// What has run out for a controller.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Expiry {
+    /// Its deadline, or the lease of its set-points.
+    Deadline,
+    /// The time to declare its liveliness token again.
+    Lost,
+    /// The time for which it may hold the swarm and send nothing.
+    Idle,
+}
 
 pub struct Member {
     pub state: ControllerState,
     pub reply_to: Option<ReplyTo>,
     /// Since when the swarm waits for it, or the time of its last put.
     pub since: Option<Instant>,
+    /// Since when it holds the swarm in lock-step without having sent anything.
+    pub silent_since: Option<Instant>,
+    /// Since when it may declare its liveliness token again: after [`GRACE`] without one it is lost.
+    pub away_since: Option<Instant>,
     /// Set-points for the next step.
     pub put: Option<Put>,
     pub puts: Puts,
@@ -21,6 +46,8 @@ impl Member {
             state,
             reply_to,
             since: None,
+            silent_since: None,
+            away_since: None,
             put: None,
             puts: Puts::default(),
         }
@@ -38,6 +65,36 @@ impl Member {
             // The lease begins at the last put, as long as its set-points hold.
             Mode::FreeRunning => !self.state.steered.is_empty() && self.state.misses == 0,
         }
+    }
+
+    /// Whether the swarm in lock-step cannot step beyond `step` without it.
+    pub fn holds(&self, step: u64) -> bool {
+        self.is_lockstep() && self.state.target <= step
+    }
+
+    /// Notes that it has sent something, or has connected again: `max_idle` starts again.
+    pub fn heard(&mut self, now: Instant) {
+        self.silent_since = self.silent_since.map(|_| now);
+    }
+
+    /// What runs out next for it, and when.
+    pub fn due(&self, limits: &TimeLimits) -> Option<(Instant, Expiry)> {
+        let resumed = limits.resumed;
+        let from = |since: Instant| resumed.map_or(since, |resumed| since.max(resumed));
+        // Without a connection it cannot send anything.
+        if let Some(since) = self.away_since {
+            return Some((from(since) + GRACE, Expiry::Lost));
+        }
+        let deadline = self.since.map(|since| {
+            let due = from(since) + self.state.settings.deadline;
+            (due, Expiry::Deadline)
+        });
+        let silent = self.silent_since.zip(limits.max_idle);
+        let silent = silent.map(|(since, max)| (from(since) + max, Expiry::Idle));
+        [deadline, silent]
+            .into_iter()
+            .flatten()
+            .min_by_key(|it| it.0)
     }
 
     /// Drops the individuals that no longer exist, and adds that to its news.

@@ -6,6 +6,7 @@ use std::time::Duration;
 use jostle_physics::simulation::Spec;
 
 use super::*;
+use crate::suspension::GRACE;
 use crate::swarm::handle::Rejection;
 use crate::swarm::membership::{ControllerSettings, Put, Puts};
 
@@ -17,6 +18,7 @@ struct Rig {
     simulation: Simulation,
     phase: Phase,
     now: Instant,
+    limits: TimeLimits,
     /// The controllers whose `advance` got a reply.
     replied: (mpsc::Sender<&'static str>, mpsc::Receiver<&'static str>),
 }
@@ -28,6 +30,7 @@ impl Rig {
             simulation: Simulation::new(&Spec::new(6, 1)).unwrap(),
             phase: Phase::Paused(PauseReason::Created),
             now: Instant::now(),
+            limits: TimeLimits::default(),
             replied: mpsc::channel(),
         }
     }
@@ -152,6 +155,14 @@ impl Rig {
         statuses.find(|it| it.controller == controller).unwrap()
     }
 
+    fn due(&self) -> Option<Instant> {
+        self.controllers.due(&self.limits)
+    }
+
+    fn overdue(&self) -> Vec<(String, Expiry)> {
+        self.controllers.overdue(self.now, &self.limits)
+    }
+
     fn weight(&self, individual: usize) -> f64 {
         self.simulation.state.configuration.weight[individual]
     }
@@ -180,19 +191,19 @@ fn it_steps_when_all_have_advanced_and_replies_to_each_at_its_step() {
     let mut rig = Rig::new();
     assert_eq!(rig.lockstep("ada", &[0]).unwrap(), ["pause lockstep"]);
     assert!(rig.lockstep("bob", &[1]).unwrap().is_empty());
-    assert_eq!(rig.controllers.due(), None, "no controller waits");
+    assert_eq!(rig.due(), None, "no controller waits");
 
     assert_eq!(rig.advance("ada", 1).unwrap(), ["journal", "record"]);
-    assert_eq!(rig.controllers.due(), Some(rig.now + DEADLINE));
+    assert_eq!(rig.due(), Some(rig.now + DEADLINE));
     rig.now += DEADLINE / 2;
     assert_eq!(rig.status("bob").waited, Some(DEADLINE / 2));
     let both = ["journal to 1", "record", "step to 1"];
     assert_eq!(rig.advance("bob", 3).unwrap(), both);
-    assert_eq!(rig.controllers.due(), None);
+    assert_eq!(rig.due(), None);
     let error = rig.advance("ada", 1).unwrap_err();
     assert!(matches!(error, SwarmError::Advancing { target: 1, .. }));
     assert_eq!(rig.take_steps(), ["ada 0"]);
-    assert_eq!(rig.controllers.due(), Some(rig.now + DEADLINE), "bob waits");
+    assert_eq!(rig.due(), Some(rig.now + DEADLINE), "bob waits");
     let next = ["journal to 3", "record", "step to 3"];
     assert_eq!(rig.advance("ada", 5).unwrap(), next);
     assert_eq!(rig.take_steps(), ["bob 0"]);
@@ -226,9 +237,9 @@ fn a_missed_deadline_lets_the_others_step_and_the_third_removes() {
         rig.control("bob", 1, &[1]).unwrap();
         for misses in 1..=3 {
             rig.advance("ada", 1).unwrap();
-            assert!(rig.controllers.overdue(rig.now).is_empty());
+            assert!(rig.overdue().is_empty());
             rig.now += DEADLINE;
-            assert_eq!(rig.controllers.overdue(rig.now), ["bob"]);
+            assert_eq!(rig.overdue(), [("bob".to_owned(), Expiry::Deadline)]);
             let effects = rig.command(&Command::Deadline("bob".into())).unwrap();
             let step = format!("step to {misses}");
             assert_eq!(effects, ["journal", "publish", &step, "publish state"]);
@@ -259,7 +270,7 @@ fn a_missed_deadline_pauses_if_the_controller_joined_for_that() {
         "publish state",
     ];
     assert_eq!(effects, expected);
-    assert_eq!(rig.controllers.due(), None);
+    assert_eq!(rig.due(), None);
 }
 
 #[test]
@@ -284,13 +295,13 @@ fn a_waiting_client_gets_a_reply_when_its_advance_is_interrupted() {
     let paused = Phase::Paused(PauseReason::Requested);
     assert_eq!(rig.on(Input::Interrupted(paused)).unwrap(), ["ada 0"]);
     assert!(rig.on(Input::Updated).unwrap().is_empty());
-    assert_eq!(rig.controllers.due(), None);
+    assert_eq!(rig.due(), None);
 
     rig.advance("ada", 1).unwrap();
     rig.phase = Phase::Faulted("no solution".into());
     let effects = rig.on(Input::Faulted(SwarmError::Gone)).unwrap();
     assert_eq!(effects, ["ada: Gone"]);
-    assert_eq!(rig.controllers.due(), None, "a faulted swarm waits");
+    assert_eq!(rig.due(), None, "a faulted swarm waits");
 }
 
 #[test]
@@ -302,24 +313,84 @@ fn the_lease_of_set_points_ends_and_no_other_deadline_does() {
     assert_eq!(steered, ["journal", "record"]);
     rig.on(Input::Updated).unwrap();
     assert_eq!(rig.weight(0), 2.0);
-    assert_eq!(rig.controllers.due(), Some(rig.now + DEADLINE));
+    assert_eq!(rig.due(), Some(rig.now + DEADLINE));
     rig.now += DEADLINE;
-    assert_eq!(rig.controllers.overdue(rig.now), ["ada"]);
+    assert_eq!(rig.overdue(), [("ada".to_owned(), Expiry::Deadline)]);
     rig.command(&Command::Deadline("ada".into())).unwrap();
-    assert_eq!((rig.weight(0), rig.controllers.due()), (0.0, None));
+    assert_eq!((rig.weight(0), rig.due()), (0.0, None));
 
     let steer_again = |rig: &mut Rig, sequence: u64| {
         rig.control("ada", sequence, &[0]).unwrap();
         rig.on(Input::Updated).unwrap();
-        assert!(rig.controllers.due().is_some());
+        assert!(rig.due().is_some());
     };
     steer_again(&mut rig, 2);
     let reset = Phase::Paused(PauseReason::Reset);
     rig.on(Input::Restarted(reset)).unwrap();
-    assert_eq!(rig.controllers.due(), None, "set-points after a reset");
+    assert_eq!(rig.due(), None, "set-points after a reset");
     steer_again(&mut rig, 3);
     rig.command(&Command::Leave("ada".into())).unwrap();
-    assert_eq!(rig.controllers.due(), None, "no controller is left");
+    assert_eq!(rig.due(), None, "no controller is left");
+}
+
+#[test]
+fn who_holds_the_swarm_and_sends_nothing_is_idle() {
+    const IDLE: Duration = Duration::from_secs(60);
+    let mut rig = Rig::new();
+    rig.join("ada", &[0], Mode::Lockstep, OnTimeout::Free)
+        .unwrap();
+    rig.join("eve", &[1], Mode::FreeRunning, OnTimeout::Free)
+        .unwrap();
+    assert_eq!(rig.due(), None, "without a limit");
+    rig.limits.max_idle = Some(IDLE);
+    assert_eq!(
+        rig.due(),
+        Some(rig.now + IDLE),
+        "also the only one in lockstep"
+    );
+    rig.now += IDLE / 2;
+    rig.controllers.find("ada").unwrap().heard(rig.now);
+    assert_eq!(rig.due(), Some(rig.now + IDLE), "it sent something");
+    rig.advance("ada", 1).unwrap();
+    assert_eq!(rig.due(), None, "while the swarm steps");
+    rig.take_steps();
+    rig.now += IDLE;
+    assert_eq!(rig.overdue(), [("ada".to_owned(), Expiry::Idle)]);
+    // Nothing before the end of a suspension counts.
+    rig.limits.resumed = Some(rig.now);
+    assert_eq!(rig.due(), Some(rig.now + IDLE));
+    rig.control("ada", 1, &[0]).unwrap();
+    rig.command(&Command::Idle("ada".into())).unwrap();
+    assert_eq!((rig.weight(0), rig.due()), (0.0, None));
+    let error = rig.advance("ada", 1).unwrap_err();
+    assert!(error.to_string().contains("max_idle_secs"), "{error}");
+}
+
+#[test]
+fn after_a_suspension_a_lost_token_may_be_declared_again() {
+    let mut rig = Rig::new();
+    rig.lockstep("ada", &[0]).unwrap();
+    rig.lockstep("bob", &[1]).unwrap();
+    rig.advance("ada", 1).unwrap();
+    rig.now += 5 * DEADLINE;
+    rig.limits.resumed = Some(rig.now);
+    assert_eq!(
+        rig.due(),
+        Some(rig.now + DEADLINE),
+        "it counts from the end"
+    );
+    rig.on(Input::Away("bob", rig.now)).unwrap();
+    assert_eq!(rig.due(), Some(rig.now + GRACE), "it cannot send anything");
+    rig.now += DEADLINE * 3;
+    rig.on(Input::Returned("bob")).unwrap();
+    assert_eq!(rig.due(), Some(rig.now + DEADLINE));
+    rig.on(Input::Away("bob", rig.now)).unwrap();
+    // Suspended again, before the grace was over.
+    rig.now += GRACE * 2;
+    rig.limits.resumed = Some(rig.now);
+    assert_eq!(rig.due(), Some(rig.now + GRACE));
+    rig.now += GRACE;
+    assert_eq!(rig.overdue(), [("bob".to_owned(), Expiry::Lost)]);
 }
 
 #[test]

@@ -166,6 +166,10 @@ impl Worker {
             // The number of a command is the key of its random draws.
             false => self.simulation.seq += 1,
         }
+        let joining = match &command {
+            Command::Join(options) => Some(options.controller.clone()),
+            _ => None,
+        };
         let outcome = match command {
             Command::Delete => match self.delete(&sender) {
                 Ok(reply) => return Some(End::Deleted(DeferredReply::new(reply_to, Ok(reply)))),
@@ -185,13 +189,14 @@ impl Worker {
             Command::Batch { changes, draws } => self.change(&changes, draws).map(Outcome::Batch),
             Command::Annotate => Ok(Outcome::Done),
             Command::Watch(watch) => self.watch(*watch, sender.clone()),
-            Command::Unwatch(event) => self.unwatch(event.as_deref()),
+            Command::Unwatch(which) => self.unwatch(&which),
             Command::Fired(watch) => self.fire(&watch),
             Command::Join(_)
             | Command::Leave(_)
             | Command::Advance { .. }
             | Command::Deadline(_)
             | Command::Lost(_)
+            | Command::Idle(_)
             | Command::Control { .. } => {
                 let command = Input::Command(&command, &sender, &mut reply_to);
                 self.control(command, Some((input, &sender)))
@@ -217,6 +222,9 @@ impl Worker {
                 reply_to.send(Ok((self.stamp(), outcome)));
                 // After the reply, so that the client that paused it learns of it first.
                 self.reply_to_waiters();
+                if let Some(controller) = joining {
+                    self.joined(&controller);
+                }
             }
             Err(error) => {
                 self.simulation.seq = seq;
@@ -298,7 +306,7 @@ impl Worker {
         // A controller that has left usually expects an older step too; that it has left is the
         // more useful error.
         if let Command::Advance { controller, .. } = command {
-            self.controllers.find(controller)?;
+            self.controllers.find(controller)?.heard(Instant::now());
         }
         let step = self.simulation.state.step;
         when.check(self.simulation.epoch, step)?;
@@ -325,7 +333,7 @@ impl Worker {
         };
         let next = phase::next(&self.phase, PhaseInput::Run(until))?;
         if self.controllers.is_lockstep() {
-            return Err(SwarmError::Lockstep);
+            return Err(self.controllers.lockstep(&self.output.name, step));
         }
         SwarmError::check_not_past(until, step)?;
         self.reply_to_pending(&next);
@@ -365,6 +373,7 @@ impl Worker {
         self.notify_controllers(Input::Interrupted(next.clone()));
         self.simulation.restart(fresh);
         self.watches.clear();
+        self.waits.restart();
         self.protocol_draws = 0;
         self.notify_controllers(Input::Restarted(next.clone()));
         self.enter(next);
@@ -382,7 +391,7 @@ impl Worker {
         let until = from.saturating_add(steps);
         let next = phase::next(&self.phase, PhaseInput::Step(until))?;
         if self.controllers.is_lockstep() {
-            return Err(SwarmError::Lockstep);
+            return Err(self.controllers.lockstep(&self.output.name, from));
         }
         // A pending `step` that ends at the step for which this one is scheduled is done.
         self.reply_to_pending(&next);
@@ -433,6 +442,7 @@ impl Worker {
         self.push_event(EventKind::Deleted(sender.clone()));
         let stamp = self.stamp();
         self.waiters.reject_all(Some(stamp.step));
+        self.reject_waits(&SwarmError::Gone);
         Ok((stamp, Outcome::Done))
     }
 

@@ -10,12 +10,13 @@ mod places;
 pub mod replay;
 mod scheduled;
 mod step;
+mod waits;
 mod watches;
 
 #[cfg(test)]
 mod tests;
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::{Duration, Instant};
@@ -23,6 +24,7 @@ use std::time::{Duration, Instant};
 use jostle_physics::simulation::{ReserveMemory, Simulation};
 use parking_lot::Mutex;
 
+use crate::suspension;
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::command::Command;
 use crate::swarm::controllers::{Controllers, Effect, Input};
@@ -40,6 +42,7 @@ use crate::swarm::schedule::Schedule;
 use crate::swarm::scheduler::{Pace, Share};
 use crate::swarm::sender::{Creation, Sender};
 use crate::swarm::waiters::Waiters;
+use crate::swarm::waits::{ReservePast, Waits};
 use crate::swarm::watch::Watches;
 
 /// Messages handled between two steps: a flood of them slows a swarm but never stops it.
@@ -77,7 +80,12 @@ pub struct Worker {
     events: u64,
     pending: Option<Pending>,
     waiters: Waiters,
+    waits: Waits,
     controllers: Controllers,
+    /// Controllers without a token that are scheduled to join, and since when each may declare it.
+    absent: BTreeMap<String, Instant>,
+    /// Held while there are controllers, so that their times do not count while the daemon is suspended.
+    suspensions: Option<suspension::Watch>,
     /// The effects of an input on the controllers while they are carried out; kept for its memory.
     effects: Vec<Effect>,
     journal: Journal,
@@ -173,7 +181,10 @@ impl Worker {
                 sender,
             }),
             waiters: Waiters::default(),
+            waits: Waits::default(),
             controllers: Controllers::restore(checkpoint.controllers, reply_for),
+            absent: BTreeMap::new(),
+            suspensions: None,
             effects: Vec::new(),
         };
         for (at_step, scheduled) in checkpoint.scheduled {
@@ -232,6 +243,11 @@ impl Worker {
         written.map(drop)
     }
 
+    /// Reserves the memory of the earlier states that waits need by `reserve` from now on.
+    pub fn set_reserve_of_waits(&mut self, reserve: ReservePast) {
+        self.waits.set_reserve(reserve);
+    }
+
     fn reset_pace(&mut self) {
         let rate = match self.phase {
             Phase::Stepping { .. } => None,
@@ -268,7 +284,7 @@ impl Worker {
     fn run_loop(mut self, messages: &Receiver<Message>) -> End {
         let queued = || messages.try_iter();
         loop {
-            if self.controllers.due().is_some()
+            if self.controllers_due().is_some()
                 && let Some(end) = self.fire_deadlines()
             {
                 return end;
@@ -293,17 +309,17 @@ impl Worker {
                 // A lossless recording whose queue is full wakes this thread once it has room.
                 Some(Duration::ZERO) if is_output_full => {
                     self.cpu_share.leave();
-                    self.controllers.due()
+                    self.controllers_due()
                 }
                 // The scheduler wakes this thread when it may compute.
                 Some(Duration::ZERO) => None,
                 wait => {
                     self.cpu_share.leave();
                     let next = wait.map(|wait| Instant::now() + wait);
-                    next.into_iter().chain(self.controllers.due()).min()
+                    next.into_iter().chain(self.controllers_due()).min()
                 }
             };
-            match receive(messages, wakes_at) {
+            match receive(messages, wakes_at.into_iter().chain(self.waits.due()).min()) {
                 Ok(message) => {
                     self.metrics.activity.begin();
                     let all = std::iter::once(message).chain(queued());
@@ -311,7 +327,7 @@ impl Worker {
                         return end;
                     }
                 }
-                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Timeout) => self.sweep_waits(Instant::now()),
                 Err(RecvTimeoutError::Disconnected) => return End::Stopped,
             }
         }
@@ -330,16 +346,19 @@ impl Worker {
     }
 
     /// Handles queued messages. Consecutive commands are journaled together. A batch ends after
-    /// `reset`, since the commands after it get another step, and after a group-committed command,
-    /// which is journaled when it is executed: the line of the next command must follow its line.
+    /// `reset`, since the commands after it get another step, after a command about conditions, beside which
+    /// the next one is checked, and after a group-committed command, which is journaled when it is executed:
+    /// the line of the next command must follow its line.
     fn handle_batch(&mut self, messages: impl Iterator<Item = Message>) -> Option<End> {
         let mut messages: VecDeque<Message> = messages.take(MAX_MESSAGES_PER_STEP).collect();
         let mut batch = Vec::new();
         while let Some(message) = messages.pop_front() {
             match message {
                 Message::Command(message) => {
-                    let is_last = matches!(message.command, Command::Reset(_))
-                        || message.command.is_group_committed();
+                    let is_last = matches!(
+                        message.command,
+                        Command::Reset(_) | Command::Watch(_) | Command::Unwatch(_)
+                    ) || message.command.is_group_committed();
                     batch.push(message);
                     let continues = matches!(messages.front(), Some(Message::Command(_)));
                     if (is_last || !continues)
@@ -355,20 +374,26 @@ impl Worker {
                 }
             }
         }
-        self.checkpoint_if_due(Instant::now());
+        let now = Instant::now();
+        self.sweep_waits(now);
+        self.checkpoint_if_due(now);
         None
     }
 
     fn handle(&mut self, message: Message) -> Option<End> {
         match message {
             Message::Query(reply_to) => {
+                self.sweep_waits(Instant::now());
                 let (stamp, frame) = self.state_with_controllers();
                 reply_to.send(Ok((stamp, Outcome::State(frame))));
             }
             Message::Put(controller, epoch, put) => {
                 self.notify_controllers(Input::Put(&controller, epoch, put));
             }
-            Message::Lost(controller) => return self.remove_lost(controller),
+            Message::TokenLost(controller) => return self.token_lost(controller),
+            Message::TokenDeclared(controller) => {
+                self.token_declared(&controller);
+            }
             Message::RecordingFailed(recording, reason) => {
                 self.push_event(EventKind::RecordingFailed(recording, reason));
                 // The journal has no line for this event: without a checkpoint, a replay would give
@@ -379,6 +404,7 @@ impl Worker {
                 self.waiters.add(waiter);
                 self.reply_to_waiters();
             }
+            Message::WaitFor(wait) => self.wait_for(*wait),
             Message::TakeCheckpoint(reply_to) => {
                 let checkpoint = Outcome::Checkpoint(Box::new(self.checkpoint()));
                 reply_to.send(Ok((self.stamp(), checkpoint)));
@@ -409,6 +435,10 @@ impl Worker {
     /// keys the random draws of commands, which an annotation must not change.
     fn seq(&self) -> u64 {
         self.simulation.seq + self.annotations
+    }
+
+    fn is_faulted(&self) -> bool {
+        matches!(self.phase, Phase::Faulted(_))
     }
 
     fn at(&self) -> (u64, u64) {

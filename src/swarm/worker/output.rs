@@ -18,11 +18,12 @@ impl Worker {
 
     pub(super) fn state_with_controllers(&self) -> (Stamp, Arc<Frame>) {
         let (stamp, frame) = self.stamp_and_frame();
-        if self.controllers.is_empty() {
+        if self.controllers.is_empty() && self.waits.is_empty() {
             return (stamp, frame);
         }
         let mut frame = Arc::unwrap_or_clone(frame);
         frame.controllers = self.controllers.statuses(Instant::now());
+        frame.waits = self.waits.summaries();
         (stamp, Arc::new(frame))
     }
 
@@ -67,9 +68,13 @@ impl Worker {
             parameters: simulation.state.parameters,
             publish_every: simulation.publish_every,
             measures: simulation.measures.clone(),
+            max_idle_secs: simulation.max_idle_secs,
             seed: simulation.state.seed,
             scheduled: self.schedule.count(),
-            conditions: self.watches.texts(),
+            conditions: self.watches.statuses(
+                simulation.state.configuration.n(),
+                simulation.state.parameters.dt,
+            ),
             configuration: simulation.state.configuration.clone(),
             order: simulation.order(),
             means: simulation.means,
@@ -79,6 +84,7 @@ impl Worker {
             is_behind: self.is_behind(),
             replay: None,
             controllers: Vec::new(),
+            waits: Vec::new(),
             hash: hashed.then(|| simulation.state.hash()),
             gaps: OnceLock::new(),
             values: OnceLock::new(),
@@ -179,5 +185,5 @@ fn concerns(entry: &Entry, event: &str) -> bool {
 }
 
 fn is_cancel_of_all(args: &Value) -> bool {
-    args["cancel"] == true && args["event"].is_null()
+    args["cancel"] == true && args["event"].is_null() && args["id"].is_null()
 }

@@ -1,5 +1,5 @@
 //! The places of users: how many commands a user may schedule in a swarm, and how many controllers a user
-//! may have in it.
+//! may have in it. The cost of conditions is checked here, too.
 //!
 //! They are checked when a command is received and not when it is executed, so that a replay does not
 //! depend on them.
@@ -11,10 +11,12 @@ use crate::swarm::error::SwarmError;
 use crate::swarm::handle::CommandMessage;
 use crate::swarm::schedule::MAX_SCHEDULED;
 use crate::swarm::sender::Sender;
+use crate::swarm::watch::Watch;
 use crate::swarm::worker::Worker;
 
-/// Commands that a user who is no operator may schedule in a swarm.
-const USER_SCHEDULED: usize = 64;
+/// Commands that a user who is no operator may schedule in a swarm, and the bytes of their text: they are
+/// a part of each checkpoint and snapshot.
+const USER_SCHEDULED: (usize, usize) = (64, 32 * 1024);
 
 /// Controllers that a user who is no operator may have in a swarm.
 const USER_CONTROLLERS: usize = 64;
@@ -34,8 +36,10 @@ impl Worker {
             let waiting = self.schedule.iter().map(|it| &*it.sender);
             check_scheduled(message, waiting.chain(accepted.map(|it| &*it.sender)))?;
         }
-        let Command::Join(options) = &message.command else {
-            return Ok(());
+        let options = match &message.command {
+            Command::Join(options) => options,
+            Command::Watch(watch) => return self.check_cost(watch),
+            _ => return Ok(()),
         };
         let Some(user) = message.user.as_ref().filter(|it| !it.is_operator()) else {
             return Ok(());
@@ -58,6 +62,23 @@ impl Worker {
     }
 }
 
+impl Worker {
+    /// Checks that a condition does not cost too much beside those that wait or are scheduled. No other one is
+    /// received with it: [`Worker::handle_batch`] ends there.
+    fn check_cost(&self, watch: &Watch) -> Result<(), SwarmError> {
+        // A faulted swarm has a better error.
+        if self.is_faulted() {
+            return Ok(());
+        }
+        let scheduled = self.schedule.iter().filter_map(|it| match &it.command {
+            Command::Watch(watch) => Some(&**watch),
+            _ => None,
+        });
+        let n = self.simulation.state.configuration.n();
+        self.watches.check_cost(watch, scheduled, n)
+    }
+}
+
 /// Checks that a command may be scheduled besides those of `waiting` that take places of the same user, or
 /// without users besides all.
 fn check_scheduled<'a>(
@@ -68,13 +89,16 @@ fn check_scheduled<'a>(
     let is_counted = |it: &&Sender| user.is_none_or(|user| user.sent(it.client.as_deref()));
     let sizes = waiting.filter(is_counted).map(Sender::bytes);
     let (count, bytes) = sizes.fold((0, 0), |(count, sum), bytes| (count + 1, sum + bytes));
-    let (limit, max_bytes) = match user {
-        Some(user) if !user.is_operator() => (USER_SCHEDULED, MAX_SCHEDULED.1),
-        _ => MAX_SCHEDULED,
+    let is_limited = user.is_some_and(|user| !user.is_operator());
+    let (limit, max_bytes) = match is_limited {
+        true => USER_SCHEDULED,
+        false => MAX_SCHEDULED,
     };
-    if count >= limit || (count > 0 && bytes + message.sender.bytes() > max_bytes) {
+    let is_over = bytes + message.sender.bytes() > max_bytes;
+    if count >= limit || (is_over && (is_limited || count > 0)) {
         return Err(SwarmError::TooManyScheduled {
             count,
+            max_bytes,
             user: user.map(|user| user.name.clone()),
         });
     }

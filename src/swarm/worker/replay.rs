@@ -295,8 +295,4 @@ impl Worker {
         }
         None
     }
-
-    fn is_faulted(&self) -> bool {
-        matches!(self.phase, Phase::Faulted(_))
-    }
 }

@@ -26,6 +26,7 @@ impl Worker {
     pub(super) fn step(&mut self) -> Option<End> {
         self.apply_puts();
         self.watches.record(&self.simulation.state);
+        self.waits.record(&self.simulation.state);
         let began = Instant::now();
         let late = self.pace.late_by(began);
         let simulation = &mut self.simulation;
@@ -96,6 +97,7 @@ impl Worker {
             }
         }
         self.reply_to_waiters();
+        self.sweep_waits(now);
         self.checkpoint_if_due(now);
         None
     }
@@ -143,6 +145,8 @@ impl Worker {
         }
         self.notify_controllers(Input::Faulted(faulted));
         self.reply_to_waiters();
+        let waits = self.waits.take_all();
+        self.end_waits(waits);
     }
 
     pub(super) fn checkpoint_if_due(&mut self, now: Instant) {

@@ -8,11 +8,12 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use fail::fail_point;
-use jostle_measures::check_past;
+use jostle_measures::{View, check_past};
 use jostle_physics::model::State;
 use jostle_physics::simulation::{Change, ChangeError};
+use tracing::warn;
 
-use crate::swarm::command::Command;
+use crate::swarm::command::{Command, Which};
 use crate::swarm::error::SwarmError;
 use crate::swarm::frame;
 use crate::swarm::handle::Outcome;
@@ -24,18 +25,35 @@ use crate::swarm::watch::{Action, Watch};
 use crate::swarm::worker::{End, Worker};
 
 impl Worker {
-    /// Evaluates the conditions on the state after a step, and executes the actions of those that hold.
+    /// Evaluates the conditions on the state after a step, replies to the waits that end, and executes the
+    /// actions of the conditions that hold. Equal measures are evaluated once.
     pub(super) fn execute_watches(&mut self) -> Option<End> {
-        if self.watches.is_empty() {
+        if self.watches.is_empty() && self.waits.is_empty() {
             return None;
         }
         let began = Instant::now();
-        let (watches, state) = (&mut self.watches, &self.simulation.state);
+        let (watches, waits) = (&mut self.watches, &mut self.waits);
+        let ((past, mut watching), (past_of_waits, mut waiting)) = (watches.split(), waits.split());
+        let view = View::new(&self.simulation.state, past);
+        watching.expect(&view);
+        waiting.expect(&view);
         let observed = catch_unwind(AssertUnwindSafe(|| {
             fail_point!("condition");
-            watches.observe(state)
+            watching.observe(&view)
         }));
+        view.use_past(past_of_waits);
+        let held = catch_unwind(AssertUnwindSafe(|| waiting.observe(&view)));
+        match held {
+            Ok(held) if held.is_empty() => {}
+            Ok(held) => {
+                let state = self.stamp_and_frame();
+                self.waits.settle(&held, &state);
+            }
+            // It must not fault the swarm, which it does not belong to.
+            Err(_) => self.reject_waits(&SwarmError::Panicked),
+        }
         self.since_checkpoint.work += began.elapsed();
+        self.log_omitted();
         let Ok(holding) = observed else {
             self.fault("a defect: the evaluation of a condition panicked".into());
             return None;
@@ -46,6 +64,22 @@ impl Worker {
             false => self.journal_fired(holding),
         };
         fired.into_iter().find_map(|it| self.execute_waiting(it))
+    }
+
+    /// Logs each condition that is not evaluated any more, once.
+    fn log_omitted(&mut self) {
+        if self.journal.is_replaying() {
+            return;
+        }
+        for omitted in self.watches.take_omitted() {
+            warn!(
+                swarm = self.output.name,
+                id = omitted.id,
+                condition = omitted.condition,
+                "a condition is not evaluated, since its measures need too much time or too many earlier states: \
+                 remove it or others with `jostle when NAME --cancel ID`"
+            );
+        }
     }
 
     /// Journals that these conditions hold, all of them or none: after a crash they are evaluated
@@ -100,14 +134,16 @@ impl Worker {
         }
     }
 
-    /// Checks the changes of a condition, as those of a scheduled command, and the past of its measures.
+    /// Checks the changes of a condition, as those of a scheduled command, and the past of its measures. Their
+    /// cost was checked when the command was received.
     pub(super) fn check_watch(&self, watch: &Watch) -> Result<(), SwarmError> {
         let State {
             parameters,
             configuration,
             ..
         } = &self.simulation.state;
-        check_past(watch.condition.lag(parameters.dt), configuration.n())?;
+        let n = configuration.n();
+        check_past(watch.condition.lag(parameters.dt), n)?;
         match &watch.action {
             Action::Pause | Action::Stop | Action::Event(_) => Ok(()),
             Action::Batch(changes, _) => self.check_changes(changes),
@@ -125,12 +161,13 @@ impl Worker {
         Ok(())
     }
 
-    /// Removes all conditions, or the one with this event.
-    pub(super) fn unwatch(&mut self, event: Option<&str>) -> Result<Outcome, SwarmError> {
+    /// Removes conditions.
+    pub(super) fn unwatch(&mut self, which: &Which) -> Result<Outcome, SwarmError> {
         phase::next(&self.phase, PhaseInput::Change)?;
-        match event {
-            Some(event) => self.watches.remove_event(event),
-            None => self.watches.clear(),
+        match which {
+            Which::Event(event) => self.watches.remove_event(event),
+            Which::Id(id) => self.watches.remove_id(id)?,
+            Which::All => self.watches.clear(),
         }
         Ok(Outcome::Waits { holds: false })
     }

@@ -127,9 +127,12 @@ async fn serve_http<Stream>(
     let _ = connection.await;
 }
 
-/// Middleware that records each response in the registry of connections.
+/// Middleware that records each request and its response in the registry of connections.
 pub async fn record_completion(request: Request, next: Next) -> Response {
     let slot = request.extensions().get::<Arc<Slot>>().cloned();
+    if let Some(slot) = &slot {
+        slot.begin();
+    }
     let response = next.run(request).await;
     if let Some(slot) = slot {
         slot.complete();

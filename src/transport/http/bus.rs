@@ -1,6 +1,7 @@
 //! Forwards the requests of the page to the bus, so that they take the same path as those of other
 //! clients.
 
+use std::sync::Arc;
 use std::time::Duration;
 
 use axum::body::Bytes;
@@ -14,6 +15,8 @@ use zenoh::bytes::Encoding;
 use zenoh::key_expr::KeyExpr;
 use zenoh::{Session, Wait};
 
+use crate::convert::error::CommandError;
+use crate::swarm::recovery_progress::RecoveryProgress;
 use crate::transport::open_requests::{OpenRequests, PARAMETER};
 use crate::transport::zenoh::session_pool::SessionPool;
 
@@ -31,6 +34,8 @@ pub struct Bus {
     pub prefix: String,
     /// The daemon's name.
     pub node: String,
+    /// The swarms that are not recovered yet.
+    pub recovery: Arc<RecoveryProgress>,
     /// The requests that wait for a reply.
     pub open: OpenRequests,
 }
@@ -44,6 +49,14 @@ pub struct Reply {
 }
 
 impl Bus {
+    /// The response `busy` if the swarms are not recovered yet.
+    pub fn recovering(&self) -> Option<Response> {
+        let swarms_left = self.recovery.swarms_left()?;
+        Some(error(
+            &CommandError::Recovering { swarms_left }.to_wire(None),
+        ))
+    }
+
     /// The whole key of `rest`, in which `@node/` is this node's.
     fn key(&self, rest: &str) -> String {
         match rest.strip_prefix("@node/") {
@@ -54,7 +67,7 @@ impl Bus {
 
     /// Sends a query to one key, with selector parameters, an optional request in JSON and the token
     /// of the sender. The error is the response: `invalid_argument` for a wildcard, `not_found` without
-    /// a reply.
+    /// a reply, `busy` if that may be because a swarm is not recovered yet.
     ///
     /// If the future is dropped once it was polled, because the client has disconnected, the query is sent
     /// all the same, and [`OpenRequests`] has that its client is gone.
@@ -96,12 +109,17 @@ impl Bus {
             };
             query.callback(first).wait()
         };
+        // Before it is sent: the recovery may end before the reply.
+        let recovering = self.recovering();
         // zenoh blocks the thread that sends while it removes what a session has declared.
         let reply = match spawn_blocking(sending).await {
             Ok(Ok(())) => replies.recv().await,
             _ => None,
         };
         let reply = reply.ok_or_else(|| {
+            if let Some(busy) = recovering {
+                return busy;
+            }
             let message = format!("no reply to {rest:?}: check the list of swarms");
             reject(ErrorCode::NotFound, message)
         })?;
@@ -151,15 +169,18 @@ impl IntoResponse for Reply {
 
 /// The response for an error of the HTTP server itself.
 pub fn reject(code: ErrorCode, message: impl Into<String>) -> Response {
-    let error = Error {
+    error(&Error {
         code,
         message: message.into(),
         details: serde_json::Map::new(),
         step: None,
-    };
-    let text = serde_json::to_string(&error).unwrap_or_default();
+    })
+}
+
+fn error(error: &Error) -> Response {
+    let text = serde_json::to_string(error).unwrap_or_default();
     let kind = [(CONTENT_TYPE, jostle_proto::JSON)];
-    (status(code), kind, text).into_response()
+    (status(error.code), kind, text).into_response()
 }
 
 fn status(code: ErrorCode) -> StatusCode {

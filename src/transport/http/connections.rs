@@ -78,6 +78,8 @@ struct Entry {
     peer: IpAddr,
     /// When the last request was answered, or the connection was accepted.
     last_complete: Instant,
+    /// Whether a request is being answered: an eviction ends its work.
+    is_answering: bool,
     /// The user of an open WebSocket, if there are users.
     socket: Option<Option<String>>,
     evicted: Arc<Notify>,
@@ -115,8 +117,8 @@ impl Connections {
     }
 
     /// Registers a connection. At the cap, evicts the connection without an open WebSocket that has
-    /// gone longest without completing a request; at the cap of one peer, such a connection of that
-    /// peer. Returns `None` if there is none to evict.
+    /// gone longest without completing a request, first among those without a request; at the cap of one
+    /// peer, such a connection of that peer. Returns `None` if there is none to evict.
     pub fn register(self: &Arc<Self>, peer: IpAddr) -> Option<Arc<Slot>> {
         let mut registry = self.registry.lock();
         let of_peer = |entry: &&Entry| entry.peer == peer;
@@ -133,6 +135,7 @@ impl Connections {
         let entry = Entry {
             peer,
             last_complete: Instant::now(),
+            is_answering: false,
             socket: None,
             evicted: evicted.clone(),
         };
@@ -149,7 +152,8 @@ impl Registry {
     fn evict(&mut self, is_candidate: impl Fn(&Entry) -> bool) -> Option<()> {
         let candidates = self.entries.iter();
         let candidates = candidates.filter(|(_, it)| it.socket.is_none() && is_candidate(it));
-        let (&id, _) = candidates.min_by_key(|(id, it)| (it.last_complete, **id))?;
+        let (&id, _) =
+            candidates.min_by_key(|(id, it)| (it.is_answering, it.last_complete, **id))?;
         self.entries.remove(&id)?.evicted.notify_one();
         Some(())
     }
@@ -169,9 +173,17 @@ impl Slot {
         self.evicted.notified().await;
     }
 
+    /// Records that a request is being answered.
+    pub fn begin(&self) {
+        if let Some(entry) = self.connections.registry.lock().entries.get_mut(&self.id) {
+            entry.is_answering = true;
+        }
+    }
+
     /// Records that a request was answered.
     pub fn complete(&self) {
         if let Some(entry) = self.connections.registry.lock().entries.get_mut(&self.id) {
+            entry.is_answering = false;
             entry.last_complete = Instant::now();
         }
     }
@@ -256,6 +268,25 @@ mod tests {
         );
         drop(slots);
         assert_eq!(ids(&connections), [3]);
+    }
+
+    #[test]
+    fn a_connection_that_waits_for_a_reply_is_evicted_last() {
+        let connections = Connections::new(3);
+        let slots: Vec<_> = (0..3)
+            .map(|_| connections.register(LOCAL).unwrap())
+            .collect();
+        slots[0].begin();
+        slots[1].begin();
+        std::thread::sleep(std::time::Duration::from_millis(2));
+        slots[1].complete();
+        let fourth = connections.register(LOCAL).unwrap();
+        assert_eq!(ids(&connections), [0, 1, 3]);
+        slots[1].begin();
+        fourth.begin();
+        // All wait.
+        let fifth = connections.register(LOCAL).unwrap();
+        assert_eq!(ids(&connections), [1, 3, fifth.id]);
     }
 
     #[test]

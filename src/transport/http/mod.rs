@@ -1,8 +1,8 @@
-//! The HTTP server: the page and its API, `/healthz` and `/metrics`.
+//! The HTTP server: the page and its API, `/healthz`, `/livez` and `/metrics`.
 //!
 //! Without users it listens on loopback only. Requests with a foreign `Host` (DNS rebinding) or a
 //! foreign `Origin` (another site) are rejected. Commands need the token that the daemon prints when
-//! it starts; with users, everything but the page and `/healthz` needs the token of a user.
+//! it starts; with users, everything but the page, `/healthz` and `/livez` needs the token of a user.
 
 mod accept;
 mod bus;
@@ -43,7 +43,7 @@ use tokio::net::TcpListener;
 use tokio::task::JoinHandle;
 use tokio_rustls::TlsAcceptor;
 
-use crate::health::HealthMonitor;
+use crate::health::{HealthMonitor, Reason};
 use crate::lanes::Lanes;
 use crate::transport::http::accept::{accept, read_body, record_completion};
 use crate::transport::http::bus::{Reply, reject};
@@ -166,6 +166,7 @@ impl Gateway {
         };
         let router = Router::new()
             .route("/healthz", routing::get(healthz))
+            .route("/livez", routing::get(livez))
             .route("/metrics", routing::get(metrics))
             .route("/api/hello", routing::get(hello))
             .route("/api/get/{*rest}", routing::get(get))
@@ -228,15 +229,32 @@ impl Server {
     }
 }
 
+/// Readiness: 503 also while it recovers its swarms.
 async fn healthz(State(server): SharedServer) -> Response {
+    health(&server, &server.watch.reasons())
+}
+
+/// Liveness: 503 only for what a restart would end.
+async fn livez(State(server): SharedServer) -> Response {
+    let mut reasons = server.watch.reasons();
+    reasons.retain(Reason::needs_restart);
+    health(&server, &reasons)
+}
+
+fn health(server: &Server, reasons: &[Reason]) -> Response {
     let (node, watch) = (&server.bus.node, &server.watch);
-    let reasons = watch.reasons();
     let status = match reasons.is_empty() {
         true => StatusCode::OK,
         false => StatusCode::SERVICE_UNAVAILABLE,
     };
     let listed = |code: &str, message: String| json!({"code": code, "message": message});
-    let reason_list = reasons.iter().map(|it| listed(it.code(), it.to_string()));
+    let reason_list = reasons.iter().map(|it| {
+        let mut listed = listed(it.code(), it.to_string());
+        if let Reason::Recovering { swarms_left } = it {
+            listed["swarms_left"] = json!(swarms_left);
+        }
+        listed
+    });
     let warnings = watch.warnings().into_iter();
     let warnings = warnings.map(|(code, message)| listed(code, message));
     let document = json!({
@@ -352,6 +370,10 @@ async fn websocket(
     {
         let message = format!("invalid swarm name {swarm:?}");
         return Err(reject(ErrorCode::InvalidArgument, message));
+    }
+    // The page connects again. Otherwise it would be told that a stored swarm is gone.
+    if let Some(busy) = server.bus.recovering() {
+        return Err(busy);
     }
     let person = server.credentials.person(&headers);
     let name = person.as_ref().map(|person| person.name.as_str());

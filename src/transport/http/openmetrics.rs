@@ -50,6 +50,7 @@ const METRICS: &[(&str, &str, Value)] = &[
     ("uptime_seconds", "Time since the daemon started", Gauge(|it| it.daemon.uptime_secs)),
     ("cpu_seconds", "CPU time of the daemon", Counter(|it| it.daemon.cpu_secs)),
     ("cores", "Cores available to the daemon", Gauge(|it| it.daemon.cores as f64)),
+    ("recovering_swarms", "Swarms that are not recovered yet after a start", Gauge(|it| it.daemon.recovering as f64)),
     ("contested", "Names of the daemon and its swarms that another daemon also holds", Gauge(|it| it.daemon.contested as f64)),
     ("resident_memory_bytes", "Resident memory", Gauge(|it| it.daemon.resident_bytes as f64)),
     ("reserved_memory_bytes", "Memory reserved for swarms and the running experiment", Gauge(|it| it.daemon.reserved_bytes as f64)),

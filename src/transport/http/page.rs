@@ -20,7 +20,7 @@ pub async fn file(uri: Uri) -> Response {
         path => path.trim_start_matches('/'),
     };
     let Some(file) = Files::get(path) else {
-        let message = "not found: see /, /healthz and /metrics\n";
+        let message = "not found: see /, /healthz, /livez and /metrics\n";
         return (StatusCode::NOT_FOUND, message).into_response();
     };
     let policy = [

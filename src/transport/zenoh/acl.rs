@@ -33,6 +33,9 @@ const WRITE: [&str; 5] = [
 /// The id of the rule for claims of other daemons.
 const CLAIMS: &str = "claims";
 
+/// The id of the rule for the tokens of waits.
+const WAITS: &str = "waits";
+
 /// The links on which a password alone authenticates a session: those within this machine.
 const LOCAL_LINKS: [&str; 2] = ["tcp", "unixsock-stream"];
 
@@ -52,13 +55,15 @@ pub fn control(prefix: &str, rights: &Rights) -> Value {
             rules.push(rule("ask", "ingress", &asking, &ALL_KEYS));
             rules.extend(control_rules(prefix, "steer", &["*".to_owned()]));
             rules.push(claims(prefix));
+            rules.push(waits(prefix));
             subjects.push(json!({"id": "everyone"}));
-            let names = ["daemon", "ask", "steer_put", "steer_live", CLAIMS];
+            let names = ["daemon", "ask", "steer_put", "steer_live", CLAIMS, WAITS];
             policies.push(json!({"rules": names, "subjects": ["everyone"]}));
         }
         Some(people) => {
             rules.extend(roles(prefix));
             rules.push(claims(prefix));
+            rules.push(waits(prefix));
             for person in people {
                 let names = rules_of(prefix, person, &mut rules);
                 let ids = subjects_of(person, &mut subjects);
@@ -116,7 +121,7 @@ fn rules_of(prefix: &str, person: &User, rules: &mut Vec<Value>) -> Vec<String> 
         ),
         Role::Operator => (&["operate", CLAIMS], vec!["*".to_owned()]),
     };
-    let names = ["daemon", "watch", "get"].iter().chain(names);
+    let names = ["daemon", "watch", "get", WAITS].iter().chain(names);
     let mut names: Vec<String> = names.map(ToString::to_string).collect();
     if !controllers.is_empty() {
         names.extend(["put", "live"].map(|what| format!("{name}_{what}")));
@@ -133,6 +138,12 @@ fn claims(prefix: &str) -> Value {
         keys::node_claim(prefix, "*", "*", "*"),
     ];
     rule(CLAIMS, "ingress", &["liveliness_token"], &keys)
+}
+
+/// Permits the tokens of clients that wait for a condition, of every role.
+fn waits(prefix: &str) -> Value {
+    let keys = [keys::wait_alive(prefix, "*", "*")];
+    rule(WAITS, "ingress", &["liveliness_token"], &keys)
 }
 
 /// The ids of the subjects that match a user; the subjects are added.

@@ -32,7 +32,7 @@ pub struct Dispatcher {
     pub endpoints: SwarmEndpoints,
     /// Requests that are held, and until when.
     pub held: Vec<(Instant, Incoming)>,
-    /// Receives the result of opening the daemon's own keys, after every swarm is recovered.
+    /// Receives the result of announcing the daemon, after every swarm is recovered.
     pub recovered: Option<SyncSender<zenoh::Result<()>>>,
     /// Whether the thread is working.
     pub activity: Arc<Activity>,
@@ -52,10 +52,11 @@ impl Dispatcher {
             match message {
                 Ok(DispatchMessage::Request(incoming)) => self.dispatch_or_hold(incoming),
                 Ok(DispatchMessage::Claimed) => {}
-                Ok(DispatchMessage::Recovered(opened)) => {
-                    self.recovered = Some(opened);
-                    self.gateway.claims.begin(&Name::Node, false);
+                Ok(DispatchMessage::Recovering(swarms, opened)) => {
+                    self.recovering(swarms);
+                    let _ = opened.send(());
                 }
+                Ok(DispatchMessage::Recovered(announced)) => self.recovered(announced),
                 Ok(DispatchMessage::FirstUse(swarm, verb)) => {
                     self.endpoints.declare_key(&swarm, verb);
                 }
@@ -108,9 +109,11 @@ impl Dispatcher {
         // A command that is not permitted or has a wildcard executes nothing, so it is not held:
         // its handler rejects it.
         let executes = is_command && !incoming.is_wild && context.permit(incoming).is_ok();
+        // Nor does one that waits for the recovery, but another daemon may execute it.
+        let is_rejected = !executes || context.awaits_recovery(incoming).is_some();
         let mut created = None;
         let error = match claims.gate(&name, executes) {
-            Gate::Open | Gate::First if !executes => None,
+            Gate::Open | Gate::First if is_rejected => None,
             gate @ (Gate::Open | Gate::First) => {
                 // Without a router no other daemon can claim the name.
                 created = match claims.is_connected() {
@@ -166,15 +169,7 @@ impl Dispatcher {
     fn reconcile(&mut self) {
         for action in self.gateway.claims.reconcile() {
             match action {
-                Action::Open(Name::Node) => {
-                    let opened = self.endpoints.open_node();
-                    if let Err(error) = &opened {
-                        warn!(%error, "failed to open the daemon's keys");
-                    }
-                    if let Some(recovered) = self.recovered.take() {
-                        let _ = recovered.send(opened);
-                    }
-                }
+                Action::Open(Name::Node) => self.open_node(),
                 Action::Close(Name::Node) => self.endpoints.close_node(),
                 Action::Open(Name::Swarm(swarm)) => self.open(&swarm),
                 Action::Close(Name::Swarm(swarm)) => {
@@ -195,16 +190,68 @@ impl Dispatcher {
         }
     }
 
+    /// Claims the daemon's own name and those of the swarms that are to be recovered.
+    fn recovering(&mut self, swarms: Vec<String>) {
+        self.gateway.claims.begin(&Name::Node, false);
+        for swarm in swarms {
+            self.gateway.claims.begin(&Name::Swarm(swarm), false);
+        }
+        self.reconcile();
+    }
+
+    /// Announces the daemon, and closes the keys of the swarms that could not be recovered.
+    fn recovered(&mut self, announced: SyncSender<zenoh::Result<()>>) {
+        for swarm in self.gateway.context.recovery.end() {
+            self.endpoints.close(&swarm);
+            self.gateway.claims.end(&Name::Swarm(swarm));
+        }
+        self.recovered = Some(announced);
+        if self.gateway.claims.is_open(&Name::Node) {
+            self.open_node();
+        }
+    }
+
+    /// Opens the daemon's own keys; announces the daemon if the recovery has ended.
+    fn open_node(&mut self) {
+        let is_recovering = self.gateway.context.recovery.swarms_left().is_some();
+        let opened = match is_recovering {
+            true => self.endpoints.open_node(),
+            false => self.endpoints.announce_node(),
+        };
+        if let Err(error) = &opened {
+            warn!(%error, "failed to open the daemon's keys");
+        }
+        if let Some(recovered) = self.recovered.take() {
+            let _ = recovered.send(opened);
+        }
+    }
+
     fn begun(&mut self, swarm: &str, reply: DeferredReply) {
-        let is_recovering = &self.gateway.context.is_recovering;
-        let is_recovering = is_recovering.load(Ordering::Acquire);
         let name = Name::Swarm(swarm.to_owned());
-        self.gateway.claims.begin(&name, !is_recovering);
+        let context = self.gateway.context.clone();
+        if context.recovery.is_pending(swarm) {
+            // Its name was claimed when the recovery began.
+            if self.gateway.claims.is_open(&name) {
+                self.open_built(swarm);
+            }
+            context.recovery.remove(swarm);
+        } else {
+            self.gateway.claims.begin(&name, true);
+        }
         self.reconcile();
         reply.send();
     }
 
     fn open(&mut self, swarm: &str) {
+        if !self.gateway.context.recovery.is_pending(swarm) {
+            return self.open_built(swarm);
+        }
+        if let Err(error) = self.endpoints.prepare(swarm) {
+            warn!(swarm, %error, "failed to open the keys of a swarm that is to be recovered");
+        }
+    }
+
+    fn open_built(&mut self, swarm: &str) {
         let Some(handle) = self.gateway.context.registry.find(swarm) else {
             return;
         };
@@ -215,6 +262,8 @@ impl Dispatcher {
                 lease.and_then(|lease| self.publisher.open(lease, &handle.output))
             }
         };
+        // What its first commands publish has a publisher now.
+        self.gateway.context.recovery.remove(swarm);
         match opened.and_then(|()| self.endpoints.open(swarm)) {
             Ok(()) => info!(swarm, "hosted"),
             Err(error) => warn!(swarm, %error, "failed to open the swarm's keys"),
@@ -222,6 +271,7 @@ impl Dispatcher {
     }
 
     fn ended(&mut self, swarm: &str, reply: DeferredReply) {
+        self.gateway.context.recovery.remove(swarm);
         self.endpoints.close(swarm);
         self.gateway.claims.end(&Name::Swarm(swarm.to_owned()));
         self.publisher.close(swarm, reply);

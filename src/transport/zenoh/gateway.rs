@@ -2,7 +2,7 @@
 //! how swarms notify it.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU32, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicU32, AtomicUsize, Ordering};
 use std::sync::mpsc::{SyncSender, TrySendError};
 
 use jostle_proto::{Claimant, keys};
@@ -17,12 +17,14 @@ use crate::api::context::{Context, Peers};
 use crate::api::incoming::{Incoming, Peer, Received, Target};
 use crate::convert::Payload;
 use crate::convert::error::CommandError;
+use crate::swarm::awaited::Holder;
 use crate::swarm::handle::DeferredReply;
 use crate::swarm::runner::SwarmObserver;
 use crate::transport::open_requests::{OpenRequests, PARAMETER};
 use crate::transport::zenoh::claims::{Claims, Gate, Name};
 use crate::transport::zenoh::messages::DispatchMessage;
 use crate::transport::zenoh::session_pool::LeaseGuard;
+use crate::transport::zenoh::wait_tokens::WaitTokens;
 
 /// The longest request that the receiving thread handles, in bytes.
 const MAX_INLINE_BYTES: usize = 16 * 1024;
@@ -44,6 +46,8 @@ pub struct Connections {
     pub session: Session,
     /// The claims to names of this daemon and of others.
     pub claims: Arc<Claims>,
+    /// The tokens of waits.
+    pub waits: WaitTokens,
 }
 
 impl Peers for Connections {
@@ -54,6 +58,10 @@ impl Peers for Connections {
     fn contests(&self) -> Vec<(Option<String>, [Claimant; 2])> {
         let contests = self.claims.contests().into_iter();
         contests.map(|it| (it.swarm, it.claimants)).collect()
+    }
+
+    fn holder_of_wait(&self, swarm: &str, id: &str) -> Arc<Holder> {
+        self.waits.holder(swarm, id)
     }
 }
 
@@ -96,8 +104,8 @@ struct Connection {
     query: Query,
     /// Keeps the session that received the query open until the reply is sent.
     _guard: Option<LeaseGuard>,
-    /// Set when the HTTP connection of the client is closed.
-    is_gone: Option<Arc<AtomicBool>>,
+    /// The HTTP connection of the client and the name of the request, if it came over HTTP.
+    http: Option<(Arc<Holder>, String)>,
 }
 
 impl Peer for Connection {
@@ -116,8 +124,12 @@ impl Peer for Connection {
     }
 
     fn is_gone(&self) -> bool {
-        let is_gone = self.is_gone.as_ref();
-        is_gone.is_some_and(|it| it.load(Ordering::Relaxed))
+        let http = self.http.as_ref();
+        http.is_some_and(|(connection, _)| connection.gone_since().is_some())
+    }
+
+    fn connection(&self) -> Option<(Arc<Holder>, String)> {
+        self.http.clone()
     }
 
     fn matches(&self, key: &str) -> bool {
@@ -150,11 +162,14 @@ pub(super) fn queryable(
                     .try_send(DispatchMessage::FirstUse(swarm.clone(), verb));
             }
             let bytes = query.payload().map_or(0, ZBytes::len);
-            let token = query.attachment().map(ZBytes::to_bytes);
+            let attachment = query.attachment();
+            let token = attachment.map(ZBytes::to_bytes);
+            let all_bytes =
+                bytes + attachment.map_or(0, ZBytes::len) + query.parameters().as_str().len();
             let user = gateway
                 .context
                 .counted_as(token.as_deref().unwrap_or_default());
-            let permit = gateway.admission.admit(bytes, user, &unanswered);
+            let permit = gateway.admission.admit(all_bytes, &user, &unanswered);
             let is_admitted = permit.is_some_and(|permit| {
                 let received = received(&target, query.clone(), guard.clone(), &gateway.open);
                 let incoming = Incoming::new(received, permit);
@@ -200,7 +215,7 @@ fn received(
         encoding: query.encoding().map(ToString::to_string),
         token: query.attachment().map(bytes).unwrap_or_default(),
         peer: Box::new(Connection {
-            is_gone: http.and_then(|it| open.is_gone(it)),
+            http: http.and_then(|it| Some((open.connection(it)?, it.to_owned()))),
             query,
             _guard: guard,
         }),

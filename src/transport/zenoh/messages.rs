@@ -17,7 +17,10 @@ pub enum DispatchMessage {
     FirstUse(Arc<str>, &'static str),
     /// The claims of other daemons, or the connected routers, changed.
     Claimed,
-    /// Every swarm is recovered: open the daemon's own keys as soon as its claim permits it.
+    /// These swarms are to be recovered: claim their names and the daemon's own, and open their keys, on
+    /// which requests get `busy`. The result is sent once the keys are open that the claims permit so far.
+    Recovering(Vec<String>, SyncSender<()>),
+    /// Every swarm is recovered: announce the daemon as soon as its claim permits it.
     Recovered(SyncSender<zenoh::Result<()>>),
     /// A swarm is built.
     Begun(String, DeferredReply),

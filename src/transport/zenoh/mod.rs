@@ -15,3 +15,5 @@ pub mod queryables;
 pub mod session;
 pub mod session_pool;
 pub mod set_points;
+pub mod tokens;
+pub mod wait_tokens;

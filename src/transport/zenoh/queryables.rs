@@ -31,7 +31,7 @@ pub struct SwarmEndpoints {
     gateway: Arc<Gateway>,
     swarms: BTreeMap<String, Endpoint>,
     /// The liveliness token and the queryables of the daemon itself, undeclared in this order.
-    node_keys: Option<(LivelinessToken, [Queryable<()>; 4])>,
+    node_keys: Option<(Option<LivelinessToken>, [Queryable<()>; 4])>,
     swept: Instant,
 }
 
@@ -71,19 +71,7 @@ impl SwarmEndpoints {
     /// Declares the keys of a swarm: the queryables before the token, so that a client that sees the
     /// token finds them.
     pub(super) fn open(&mut self, swarm: &str) -> zenoh::Result<()> {
-        let mut endpoint = match self.swarms.remove(swarm) {
-            Some(endpoint) => endpoint,
-            None => {
-                let lease = self.pool.lease()?;
-                Endpoint {
-                    token: None,
-                    deleted: None,
-                    _queryables: self.queryables(&lease, swarm)?,
-                    keys: Vec::new(),
-                    lease,
-                }
-            }
-        };
+        let mut endpoint = self.take(swarm)?;
         let key = keys::alive(&self.prefix, swarm, &self.node);
         endpoint.token = Some(endpoint.lease.liveliness().declare_token(key).wait()?);
         endpoint.deleted = None;
@@ -91,7 +79,29 @@ impl SwarmEndpoints {
         Ok(())
     }
 
-    /// Declares the daemon's own keys, the token last.
+    /// Declares the queryables of a swarm that is to be recovered, but no token yet.
+    pub(super) fn prepare(&mut self, swarm: &str) -> zenoh::Result<()> {
+        let endpoint = self.take(swarm)?;
+        self.swarms.insert(swarm.to_owned(), endpoint);
+        Ok(())
+    }
+
+    /// Removes the keys of a swarm from the map, or declares them.
+    fn take(&mut self, swarm: &str) -> zenoh::Result<Endpoint> {
+        if let Some(endpoint) = self.swarms.remove(swarm) {
+            return Ok(endpoint);
+        }
+        let lease = self.pool.lease()?;
+        Ok(Endpoint {
+            token: None,
+            deleted: None,
+            _queryables: self.queryables(&lease, swarm)?,
+            keys: Vec::new(),
+            lease,
+        })
+    }
+
+    /// Declares the daemon's own keys.
     pub(super) fn open_node(&mut self) -> zenoh::Result<()> {
         let (prefix, node) = (&self.prefix, &self.node);
         let queryable =
@@ -105,9 +115,22 @@ impl SwarmEndpoints {
                 Target::Experiment,
             )?,
         ];
+        self.node_keys = Some((None, queryables));
+        Ok(())
+    }
+
+    /// Declares the daemon's own keys, if they are not declared yet, and then its token: a client that sees
+    /// the daemon finds its swarms.
+    pub(super) fn announce_node(&mut self) -> zenoh::Result<()> {
+        if self.node_keys.is_none() {
+            self.open_node()?;
+        }
         let token = self.session.liveliness();
-        let token = token.declare_token(keys::node_alive(prefix, node)).wait()?;
-        self.node_keys = Some((token, queryables));
+        let key = keys::node_alive(&self.prefix, &self.node);
+        let token = token.declare_token(key).wait()?;
+        if let Some((declared, _)) = &mut self.node_keys {
+            *declared = Some(token);
+        }
         Ok(())
     }
 

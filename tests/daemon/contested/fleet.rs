@@ -84,12 +84,18 @@ impl RestartableDaemon {
     }
 
     pub fn start(&self) -> DaemonProcess {
+        self.start_failing("")
+    }
+
+    /// Starts it, and it fails at these points.
+    pub fn start_failing(&self, points: &str) -> DaemonProcess {
         let log = self.folder.path().join("log");
         let log = File::options().create(true).append(true).open(log).unwrap();
         let mut command = jostled(&["serve", "--listen", &self.endpoint, "--node", self.node]);
         command
             .arg("--data-dir")
             .arg(self.folder.path())
+            .env("FAILPOINTS", points)
             .stderr(log);
         DaemonProcess::start(&mut command).unwrap()
     }

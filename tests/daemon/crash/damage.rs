@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 
 use crate::support::daemon_process::{self, DaemonProcess, StoreCopy};
 use crate::support::reference_model::{Answers, ReferenceModel};
-use crate::support::{Client, PREFIX};
+use crate::support::{Client, PREFIX, QueryResult};
 
 const FILE: &str = "jostle.sqlite";
 
@@ -71,6 +71,14 @@ struct StartOutcomes {
     faulted: usize,
 }
 
+/// The status of a swarm, unless it could not be recovered.
+fn recovered(answers: Vec<QueryResult>) -> Option<Value> {
+    match answers.into_iter().next()? {
+        Err(error) if error.code == ErrorCode::NotFound => None,
+        status => Some(status.unwrap()),
+    }
+}
+
 /// Starts a daemon on a damaged folder: it logs the damage, and every state that it serves existed.
 async fn check_start(
     folder: &Path,
@@ -105,14 +113,13 @@ async fn check_start(
         let answers = client
             .query_all(&keys::get(PREFIX, name, "status"), None)
             .await;
-        let Some(status) = answers.into_iter().next() else {
+        let Some(status) = recovered(answers) else {
             let is_named = log.contains(&format!("swarm=\"{name}\""));
             assert!(is_named || !must_report, "{what}: {log}");
             outcomes.left_out += 1;
             is_unharmed = false;
             continue;
         };
-        let status = status.unwrap();
         let hash = status["result"]["state_hash"].as_str().unwrap();
         if status["phase"] == "faulted" {
             is_faulted = true;
@@ -262,7 +269,7 @@ async fn damage_to_the_records_of_one_swarm_leaves_every_other_usable() {
                 let answers = client
                     .query_all(&keys::get(PREFIX, name, "status"), None)
                     .await;
-                let status = answers.into_iter().next().map(Result::unwrap);
+                let status = recovered(answers);
                 if *name == swarm {
                     match status {
                         Some(status) => {

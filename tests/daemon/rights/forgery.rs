@@ -392,6 +392,49 @@ async fn a_controllers_token_is_accepted_only_from_its_owner() {
     daemon.close(users).await;
 }
 
+#[tokio::test(flavor = "multi_thread")]
+async fn every_role_waits_for_conditions_and_a_user_takes_four_places() {
+    let daemon = AuthDaemon::start().await;
+    let olga = daemon.open_session("olga").await;
+    olga.create("s").await;
+    let mut users = Vec::new();
+    let mut held = Vec::new();
+    for person in ["vera", "cleo", "olga"] {
+        let user = daemon.open_session(person).await;
+        for k in 0..5 {
+            let id = format!("{person}-{k}");
+            let key = keys::wait_alive(PREFIX, "s", &id);
+            let token = user.session.liveliness().declare_token(&key);
+            held.push(token.await.unwrap());
+            let noun = format!("wait?condition=order > 1;id={id};timeout_secs=3");
+            let replies = user.query_all(&keys::get(PREFIX, "s", &noun), None).await;
+            let [Err(error)] = &replies[..] else {
+                panic!("{person}: {replies:?}")
+            };
+            // Without its token a wait ends after 2 s.
+            let expected = match k {
+                4 => ErrorCode::ResourceExhausted,
+                _ => ErrorCode::DeadlineExceeded,
+            };
+            assert_eq!(error.code, expected, "{person} {k}: {error:?}");
+            assert!(k < 4 || error.details["person"] == person, "{error:?}");
+            if k == 0 {
+                continue;
+            }
+            // The first one goes on meanwhile.
+            let noun = format!("wait?condition=order > 1;id={person}-0;timeout_secs=0.05");
+            user.query_all(&keys::get(PREFIX, "s", &noun), None).await;
+        }
+        users.push(user);
+    }
+    let status = olga.ok(&keys::get(PREFIX, "s", "status"), None).await;
+    let waits = status["result"]["waits"].as_array().unwrap();
+    assert!(waits.iter().all(|it| it["user"] == "olga"), "{waits:?}");
+    assert_eq!(waits.len(), 4);
+    users.push(olga);
+    daemon.close(users).await;
+}
+
 /// Set-points carry the token of their sender, which suffices to send commands over HTTP.
 #[tokio::test(flavor = "multi_thread")]
 async fn only_operators_receive_set_points() {

@@ -118,6 +118,8 @@ async fn events_and_the_log_name_who_created_and_deleted_a_swarm_also_after_a_ki
 
     let key = keys::event(PREFIX, "*");
     let events = otto.session.declare_subscriber(key).await.unwrap();
+    // A reply on the same connection: the daemon has the subscription.
+    otto.ok(&keys::get(PREFIX, "a", "status"), None).await;
     let delete = json!({"client": "pad", "request_id": "d1", "args": {}});
     send("otto", "cmd/a/delete", delete);
     send("olga", "node/discard", json!({"name": "b"}));

@@ -1,11 +1,12 @@
 //! What a user who is no operator may take of a swarm: scheduled commands, controllers, history, events.
 
-use jostle_proto::Role;
+use jostle_proto::{ErrorCode, Role, keys};
 use serde_json::{Value, json};
 
+use super::UserSession;
 use super::live::process::AuthProcess;
 use super::owners::created;
-use crate::support::until;
+use crate::support::{PREFIX, hold_token, until};
 
 const PEOPLE: [(&str, Role); 2] = [("cleo", Role::Controller), ("carl", Role::Controller)];
 
@@ -34,9 +35,25 @@ fn join(controller: &str, at_step: Option<u64>) -> Value {
     json!({"args": args, "at_step": at_step})
 }
 
+/// A session of an operator that holds the tokens of these controllers, which join over HTTP.
+async fn hold(daemon: &AuthProcess, controllers: impl Iterator<Item = String>) -> UserSession {
+    let olga = daemon.open_session("olga").await;
+    for controller in controllers {
+        let key = keys::cmd(PREFIX, "s", "join");
+        let request = join(&controller, None).to_string();
+        hold_token(&olga.session, &key, request.as_bytes()).await;
+    }
+    olga
+}
+
+fn names(names: &[&str]) -> impl Iterator<Item = String> {
+    names.iter().map(ToString::to_string)
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn a_controller_takes_no_place_of_another_users_scheduled_commands() {
     let daemon = AuthProcess::start(&PEOPLE).await;
+    let _tokens = hold(&daemon, names(&["cleo", "carl"])).await;
     let cleo = |daemon: &AuthProcess| send(daemon, "cleo", "s", "join", &join("cleo", Some(LATER)));
     let mut accepted = 0;
     let error = loop {
@@ -74,6 +91,7 @@ async fn a_controller_takes_no_place_of_another_users_scheduled_commands() {
     others(&daemon);
     // The places are those of the user also after a kill.
     let daemon = daemon.killed().await;
+    let _tokens = hold(&daemon, names(&["cleo", "carl"])).await;
     until("cleo's commands are scheduled again", async || {
         daemon.http("GET /api/get/s/get/status", "olga", "").1["result"]["scheduled"] == 67
     })
@@ -88,8 +106,77 @@ async fn a_controller_takes_no_place_of_another_users_scheduled_commands() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn the_waits_of_a_viewer_compare_at_most_four_measures() {
+    let daemon = AuthProcess::start(&[("vera", Role::Viewer), ("carl", Role::Controller)]).await;
+    let [vera, carl, olga] = [
+        daemon.open_session("vera").await,
+        daemon.open_session("carl").await,
+        daemon.open_session("olga").await,
+    ];
+    let wait = async |of: &UserSession, id: &str, measures: &[&str], secs: f64| {
+        let alive = keys::wait_alive(PREFIX, "s", id);
+        let token = of.session.liveliness().declare_token(alive).await.unwrap();
+        let parts: Vec<String> = measures.iter().map(|it| format!("{it} > 1e9")).collect();
+        let condition = parts.join(" or ");
+        let noun = format!("wait?condition={condition};id={id};timeout_secs={secs}");
+        let selector = keys::get(PREFIX, "s", &noun);
+        let error = of.query_all(&selector, None).await.remove(0).unwrap_err();
+        (error, token)
+    };
+    let waits = async |of: &UserSession, id: &str, measures: &[&str]| {
+        let (error, token) = wait(of, id, measures, 0.1).await;
+        assert_eq!(error.code, ErrorCode::DeadlineExceeded, "{id}: {error:?}");
+        token
+    };
+    let rejected = async |id: &str, measures: &[&str]| {
+        let (error, _token) = wait(&vera, id, measures, 20.0).await;
+        assert_eq!(error.code, ErrorCode::ResourceExhausted, "{id}: {error:?}");
+        assert!(error.message.contains("the waits of vera"), "{error:?}");
+        assert_eq!(error.details["limit"], 4);
+        assert_eq!(error.details["person"], "vera");
+    };
+    let five = ["msd(1)", "msd(2)", "clusters.count", "msd(3)", "msd(4)"];
+    rejected("v0", &five).await;
+    let _two = waits(&vera, "v1", &five[..2]).await;
+    let _equal = waits(&vera, "v2", &[five[1], five[2]]).await;
+    rejected("v3", &five[3..]).await;
+    let _fourth = waits(&vera, "v4", &five[3..4]).await;
+    // Each user has four of their own, and an operator is limited with all others alone.
+    let _carl = waits(&carl, "c", &["order", "msd(6)", "msd(7)", "msd(8)"]).await;
+    let _olga = waits(&olga, "o", &five).await;
+    daemon.end();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_a_controller_schedules_takes_at_most_32_kib() {
+    let daemon = AuthProcess::start(&PEOPLE).await;
+    let _tokens = hold(&daemon, names(&["cleo"])).await;
+    let note = |chars: usize| json!({"args": {"text": "\u{20ac}".repeat(chars)}, "at_step": LATER});
+    let ids: Vec<u32> = (1..7000).collect();
+    let mut long = join("cleo", Some(LATER));
+    long["args"]["select"] = json!({"ids": ids});
+    let assert_rejected = |verb, request| {
+        let error = send(&daemon, "cleo", "s", verb, request).unwrap_err();
+        assert_eq!(error["code"], "resource_exhausted", "{error}");
+        let message = error["message"].as_str().unwrap();
+        assert!(message.contains("of at most 32 KiB"), "{message}");
+    };
+    assert_rejected("join", &long);
+    for _ in 0..10 {
+        send(&daemon, "cleo", "s", "annotate", &note(1000)).unwrap();
+    }
+    assert_rejected("annotate", &note(1000));
+    send(&daemon, "cleo", "s", "annotate", &note(500)).unwrap();
+    send(&daemon, "olga", "s", "fork", &json!({"name": "copy"})).unwrap();
+    daemon.end();
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_user_with_many_controllers_leaves_places_for_those_of_others() {
     let daemon = AuthProcess::start(&PEOPLE).await;
+    let many = ["cleo", "olga"].map(|user| (0..102).map(move |k| format!("{user}-{k}")));
+    let all = many.into_iter().flatten().chain(names(&["carl", "olga"]));
+    let _tokens = hold(&daemon, all).await;
     let cleo = |k: usize, at_step| {
         send(
             &daemon,
@@ -155,6 +242,7 @@ fn long_join(controller: &str) -> String {
 #[tokio::test(flavor = "multi_thread")]
 async fn joins_and_leaves_take_the_history_of_nobody() {
     let daemon = AuthProcess::start(&PEOPLE).await;
+    let _tokens = hold(&daemon, names(&["cleo", "carl", "olga"])).await;
     let join_long = |user: &str, controller: &str| {
         daemon.http("POST /api/cmd/s/join", user, &long_join(controller))
     };

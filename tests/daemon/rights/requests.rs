@@ -134,6 +134,12 @@ impl Request {
                 let all = json!({"select": {"fraction": 1.0}, "direction": 0.5});
                 olga.cmd(name, "inform", all).await;
             }
+            // Whoever sends it, also over HTTP: an operator holds the token.
+            "join" => {
+                let key = keys::ctl_alive(PREFIX, name, "cleo");
+                let token = olga.session.liveliness().declare_token(key).await.unwrap();
+                std::mem::forget(token);
+            }
             "advance" | "leave" => {
                 let join = json!({"controller": "cleo", "select": {"count": 1}});
                 olga.cmd(name, "join", join).await;

@@ -7,12 +7,7 @@ use tokio::time::Instant;
 use super::{AuthDaemon, UserSession};
 use crate::support::{PREFIX, TIMEOUT, until};
 
-/// A session of a controller, with its token of liveliness.
 async fn join(cleo: &UserSession, swarm: &str, controller: &str) {
-    let key = keys::ctl_alive(PREFIX, swarm, controller);
-    let token = cleo.session.liveliness().declare_token(key).await.unwrap();
-    // It is held as long as the session.
-    std::mem::forget(token);
     let select = json!({"count": 1});
     let args = json!({"controller": controller, "deadline_secs": 60, "select": select});
     cleo.cmd(swarm, "join", args).await;

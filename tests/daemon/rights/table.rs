@@ -21,7 +21,7 @@ const EVERYBODY: [&str; 3] = ["yes", "yes", "yes"];
 
 /// Every request, and whether a viewer, a controller and an operator may send it; `own`
 /// is for controllers named after the person alone.
-pub const TABLE: [(&str, [&str; 3]); 52] = [
+pub const TABLE: [(&str, [&str; 3]); 53] = [
     ("{swarm}/cmd/delete", NOBODY_BUT_OPERATORS),
     ("{swarm}/cmd/run", NOBODY_BUT_OPERATORS),
     ("{swarm}/cmd/pause", NOBODY_BUT_OPERATORS),
@@ -48,6 +48,7 @@ pub const TABLE: [(&str, [&str; 3]); 52] = [
     ("@node/{node}/cmd/record", NOBODY_BUT_OPERATORS),
     ("{swarm}/ctl/{controller}", THEIR_CONTROLLERS),
     ("{swarm}/ctl/{controller}/alive", THEIR_CONTROLLERS),
+    ("{swarm}/wait/{id}/alive", EVERYBODY),
     ("{swarm}/state", EVERYBODY),
     ("{swarm}/get/status", EVERYBODY),
     ("{swarm}/get/controllers", EVERYBODY),

@@ -365,9 +365,10 @@ async fn experiments_quota_mb(client: &Client) -> String {
     let key = keys::experiment(PREFIX, NODE, "films", "progress");
     let began = Instant::now();
     while began.elapsed() < TIMEOUT {
+        let progress = client.query(&key, None).await.unwrap();
+        // Later, so that it counts what was written until the pause.
         let bytes = client.node("metrics").await["experiments_bytes"].as_u64();
         let bytes = bytes.unwrap();
-        let progress = client.query(&key, None).await.unwrap();
         if progress["phase"] == "paused" && bytes > 1 << 19 && bytes <= 1 << 20 {
             return "paused within 1 MiB".to_owned();
         }

@@ -140,7 +140,11 @@ fn is_in_range(message: &CommandMessage, timeout: Duration) {
                 changes.iter().for_each(can_be_tried);
             }
         }
-        Command::Deadline(_) | Command::Lost(_) | Command::Control { .. } | Command::Fired(_) => {
+        Command::Deadline(_)
+        | Command::Lost(_)
+        | Command::Idle(_)
+        | Command::Control { .. }
+        | Command::Fired(_) => {
             panic!("no request is parsed to {command:?}")
         }
         Command::Annotate => {

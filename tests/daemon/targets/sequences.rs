@@ -18,7 +18,7 @@ use jostle_physics::model::Parameters;
 use jostle_physics::model::selection::Selection;
 use jostle_physics::simulation::{Change, ChangeError, Placement, Settings, Spec, Start};
 use jostled::swarm::checkpoint::Checkpoint;
-use jostled::swarm::command::{Command, Until, WaitCondition, When};
+use jostled::swarm::command::{Command, Until, WaitCondition, When, Which};
 use jostled::swarm::error::SwarmError;
 use jostled::swarm::error::WriteFault;
 use jostled::swarm::frame::{EventKind, Frame, Stamp};
@@ -122,7 +122,7 @@ fn order(input: &Input) -> Command {
             draws: Draws::Command,
         },
         Input::When(effect) => Command::Watch(Box::new(watch(*effect))),
-        Input::Cancel => Command::Unwatch(None),
+        Input::Cancel => Command::Unwatch(Which::All),
         Input::Reset => Command::Reset(None),
         Input::Delete => Command::Delete,
     }

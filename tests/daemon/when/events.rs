@@ -176,6 +176,13 @@ async fn only_the_last_condition_with_an_event_is_waited_for() {
             .ok("a", "when", json!({"cancel": true, "event": "other"}))
             .await;
         assert_eq!(code().await, None, "{verb}");
+        let pause = json!({"condition": "order > 1", "pause": true});
+        client.ok("a", "when", pause).await;
+        let id = client.get("a", "status").await["result"]["conditions"][0]["id"].take();
+        client
+            .ok("a", "when", json!({"cancel": true, "id": id}))
+            .await;
+        assert_eq!(code().await, None, "{verb}");
         client.ok("a", "when", never.clone()).await;
         assert_eq!(code().await, Some(ErrorCode::DeadlineExceeded), "{verb}");
         client.ok("a", verb, args.clone()).await;

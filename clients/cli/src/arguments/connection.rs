@@ -31,7 +31,8 @@ pub struct GlobalArguments {
     /// The prefix of the daemon's keys
     #[arg(long, value_name = "NAME", default_value = DEFAULT_PREFIX, value_parser = values::name)]
     pub prefix: String,
-    /// How long to wait for a reply; the daemon executes the request even after a timeout
+    /// How long to wait for a reply; the daemon executes the request even after a timeout.
+    /// `wait` and `run --wait` have no limit by default
     #[arg(long, value_name = "SECS", default_value = "5", value_parser = values::seconds, allow_negative_numbers = true)]
     pub timeout: f64,
     /// Whether the timeout is given, not the default.

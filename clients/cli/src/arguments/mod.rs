@@ -233,7 +233,6 @@ mod tests {
             "create demo",
             "set demo",
             "annotate demo",
-            "when demo",
             "when demo order>0",
             "when demo order>0 reset",
             "when demo order>0 pause --cancel",

@@ -162,8 +162,8 @@ pub struct ResetArguments {
 pub struct SetArguments {
     #[command(flatten)]
     pub command: CommandArguments,
-    /// pi1 to pi4, contacts, stepping, relinearise, attraction, noise, publish_every or measures,
-    /// such as pi1=6, attraction=metric=3 or measures=drift,milling
+    /// pi1 to pi4, contacts, stepping, relinearise, attraction, noise, publish_every, measures or
+    /// max_idle_secs, such as pi1=6, attraction=metric=3 or measures=drift,milling
     #[arg(required = true, value_name = "NAME=VALUE", value_parser = values::assignment, add = ArgValueCompleter::new(completion::assignments))]
     pub assignments: Vec<Assignment>,
     /// With pi1: scale the positions by the least factor that avoids overlap
@@ -253,25 +253,26 @@ pub struct AnnotateArguments {
 
 #[derive(Debug, Args)]
 #[command(
-    group = ArgGroup::new("effect").required(true).args(["action", "commands", "cancel"]),
+    group = ArgGroup::new("effect").args(["action", "commands", "cancel"]),
     override_usage = "jostle when [OPTIONS] <NAME> <CONDITION> <ACTION|--commands <FILE>>\n       \
-                      jostle when [OPTIONS] <NAME> --cancel"
+                      jostle when [OPTIONS] <NAME> --cancel [ID]\n       \
+                      jostle when [OPTIONS] <NAME>"
 )]
 pub struct WhenArguments {
     #[command(flatten)]
     pub command: CommandArguments,
-    /// The condition, such as 'order > 0.9 for 20'
-    #[arg(required_unless_present = "cancel", conflicts_with = "cancel")]
+    /// The condition, such as 'order > 0.9 for 20' [default: list the conditions that wait]
+    #[arg(requires = "effect", conflicts_with = "cancel")]
     pub condition: Option<String>,
     /// What the swarm does when it holds
     #[arg(value_enum)]
     pub action: Option<WhenAction>,
     /// Apply the changes of this file when it holds, as `batch` does; - for stdin
-    #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath)]
+    #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath, requires = "condition")]
     pub commands: Option<PathBuf>,
-    /// Remove all waiting conditions
-    #[arg(long)]
-    pub cancel: bool,
+    /// Remove the waiting condition of this id, which `jostle when NAME` shows; without an id, all of them
+    #[arg(long, value_name = "ID", num_args = 0..=1, value_parser = values::name)]
+    pub cancel: Option<Option<String>>,
 }
 
 #[derive(Debug, Args)]
@@ -281,11 +282,6 @@ pub struct WaitArguments {
     pub name: String,
     /// The condition, such as 'drift > 0.9 for 20'
     pub condition: String,
-    /// The name of the event by which the daemon reports that it holds [default: a unique name]
-    #[arg(long, value_name = "NAME", value_parser = values::name)]
-    pub event: Option<String>,
-    #[command(flatten)]
-    pub sender: SenderArguments,
 }
 
 /// What a swarm does when a condition holds.

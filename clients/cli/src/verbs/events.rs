@@ -89,9 +89,9 @@ impl Printer {
             return output::write(&format!("{}\n", event.payload.json()?));
         }
         if event.number > before + 1 {
-            let lost = event.number - 1;
+            let (first, last) = (before + 1, event.number - 1);
             self.output.note(&format!(
-                "the events up to number {lost} are no longer kept"
+                "the events with the numbers {first} to {last} are no longer kept"
             ));
         }
         if !std::mem::replace(&mut self.has_header, true) {

@@ -31,12 +31,11 @@ mod when;
 
 use std::time::Duration;
 
-use jostle_client::{Client, ConnectOptions};
-
 use crate::arguments::{
     Arguments, Experiment, ExperimentArguments, GlobalArguments, MeasuresArguments,
     RecordArguments, Verb,
 };
+use crate::connect::connect;
 use crate::context::Context;
 use crate::failure::{Failure, Kind};
 use crate::interrupt;
@@ -95,7 +94,7 @@ pub fn records_to_file(verb: &Verb) -> bool {
 /// Connects, executes a verb and closes the session.
 async fn connected(global: GlobalArguments, output: Output, verb: Verb) -> Result<(), Failure> {
     let timeout = global.is_timeout_given.then_some(global.timeout);
-    let client = interrupt::either(Client::connect(ConnectOptions::from(&global))).await?;
+    let client = interrupt::either(connect(&global, output)).await?;
     let context = Context { client, output };
     let outcome = match verb {
         // These handle interrupts themselves.

@@ -15,11 +15,8 @@ use crate::interrupt;
 use crate::output::Output;
 use crate::progress;
 use crate::values::{End, Rate};
-use crate::verbs::outage::{Outage, RETRY_DELAY, wait_for_deadline};
+use crate::verbs::outage::{Outage, RETRY_DELAY, is_missing, wait_for_deadline};
 use crate::verbs::when::pause_when;
-
-/// How long the daemon holds a query before it is sent again.
-const HOLD_TIME: Duration = Duration::from_secs(30);
 
 /// Runs a swarm; waits for its end for at most `timeout` seconds, if it is given.
 pub async fn run(
@@ -102,30 +99,34 @@ async fn reached(
     let condition = target.map_or_else(|| "phase=paused".into(), |step| format!("step={step}"));
     let mut epoch = started.epoch;
     let mut outage = Outage::default();
+    // Whether a query has failed since the last status: the daemon may have been restarted.
+    let mut was_interrupted = false;
     loop {
-        let sent = Instant::now();
-        match client.wait(&started.swarm, &condition, HOLD_TIME).await {
+        let (sent, held) = (Instant::now(), outage.hold_time());
+        let note = |text: &str| bar.suspend(|| output.note(text));
+        match client.wait(&started.swarm, &condition, held).await {
             Ok(answer) => {
                 let reply: Reply<Status> = answer.read()?;
-                if outage.is_ongoing() || client.connections_lost() != lost_before {
+                if was_interrupted || client.connections_lost() != lost_before {
                     epoch = epoch_after_a_loss(epoch, &reply);
                 }
+                outage.end(note);
                 if let Some(verdict) = verdict(started, epoch, &reply) {
                     return Ok((answer, verdict));
                 }
                 lost_before = client.connections_lost();
-                outage.end();
+                was_interrupted = false;
                 tokio::time::sleep(RETRY_DELAY).await;
             }
             Err(Error::Rejected(error)) if error.code == ErrorCode::DeadlineExceeded => {
-                outage.end();
+                outage.end(note);
                 // The reply is early if too many clients wait for the swarm: let others wait.
-                if sent.elapsed() < HOLD_TIME {
+                if sent.elapsed() < held {
                     tokio::time::sleep(RETRY_DELAY).await;
                 }
             }
             Err(error) => {
-                let note = |text: &str| bar.suspend(|| output.note(text));
+                was_interrupted = true;
                 outage.wait_to_retry(error, note).await?;
             }
         }
@@ -170,13 +171,19 @@ fn verdict(
 /// Moves the bar with the swarm; returns only if the swarm is deleted.
 async fn follow(client: &Client, started: &Reply<RunResult>, bar: &ProgressBar) -> Failure {
     let swarm = &started.swarm;
-    let options = FollowOptions {
-        order: (!bar.is_hidden()).then_some(1),
-        ..FollowOptions::default()
-    };
-    let mut updates = match client.follow(swarm, options).await {
-        Ok(updates) => updates,
-        Err(error) => return error.into(),
+    let mut updates = loop {
+        let options = FollowOptions {
+            order: (!bar.is_hidden()).then_some(1),
+            ..FollowOptions::default()
+        };
+        match client.follow(swarm, options).await {
+            Ok(updates) => break updates,
+            // `reached` reports the outage, and ends the verb if it lasts.
+            Err(error) if error.is_transient() || is_missing(&error) => {
+                tokio::time::sleep(RETRY_DELAY).await;
+            }
+            Err(error) => return error.into(),
+        }
     };
     loop {
         match updates.next().await {

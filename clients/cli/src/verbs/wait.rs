@@ -1,11 +1,8 @@
 //! `wait`: waits until a condition holds in a swarm, without changing it.
-//!
-//! The condition waits in the daemon as a `when` with an event. It is removed if this wait ends before.
 
 use std::time::{Duration, Instant};
 
-use jostle_client::{CommandOptions, Error, Payload};
-use jostle_proto::verbs::{WhenArgs, WhenResult};
+use jostle_client::{Error, Payload};
 use jostle_proto::{ErrorCode, Phase, Reply, Status};
 
 use crate::arguments::WaitArguments;
@@ -15,82 +12,55 @@ use crate::format::standing;
 use crate::interrupt;
 use crate::verbs::outage::{Outage, RETRY_DELAY, wait_for_deadline};
 
-/// How long the daemon holds a query before it is sent again.
-const HOLD_TIME: Duration = Duration::from_secs(30);
-
 /// Waits for at most `timeout` seconds, if it is given.
 pub async fn wait(
     context: &Context,
     arguments: &WaitArguments,
     timeout: Option<f64>,
 ) -> Result<(), Failure> {
-    let Context { client, output } = context;
     let WaitArguments {
         name: swarm,
         condition,
-        event,
-        sender,
     } = arguments;
-    let began = Instant::now();
-    let event = event
-        .clone()
-        .unwrap_or_else(|| format!("wait-{}", client.new_id()));
-    let args = WhenArgs {
-        condition: Some(condition.clone()),
-        event: Some(event.clone()),
-        from_step: Some(0),
-        ..WhenArgs::default()
-    };
-    let sent = client.command(swarm, "when", &args, CommandOptions::from(sender));
-    let answer = interrupt::either(sent).await?;
-    let reply: Reply<WhenResult> = answer.read()?;
-    let describe = |reply: &Reply<Status>| {
-        let secs = began.elapsed().as_secs_f64();
-        format!("{condition} holds; {}; waited {secs:.1} s", standing(reply))
-    };
-    if reply.result.holds {
-        return output.reply(&client.get(swarm, "status").await?, describe);
+    if condition.contains(';') {
+        return Err(Failure::argument(
+            "CONDITION",
+            "contains a `;`, which no condition does",
+        ));
     }
-    let end = timeout.map(|secs| (began + Duration::from_secs_f64(secs)).into());
-    let outcome = tokio::select! {
+    // Fails if there is no such swarm; later there may be no reply because of an outage.
+    tokio::select! {
         biased;
-        outcome = held(context, swarm, &event) => outcome,
+        status = context.client.status(swarm) => drop(status?),
+        () = interrupt::interrupted() => return Err(Failure::interrupted()),
+    }
+    let began = Instant::now();
+    let end = timeout.map(|secs| (began + Duration::from_secs_f64(secs)).into());
+    let answer = tokio::select! {
+        biased;
+        outcome = held(context, swarm, condition) => outcome,
         () = wait_for_deadline(end) => {
             Err(Failure::not_held(swarm, condition, timeout.unwrap_or_default()))
         }
         () = interrupt::interrupted() => Err(Failure::interrupted()),
-    };
-    match outcome {
-        Ok(answer) => output.reply(&answer, describe),
-        Err(failure) => {
-            let args = WhenArgs {
-                event: Some(event),
-                cancel: true,
-                ..WhenArgs::default()
-            };
-            // Without a daemon or a swarm there is nothing to remove.
-            let options = CommandOptions {
-                request_id: None,
-                ..CommandOptions::from(sender)
-            };
-            let _ = interrupt::either(client.command(swarm, "when", &args, options)).await;
-            Err(failure)
-        }
-    }
+    }?;
+    context.output.reply(&answer, |reply: &Reply<Status>| {
+        let secs = began.elapsed().as_secs_f64();
+        format!("{condition} holds; {}; waited {secs:.1} s", standing(reply))
+    })
 }
 
-/// Waits until the condition with this event has held, also while the daemon restarts. Returns the
-/// status.
-async fn held(context: &Context, swarm: &str, event: &str) -> Result<Payload, Failure> {
+/// Waits until the condition holds, also while the daemon restarts. Returns the status.
+async fn held(context: &Context, swarm: &str, condition: &str) -> Result<Payload, Failure> {
     let Context { client, output } = context;
+    let wait = client.wait_for(swarm, condition).await?;
     let mut outage = Outage::default();
     loop {
-        let sent = Instant::now();
-        match client
-            .wait(swarm, &format!("event={event}"), HOLD_TIME)
-            .await
-        {
+        let (sent, held) = (Instant::now(), outage.hold_time());
+        let note = |text: &str| output.note(text);
+        match wait.query(held).await {
             Ok(answer) => {
+                outage.end(note);
                 let reply: Reply<Status> = answer.read()?;
                 return match reply.phase {
                     Phase::Faulted => Err(Failure::faulted(swarm, reply.step, reply.result.reason)),
@@ -98,18 +68,17 @@ async fn held(context: &Context, swarm: &str, event: &str) -> Result<Payload, Fa
                 };
             }
             Err(Error::Rejected(error)) if error.code == ErrorCode::DeadlineExceeded => {
-                outage.end();
-                // The reply is early if too many clients wait for the swarm: let others wait.
-                if sent.elapsed() < HOLD_TIME {
+                outage.end(note);
+                // The reply is early if too many requests wait: send the next one later.
+                if sent.elapsed() < held {
                     tokio::time::sleep(RETRY_DELAY).await;
                 }
             }
-            // The condition was removed; another reason may pass while a daemon restarts.
-            Err(Error::Rejected(error)) if error.details.contains_key("field") => {
-                return Err(Failure::rejected(*error));
+            // Of a daemon that has recovered its swarms: this one was deleted. During an outage there is no reply.
+            Err(Error::Rejected(error)) if error.code == ErrorCode::NotFound => {
+                return Err(Error::Rejected(error).into());
             }
             Err(error) => {
-                let note = |text: &str| output.note(text);
                 outage.wait_to_retry(error, note).await?;
             }
         }

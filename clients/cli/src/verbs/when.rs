@@ -1,8 +1,8 @@
 //! `when`: an action once a condition holds.
 
 use jostle_client::Payload;
-use jostle_proto::Reply;
 use jostle_proto::verbs::{WhenArgs, WhenResult};
+use jostle_proto::{Reply, Status, WaitingCondition};
 use serde_json::Value;
 use serde_json::value::RawValue;
 
@@ -11,6 +11,7 @@ use crate::context::Context;
 use crate::failure::Failure;
 use crate::file;
 use crate::format::standing;
+use crate::table::{self, Column};
 
 pub async fn when(context: &Context, arguments: &WhenArguments) -> Result<(), Failure> {
     let WhenArguments {
@@ -22,16 +23,22 @@ pub async fn when(context: &Context, arguments: &WhenArguments) -> Result<(), Fa
     } = arguments;
     let CommandArguments { name, sending } = command;
     let Some(condition) = condition else {
+        if cancel.is_none() {
+            return list(context, name).await;
+        }
+        let id = cancel.clone().flatten();
         let args = WhenArgs {
-            cancel: *cancel,
+            cancel: cancel.is_some(),
+            id: id.clone(),
             ..WhenArgs::default()
         };
         let describe = |reply: &Reply<WhenResult>| {
-            format!(
-                "{} waits for no condition; {}",
-                reply.swarm,
-                standing(reply)
-            )
+            let swarm = &reply.swarm;
+            let what = match &id {
+                Some(id) => format!("{swarm} no longer waits for the condition {id}"),
+                None => format!("{swarm} waits for no condition"),
+            };
+            format!("{what}; {}", standing(reply))
         };
         return context.execute(command, &args, describe).await;
     };
@@ -49,6 +56,21 @@ pub async fn when(context: &Context, arguments: &WhenArguments) -> Result<(), Fa
         format!("{} waits for {condition}; {}", reply.swarm, standing(reply))
     };
     context.output.outcome(&answer, "when", describe)
+}
+
+/// Lists the conditions that wait.
+async fn list(context: &Context, swarm: &str) -> Result<(), Failure> {
+    let answer = context.client.get(swarm, "status").await?;
+    let reply: Reply<Status> = answer.read()?;
+    let columns: [Column<WaitingCondition>; 4] = [
+        ("id", |it| it.id.clone()),
+        ("condition", |it| it.condition.clone()),
+        ("action", table::action),
+        ("client", table::client),
+    ];
+    let if_empty = format!("{swarm} waits for no condition");
+    let conditions = &reply.result.conditions;
+    context.output.list(&answer, conditions, columns, &if_empty)
 }
 
 /// Has a swarm pause once a condition holds.

@@ -252,7 +252,7 @@ async fn every_verb_ends_with_the_code_of_each_kind_of_error() {
 #[tokio::test(flavor = "multi_thread")]
 async fn every_verb_reports_an_unreachable_daemon() {
     let case = |(_, line)| Case {
-        line,
+        line: format!("{line} --timeout 0.2"),
         replies: Replies::Nowhere,
         code: 6,
         word: "unreachable",

@@ -1,5 +1,7 @@
 //! `run --wait` and `watch`.
 
+use std::time::Duration;
+
 use serde_json::{Value, json};
 
 use crate::support::{Daemon, object, until};
@@ -46,6 +48,26 @@ async fn a_wait_ends_when_another_client_ends_the_run() {
         assert_eq!(error["code"], code);
         daemon.stop().await;
     }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_wait_for_a_condition_ends_when_the_swarm_is_deleted() {
+    let daemon = Daemon::start().await;
+    daemon.jostle("create demo --n 10").await;
+    let waiting = daemon.begin("--json wait demo order>1");
+    until("it waits", async || {
+        let status = object(&daemon.jostle("--json status demo").await);
+        status["result"]["waits"][0]["condition"] == "order > 1"
+    })
+    .await;
+    assert_eq!(daemon.jostle("delete demo").await.code, Some(0));
+    // Half of the time for which it tolerates an outage.
+    let ended = tokio::time::timeout(Duration::from_secs(30), waiting.end()).await;
+    let ended = ended.expect("it ends, as the swarm does not come back");
+    assert_eq!(ended.code, Some(3), "{ended:?}");
+    let error: Value = serde_json::from_str(&ended.stderr).unwrap();
+    assert_eq!(error["code"], "not_found");
+    daemon.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -29,6 +29,9 @@ async fn a_command_whose_reply_is_lost_is_executed_once() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_request_to_a_busy_daemon_is_retried_unchanged() {
     let impostor = Impostor::start(&["jostle/demo/alive/a"], "jostle/x", "jostle/y").await;
+    let hello = include_str!("../../../../proto/fixtures/node.hello.reply.json");
+    let hello = vec![Ok(serde_json::from_str(hello).unwrap())];
+    impostor.answer("jostle/@node/a/get/hello", hello).await;
     let busy = || Err(json!({"code": "busy", "message": "too much at once", "details": {}}));
     let reply = json!({
         "swarm": "demo", "epoch": 1, "step": 7, "time": 0.14, "phase": "paused", "seq": 1,
@@ -44,8 +47,14 @@ async fn a_request_to_a_busy_daemon_is_retried_unchanged() {
     assert_eq!(answer["step"], 7);
     let requests = received.lock().unwrap().clone();
     assert_eq!(requests.len(), 4, "busy, silence, busy, done");
-    assert!(requests.iter().all(|request| *request == requests[0]));
-    let request: Value = serde_json::from_slice(&requests[0]).unwrap();
+    // The daemon has less time for a later one.
+    let without_timeout = |request: &Vec<u8>| {
+        let mut request: Value = serde_json::from_slice(request).unwrap();
+        assert!(request["timeout_secs"].take().as_f64() <= Some(60.0));
+        request
+    };
+    let request = without_timeout(&requests[0]);
+    assert!(requests.iter().all(|it| without_timeout(it) == request));
     assert!(!request["request_id"].as_str().unwrap().is_empty());
     assert!(request["client"].as_str().unwrap().starts_with("tester@"));
 
@@ -94,6 +103,34 @@ async fn a_wait_with_an_early_reply_is_sent_again_after_a_delay() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_wait_for_a_condition_is_continued_under_its_id() {
+    let mut status: Value =
+        serde_json::from_str(include_str!("../../../../proto/fixtures/status.reply.json")).unwrap();
+    status["swarm"] = json!("demo");
+    let impostor = Impostor::start(&["jostle/demo/alive/a"], "jostle/x", "jostle/y").await;
+    let there = vec![Ok(status.clone())];
+    impostor.answer("jostle/demo/get/status", there).await;
+    let error = |code: &str| Err(json!({"code": code, "message": "ask again", "details": {}}));
+    let answers = vec![
+        error("deadline_exceeded"),
+        error("busy"),
+        error("deadline_exceeded"),
+        Ok(status),
+    ];
+    let asked = impostor.answer("jostle/demo/get/wait", answers).await;
+    // The daemon lets a duration go on for the same id and condition.
+    let line = "--json wait demo order>0.9 --timeout 60";
+    object(&impostor.jostle(line).await);
+    let asked = asked.lock().unwrap().clone().into_iter();
+    let asked: Vec<String> = asked.map(|it| String::from_utf8(it).unwrap()).collect();
+    let wait = &asked[0][..asked[0].find("timeout_secs").unwrap()];
+    assert!(wait.contains("condition=order>0.9;id="), "{wait}");
+    assert!(asked.iter().all(|it| it.starts_with(wait)), "{asked:?}");
+    assert_eq!(asked.len(), 4);
+    impostor.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn verbs_that_follow_print_once_that_the_daemon_is_gone() {
     let daemon = Daemon::start().await;
     daemon.said("create demo --n 10").await;
@@ -126,6 +163,7 @@ async fn verbs_that_follow_print_once_that_the_daemon_is_gone() {
     link.mend();
     assert_eq!(watching.complaint(), "the daemon is back");
     assert_eq!(following.complaint(), "the daemon is back");
+    assert_eq!(waiting.complaint(), "the daemon is back");
     watching.lines(1);
     looking.lines(1);
     daemon.said("delete demo").await;
@@ -134,6 +172,43 @@ async fn verbs_that_follow_print_once_that_the_daemon_is_gone() {
         let ended = running.end().await;
         assert_eq!(ended.code, Some(code), "{ended:?}");
         assert!(!ended.stderr.contains("is gone"), "{ended:?}");
+    }
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn verbs_that_wait_print_each_outage_and_its_end() {
+    let daemon = Daemon::start().await;
+    daemon.said("create demo --n 10").await;
+    let link = Link::to(&daemon.endpoint);
+    let mut waiting = [
+        "run demo --until 1e6 --rate 1 --wait",
+        "wait demo milling>0.999999",
+    ]
+    .map(|line| Running::begin(&link.endpoint, line, ""));
+    until("both wait", async || {
+        let status = daemon.reply("status demo").await["result"].clone();
+        status["until_step"].is_u64() && status["waits"].is_array()
+    })
+    .await;
+    // Each outage has a minute of its own.
+    for _ in 0..3 {
+        link.cut();
+        for verb in &mut waiting {
+            assert_eq!(
+                verb.complaint(),
+                "the daemon is gone; waiting up to 60 s for it to come back, Ctrl-C ends"
+            );
+        }
+        link.mend();
+        for verb in &mut waiting {
+            assert_eq!(verb.complaint(), "the daemon is back");
+        }
+    }
+    daemon.said("delete demo").await;
+    for verb in waiting {
+        let ended = verb.end().await;
+        assert_eq!(ended.code, Some(3), "{ended:?}");
     }
     daemon.stop().await;
 }

@@ -174,8 +174,13 @@ async fn an_unknown_host_a_silent_listener_and_no_listener_have_their_own_messag
     ended.assert_stderr(6, "no address is known of the host no-such-host.invalid");
     let ended = run(&mute(), "list --timeout 0.3").await;
     ended.assert_stderr(6, "it may hang");
-    let ended = run("tcp/127.0.0.1:1", "list").await;
-    ended.assert_stderr(6, "start one with `jostled serve`");
+    let ended = run("tcp/127.0.0.1:1", "list --timeout 0.3").await;
+    let said =
+        "no daemon answers at tcp/127.0.0.1:1, tried for 0.3 s: start one with `jostled serve`";
+    ended.assert_stderr(6, said);
+    let ended = run("tcp/127.0.0.1:1", "list --timeout 3").await;
+    let said = "waiting up to 3 s for a daemon at tcp/127.0.0.1:1; Ctrl-C ends";
+    ended.assert_stderr(6, said);
 }
 
 #[tokio::test(flavor = "multi_thread")]

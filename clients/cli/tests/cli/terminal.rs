@@ -130,7 +130,8 @@ async fn on_a_terminal_delete_lists_the_matches_of_a_pattern_and_requires_confir
 async fn verify_shows_its_progress_on_a_terminal_and_nowhere_else() {
     let daemon = Daemon::start().await;
     daemon.said("create demo --n 100 --seed 2").await;
-    daemon.said("step demo 6000 --timeout 60").await;
+    // Longer than some intervals of the progress on each machine.
+    daemon.said("step demo 30000 --timeout 60").await;
     let terminal = Terminal::begin(&daemon.endpoint, "verify demo");
     terminal.until_seen("demo is the same").await;
     let seen = terminal.seen();

@@ -194,7 +194,7 @@ async fn each_kind_of_error_has_its_exit_code_and_a_json_object() {
         ("pause demo --expect-step 9", 4, "conflict"),
         ("pause demo --expect-epoch 9", 4, "conflict"),
         ("list --prefix other", 6, "unreachable"),
-        ("list -e tcp/127.0.0.1:1", 6, "unreachable"),
+        ("list -e tcp/127.0.0.1:1 --timeout 0.3", 6, "unreachable"),
         ("create a --n 3 --spec /dev/null", 2, "invalid_argument"),
         (
             "inject demo --count 1 --within 0,0,0.01",

@@ -90,6 +90,8 @@ from ._messages import (
     Status,
     StepResult,
     Verified,
+    WaitingClient,
+    WaitingCondition,
 )
 from ._metrics import Metrics, RecordingMetrics, StoreMetrics, SwarmMetrics
 from ._node import Hello, Limits, NodeStatus, Schemas, SwarmSummary
@@ -212,6 +214,8 @@ __all__ = [
     "Uninform",
     "Verified",
     "View",
+    "WaitingClient",
+    "WaitingCondition",
     "WhoAmI",
     "connect",
     "count",

@@ -28,6 +28,7 @@ class Set(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
         noise: See `Swarm.set`.
         publish_every: See `Swarm.set`.
         measures: See `Swarm.set`.
+        max_idle_secs: See `Swarm.set`.
         make_room: See `Swarm.set`.
     """
 
@@ -44,6 +45,7 @@ class Set(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     noise: float | None = None
     publish_every: int | None = None
     measures: Sequence[str] | None = None
+    max_idle_secs: float | None = None
     make_room: bool = False
 
 

@@ -46,7 +46,10 @@ def connect(
     timeout: float = 5.0,
     credentials: str | os.PathLike[str] | None = None,
 ) -> Client:
-    """Connects to the daemon at `endpoint`.
+    """Connects to the daemon at `endpoint`, and waits for it until the timeout.
+
+    If nothing listens there yet, or the daemon recovers its swarms after a restart, this logs a
+    warning to the logger `jostle` and tries again.
 
         with jostle.connect("tcp/127.0.0.1:7447", client="ada") as client:
             print(client.swarms())
@@ -64,7 +67,8 @@ def connect(
 
     Raises:
         PermissionDenied: A process listens there and rejects this client.
-        Unavailable: No daemon answers there.
+        Unavailable: No daemon answers there within `timeout`.
+        Busy: The daemon still recovers its swarms at the end of `timeout`.
         InvalidArgument: An argument is invalid, or several daemons answer and `node` is None.
     """
     identity = read_credentials(credentials)

@@ -286,6 +286,7 @@ class Commands(Queries):
         noise: float | None = None,
         publish_every: SupportsIndex | None = None,
         measures: Sequence[str] | None = None,
+        max_idle_secs: float | None = None,
         make_room: bool = False,
         **options: Unpack[Options],
     ) -> SetResult:
@@ -311,6 +312,9 @@ class Commands(Queries):
             publish_every: Number of steps between two published states: 1 or more.
             measures: The measures in each published order (`OrderSample.measures`), at most 16 that
                 need no earlier state, such as `["drift", "milling"]`; none if empty.
+            max_idle_secs: Remove a controller in lock-step for which the swarm has waited so many
+                seconds, and which has sent nothing meanwhile: 0 to 10⁶; 0 is no limit, as in a new
+                swarm.
             make_room: With `pi1`: scale all positions about the centroid by the smallest factor
                 that lets longer bodies fit.
             options: See `Options`.
@@ -337,13 +341,15 @@ class Commands(Queries):
             noise=noise,
             publish_every=_whole("publish_every", publish_every),
             measures=None if measures is None else measure_names(measures),
+            max_idle_secs=max_idle_secs,
             make_room=make_room,
         )
         if change == Set():
             raise invalid(
                 "args",
                 "nothing to set: give pi1, pi2, pi3, pi4, contacts, stepping, relinearise, "
-                "attraction, noise, publish_every or measures; None leaves a parameter as it is",
+                "attraction, noise, publish_every, measures or max_idle_secs; None leaves a "
+                "parameter as it is",
             )
         result = self._change(change, SetResult, options)
         self._shape.pi1 = result.now.pi1
@@ -532,6 +538,7 @@ class Commands(Queries):
         draw: SupportsIndex | None = None,
         protocol: bool = False,
         cancel: bool = False,
+        id: str | None = None,
         **options: Unpack[Options],
     ) -> Reply:
         """Pauses or changes the swarm once, at the first step after which a condition holds.
@@ -539,10 +546,12 @@ class Commands(Queries):
             swarm.when("order > 0.9 for 20", pause=True)
             swarm.when("drift < 0.1", commands=[jostle.Inform(jostle.fraction(0.1), 0.0)])
             swarm.when(cancel=True)  # removes all waiting conditions
+            for it in swarm.status().conditions or []:
+                swarm.when(cancel=True, id=it.id)  # removes one
 
-        `Status.when` lists the waiting conditions, at most 16. When one holds, it is removed, and
-        an event `command` or `refused` of the verb `fired` reports the outcome. `reset` removes
-        all.
+        `Status.conditions` lists the waiting conditions and who sent them, at most 16. When one
+        holds, it is removed, and an event `command` or `refused` of the verb `fired` reports the
+        outcome. `reset` removes all.
 
         Args:
             condition: The condition, such as `drift > 0.9 for 20 and order > 0.5`; times are in
@@ -557,18 +566,21 @@ class Commands(Queries):
             draw: With `commands`: as in `batch`.
             protocol: With `commands`: as in `batch`. With `pause`: end the protocol; the scheduled
                 commands and the other conditions without `event` are removed.
-            cancel: Remove all waiting conditions, or with `event` that one; give it without others.
+            cancel: Remove all waiting conditions, or with `event` or `id` that one; give it without
+                others.
+            id: With `cancel`: the id of a condition, in `Status.conditions`.
             options: See `Options`.
 
         Raises:
             Conflict: With `from_step`: the condition holds in the present state already.
             InvalidArgument: The condition is invalid (the message has the column), a measure in it
                 needs too many earlier states, or a change is invalid.
-            ResourceExhausted: 16 conditions wait already.
+            NotFound: With `id`: no condition of this id waits.
+            ResourceExhausted: 16 conditions wait already, or their measures cost too much together.
             IncorrectState: The swarm is faulted.
         """
         steps = _given(from_step=from_step, before_step=before_step, draw=draw)
-        args = _given(condition=condition, event=event)
+        args = _given(condition=condition, event=event, id=id)
         args.update({name: whole_from_0(name, step) for name, step in steps.items()})
         if protocol:
             args["protocol"] = True

@@ -14,8 +14,10 @@ import zenoh
 from ._arguments import check_label, check_name, check_seconds
 from ._credentials import Credentials, zenoh_auth
 from ._decode import read_reply
-from ._errors import JostleError, PermissionDenied, Unavailable, invalid
+from ._errors import Busy, JostleError, PermissionDenied, Unavailable, invalid
 from ._node import WIRE_VERSION, Hello
+from ._outage import Outage
+from ._retry import FAILED, Backoff
 from ._session import REPLY_MARGIN_SECS, Session
 from ._shutdown import use_zenoh
 from ._tls import certificate_mismatch, split_endpoint
@@ -46,11 +48,12 @@ def open_session(
         )
     client = check_label("client", f"python-{os.getpid()}" if client is None else client)
     seconds = check_seconds("timeout", timeout)
+    backoff = Backoff(time.monotonic(), seconds, seconds)
     opened = open_zenoh(endpoint, seconds, identity)
     token = None if identity is None else identity[0].token
     session = Session(opened, endpoint, prefix, client, seconds, token)
     try:
-        hello = _hello(session, node)
+        hello = _await_hello(session, node, backoff)
         # A command that gets no reply is sent again to the same daemon only.
         session.check_claims(session.node_key(hello.node, ""), None, session.connected(), 0.0)
     except BaseException:
@@ -65,6 +68,8 @@ def open_zenoh(
 ) -> zenoh.Session:
     """Opens a zenoh session with `endpoint` and with no other.
 
+    Waits until `timeout` while nothing listens there, such as during a restart.
+
     Raises:
         InvalidArgument: The endpoint is invalid.
         PermissionDenied: A process listens there and rejects this client.
@@ -78,32 +83,45 @@ def open_zenoh(
             f"{endpoint!r} is on another machine, and credentials would be sent there in the "
             "clear: use tls/HOST:PORT",
         )
-    began = time.monotonic()
-    try:
-        # The configuration holds a password, so no variable does: tracebacks may show variables.
-        return zenoh.open(_config(endpoint, timeout, identity))
-    except zenoh.ZError:
-        # zenoh reports only that it is unable to connect. A peer that rejects a client does so at
-        # once; one that does not speak zenoh may stay silent until the timeout.
-        is_early = time.monotonic() - began < timeout
+    backoff = Backoff(time.monotonic(), timeout, timeout)
+    outage = Outage(endpoint, f"connect(timeout={timeout:g})")
+    was_rejected = False
+    while True:
+        began, remaining = time.monotonic(), max(backoff.remaining, 0.001)
+        try:
+            # The configuration holds a password, so no variable does: tracebacks may show them.
+            opened = zenoh.open(_config(endpoint, remaining, identity))
+        except zenoh.ZError:
+            # zenoh reports only that it is unable to connect. A peer that rejects a client does so
+            # at once; one that does not speak zenoh may stay silent until the timeout.
+            is_early = time.monotonic() - began < remaining
+        else:
+            outage.end()
+            return opened
         another = "name another endpoint (argument `endpoint`, or JOSTLE_ENDPOINT)"
         if not _resolves(endpoint):
             host = split_endpoint(endpoint)[1]
-            message = f"no address is known of the host {host!r} in {endpoint}: {another}"
-        elif not _listens(endpoint):
-            message = (
-                f"no daemon answers at {endpoint}: start one with `jostled serve`, or {another}"
-            )
-        elif is_early:
-            mismatch = None if identity is None else certificate_mismatch(endpoint, identity[1])
-            raise mismatch or _rejected(endpoint, identity) from None
-        else:
-            message = (
+            raise Unavailable(f"no address is known of the host {host!r} in {endpoint}: {another}")
+        is_listening = _listens(endpoint)
+        if is_listening and not is_early:
+            raise Unavailable(
                 f"something accepts connections at {endpoint} but sent no reply within "
                 f"{timeout:g} s: it may hang, or be another program; look at its process, or "
                 f"{another}"
             )
-        raise Unavailable(message) from None
+        # A daemon that was not there yet, or has just ended, closes a connection, but not twice.
+        if is_listening and was_rejected:
+            mismatch = None if identity is None else certificate_mismatch(endpoint, identity[1])
+            raise mismatch or _rejected(endpoint, identity)
+        was_rejected = is_listening
+        if not is_listening:
+            outage.begin()
+        backoff.sleep(
+            Unavailable(
+                f"no daemon answers at {endpoint}, tried for {timeout:g} s: start one with "
+                f"`jostled serve`, or {another}"
+            )
+        )
 
 
 def _config(
@@ -184,10 +202,28 @@ def _rejected(endpoint: str, identity: tuple[Credentials, Path] | None) -> Permi
     return PermissionDenied(f"something listens at {endpoint} but rejects {who}: {remedy}")
 
 
-def _hello(session: Session, node: str | None) -> Hello:
-    """Finds the daemon of that name, or the only one."""
+def _await_hello(session: Session, node: str | None, backoff: Backoff) -> Hello:
+    """Finds the daemon of that name, or the only one; waits while it recovers its swarms."""
+    outage = Outage(session.endpoint, f"connect(timeout={session.timeout:g})")
+    while True:
+        try:
+            hello = _hello(session, node, backoff.remaining)
+        except FAILED as error:
+            if "wire_version" in error.details:
+                raise
+            if (left := error.details.get("swarms_left")) is not None:
+                outage.begin(why=f"recovers its swarms, {left} left")
+            elif not isinstance(error, Busy):
+                outage.begin()
+            backoff.sleep(error)
+        else:
+            outage.end()
+            return hello
+
+
+def _hello(session: Session, node: str | None, seconds: float) -> Hello:
     key = session.node_key("*" if node is None else node, "get/hello")
-    replies = session.query_all(key, session.timeout + REPLY_MARGIN_SECS)
+    replies = session.query_all(key, max(seconds, 0.0) + REPLY_MARGIN_SECS)
     hellos = [read_reply(reply, Hello) for reply in replies]
     if not hellos:
         raise _no_reply(session, node)

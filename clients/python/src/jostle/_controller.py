@@ -210,12 +210,13 @@ class Controller:
         Raises:
             Conflict: The swarm is not at `step`: it stepped without this controller, or was reset.
                 The error's `step` is the swarm's; nothing has changed, and `sync` resumes. Or it
-                still takes the steps of an earlier advance: `Swarm.pause` ends them. Or, with
+                still takes the steps of an earlier advance: `cancel` ends them. Or, with
                 `state`: the advance was executed, but the reply was lost, the daemon sent it again
                 without its state (it stores replies of at most 4 KiB), and the swarm had changed.
             DeadlineExceeded: Other controllers or the steps take longer than `timeout`. The advance
-                remains, and the same call waits for it. A different one replaces it while the swarm
-                waits for another controller, and raises `Conflict` while the swarm steps.
+                remains, and the same call waits for it; `cancel` gives it up. A different one
+                replaces it while the swarm waits for another controller, and raises `Conflict`
+                while the swarm steps.
             IncorrectState: It joined in mode `free_running`, which uses `put`.
             InvalidArgument: A number is out of range, or an individual is not its own. Without
                 `ids`, individuals that another client removed are left out; `news` reports them.
@@ -329,6 +330,25 @@ class Controller:
         self._step, self._epoch = state.step, state.epoch
         return state
 
+    def cancel(self) -> State:
+        """Gives up the advance that has no reply, and returns the present state.
+
+        The swarm takes no further steps for that advance, and waits for this controller again; the
+        steps that it has taken and the set-points remain. Without such an advance it is `sync`.
+
+        Raises:
+            NotFound: There is no such swarm.
+        """
+        listed = read_reply(self._get("get/controllers"), Controllers)
+        mine = next((one for one in listed.controllers if one.controller == self._name), None)
+        target = None if mine is None else mine.target_step
+        is_pending = target is not None and target > listed.step
+        if mine is not None and (is_pending or self._unacknowledged is not None):
+            # A controller that joins again keeps its individuals, and has not advanced.
+            terms = {name: value for name, value in self._terms.items() if name != "select"}
+            self._join({**terms, "again": True}, {})
+        return self.sync()
+
     def leave(self, **options: Unpack[Options]) -> Reply:
         """Leaves the swarm. Its individuals are uninformed, unless `on_timeout` is `hold`.
 
@@ -429,7 +449,7 @@ class Controller:
         if target is not None and error.step is not None and target > error.step:
             message = (
                 f"the swarm is at step {error.step} and steps to {target}, as an earlier advance "
-                "permits: `Swarm.pause()` ends that, then `sync()` resumes"
+                "permits: `cancel()` ends that, and resumes"
             )
         else:
             message = (

@@ -39,7 +39,7 @@ class Departed(HtmlStruct, frozen=True, kw_only=True):
     Attributes:
         controller: Its name.
         why: `left`: it sent `leave`; `lost`: its liveliness token was undeclared; `late`: it missed
-            three deadlines in a row.
+            three deadlines in a row, or sent nothing for `max_idle_secs`.
     """
 
     controller: str

@@ -86,7 +86,11 @@ class ResourceExhausted(JostleError):
 
 
 class Busy(JostleError):
-    """The daemon was overloaded at every attempt to send the request until its timeout."""
+    """The daemon executed nothing at any attempt to send the request until its timeout.
+
+    It was overloaded. If `details["reason"]` is "recovering", it has not yet recovered its swarms
+    after a start; `details["swarms_left"]` is their number.
+    """
 
     code = "busy"
 
@@ -168,6 +172,11 @@ _REMEDIES = {
     "the node's get/swarms lists what there is": "`client.swarms()` lists them",
     "the node's get/experiments lists the experiments": "`client.experiments()` lists them",
     "the node's get/recordings lists the recordings": "`client.recordings()` lists them",
+    "`jostle when NAME` lists them, and `jostle when NAME --cancel ID` removes one": (
+        "`Swarm.status().conditions` lists them, and `Swarm.when(cancel=True, id=...)` removes one"
+    ),
+    "`jostle status` lists them": "`Swarm.status().waits` lists them",
+    "`jostle when NAME` lists those that do": "`Swarm.status().conditions` lists those that do",
     "set exist_ok to use it": "pass `exist_ok=True` to use it",
     "set make_room to": "pass `make_room=True` to",
     "or set `again` if": "or pass `again=True` if",

@@ -13,6 +13,7 @@ import zenoh
 from . import _cancel
 from ._errors import Unavailable, read_error
 from ._shutdown import forked, open_sessions
+from ._waits import WaitIds
 
 LIVELINESS_TIMEOUT_SECS = 2.0
 """The timeout of a query for liveliness tokens."""
@@ -64,6 +65,7 @@ class Link:
         self.streams: weakref.WeakSet[_Stream] = weakref.WeakSet()
         # Controllers, whose liveliness tokens are zenoh's.
         self.controllers: weakref.WeakSet[object] = weakref.WeakSet()
+        self.wait_ids = WaitIds()
         self._owner = os.getpid()
         open_sessions.add(self)
 

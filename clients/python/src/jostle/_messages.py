@@ -80,6 +80,7 @@ class ParameterValues(HtmlStruct, frozen=True, kw_only=True):
     noise: float
     publish_every: int
     measures: list[str] | None = None
+    max_idle_secs: float | None = None
 
 
 class Reply(HtmlStruct, frozen=True, kw_only=True):
@@ -283,6 +284,40 @@ class Awaited(HtmlStruct, frozen=True, kw_only=True):
     deadline_secs: float
 
 
+class WaitingCondition(HtmlStruct, frozen=True, kw_only=True):
+    """A condition of `Swarm.when` that waits.
+
+    Attributes:
+        id: By which `Swarm.when(cancel=True, id=...)` removes it.
+        condition: The condition.
+        action: `pause`, `commands` or `event`.
+        event: The name of its event; None without one.
+        client: The client that sent it; None if it is not known.
+        evaluated: False if the condition does not hold since its measures need too much time or too
+            many earlier states: the group has grown, or an earlier version accepted more of them.
+            None if it is evaluated.
+    """
+
+    id: str
+    condition: str
+    action: Literal["pause", "commands", "event"]
+    event: str | None = None
+    client: str | None = None
+    evaluated: bool | None = None
+
+
+class WaitingClient(HtmlStruct, frozen=True, kw_only=True):
+    """A client that waits for a condition by `Swarm.wait`.
+
+    Attributes:
+        condition: The condition.
+        user: The user; None on a daemon without users.
+    """
+
+    condition: str
+    user: str | None = None
+
+
 class Status(Reply, frozen=True, kw_only=True):
     """The status of a swarm.
 
@@ -300,6 +335,8 @@ class Status(Reply, frozen=True, kw_only=True):
         parameters: The parameters that `set` can change.
         scheduled: Number of commands that wait for their step.
         when: The conditions that it waits for; None without any. See `Swarm.when`.
+        conditions: The same conditions: their ids, actions and clients; None without any.
+        waits: The conditions for which clients wait, see `Swarm.wait`; None without any.
         controllers: Number of controllers that have joined.
         waiting_for: The controllers that the swarm waits for in lock-step.
         state_hash: BLAKE3 of the state, in hexadecimal.
@@ -323,6 +360,8 @@ class Status(Reply, frozen=True, kw_only=True):
     parameters: ParameterValues
     scheduled: int
     when: list[str] | None = None
+    conditions: list[WaitingCondition] | None = None
+    waits: list[WaitingClient] | None = None
     controllers: int
     waiting_for: list[Awaited]
     state_hash: str

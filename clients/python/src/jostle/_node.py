@@ -43,6 +43,8 @@ class Hello(HtmlStruct, frozen=True, kw_only=True):
         unix_secs: Its clock: seconds since 1970, UTC.
         limits: Its limits.
         http: The address of its HTTP server, such as `https://0.0.0.0:8443`; None if it has none.
+        data_id: Its data folder, by a number that the daemon drew when it began the folder's
+            database; None of a daemon that knows none. A restored backup has another one.
     """
 
     node: str
@@ -51,6 +53,7 @@ class Hello(HtmlStruct, frozen=True, kw_only=True):
     unix_secs: float
     limits: Limits
     http: str | None = None
+    data_id: str | None = None
 
 
 class NodeStatus(HtmlStruct, frozen=True, kw_only=True):

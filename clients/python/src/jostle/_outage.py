@@ -34,14 +34,12 @@ class Outage:
         if self._since is None:
             self._since = time.monotonic()
 
-    def begin(self, at: float | None = None) -> None:
+    def begin(self, at: float | None = None, why: str = "is not reachable") -> None:
         """The daemon is not reachable, since `at` or now; a second call does nothing."""
         if not self._is_logged:
             self._is_logged = True
             self._since = at or self._since or time.monotonic()
-            _logger.warning(
-                "the daemon at %s is not reachable: %s waits for it", self._endpoint, self._what
-            )
+            _logger.warning("the daemon at %s %s: %s waits for it", self._endpoint, why, self._what)
 
     def end(self) -> None:
         """The daemon is reachable; does nothing if it was all the time."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import math
 import time
-import uuid
 from dataclasses import dataclass, replace
 from typing import SupportsIndex, overload
 
@@ -28,6 +27,7 @@ from ._errors import (
     InvalidArgument,
     JostleError,
     Unavailable,
+    invalid,
     late,
 )
 from ._messages import (
@@ -38,7 +38,6 @@ from ._messages import (
     SpecReply,
     Status,
     Verified,
-    WhenReply,
 )
 from ._outage import RECONNECT_TIMEOUT_SECS, Outage
 from ._past import Past
@@ -56,6 +55,8 @@ _MAX_WAIT_SECS = 30.0
 _DISPLACED_WAIT_SECS = 0.5
 # That of the first `get/wait` after an outage.
 _FIRST_WAIT_SECS = 0.05
+# How long after the last success queries are repeated that the daemon rejects without their token.
+_TOKEN_TIMEOUT_SECS = 10.0
 # The interval of `get/wait` while a progress bar is shown.
 _BAR_INTERVAL_SECS = 0.25
 # How long a verification may take: the most that the daemon accepts.
@@ -269,16 +270,13 @@ class Queries(Past):
     @overload
     def wait(self, *, phase: Phase, timeout: float | None = None) -> Status: ...
     @overload
-    def wait(
-        self, condition: str, *, event: str | None = None, timeout: float | None = None
-    ) -> Status: ...
+    def wait(self, condition: str, *, timeout: float | None = None) -> Status: ...
     def wait(
         self,
         condition: str | None = None,
         *,
         step: SupportsIndex | None = None,
         phase: Phase | None = None,
-        event: str | None = None,
         timeout: float | None = None,
         show: bool | None = None,
     ) -> Status:
@@ -289,14 +287,14 @@ class Queries(Past):
             swarm.wait(step=10_000, timeout=60.0)
 
         Give exactly one of the three. If the daemon is not reachable, such as during a restart, the
-        wait goes on when it is back within a minute, and logs both to the logger `jostle`. A
-        condition waits in the daemon, as one of the 16 of `when`,
-        and does not change the swarm; it is removed if this call ends before it holds.
+        wait goes on when it is back within a minute, and logs both to the logger `jostle`. The wait
+        for a condition changes nothing, and the daemon forgets it when this call or its process
+        ends. After an outage it starts again: a moment at which the condition held may be missed,
+        and a duration starts again.
 
         Args:
             condition: Return when this condition holds in the present state or after a later step,
                 see `when`; a duration begins with the present state.
-            event: With a condition: the name of its event `fired`; None is a unique one.
             step: Return at this step or a later one.
             phase: Return in this phase.
             timeout: Seconds; None is no timeout.
@@ -307,24 +305,22 @@ class Queries(Past):
             Faulted: The swarm faulted before `step`, or before the condition held.
             IncorrectState: The swarm was paused before `step`.
             InvalidArgument: The condition is invalid.
-            NotFound: There is no such swarm, or the condition was removed, by `when(cancel=True)`
-                or `reset`.
-            PermissionDenied: A condition requires the role operator.
-            ResourceExhausted: 16 conditions wait already.
+            NotFound: There is no such swarm.
+            ResourceExhausted: 16 clients wait for conditions of the swarm, 4 of one user, or
+                the measures of all these conditions cost too much together, or a user who is no
+                operator compares more than four of them.
             Unavailable: The daemon is not reachable for more than a minute.
         """
         if (condition is not None) + (step is not None) + (phase is not None) != 1:
             what = "wait for a condition, for a `step` or for a `phase`: exactly one of them"
             raise InvalidArgument(what)
         if condition is not None:
-            return self._wait_for(condition, event, timeout)
-        if event is not None:
-            raise InvalidArgument("`event` is the name of a condition: give a condition")
+            return self._wait_for(condition, timeout)
         target = None if step is None else whole("step", step)
         awaited = f"phase={phase}" if target is None else f"step={target}"
         seconds = None if timeout is None else check_seconds("timeout", timeout)
         with Bar(self._name, False if target is None else show) as bar:
-            status = self._wait(awaited, seconds, bar, target or 0)
+            status = self._wait(awaited, seconds, bar, target or 0, awaited)
             if target is not None and status.step >= target:
                 bar.end(f"step {target}")
         if target is not None and status.step < target:
@@ -337,23 +333,24 @@ class Queries(Past):
             )
         return self._remember(status)
 
-    def _wait_for(self, condition: str, event: str | None, timeout: float | None) -> Status:
-        """Waits for a condition, which is removed if that fails."""
+    def _wait_for(self, condition: str, timeout: float | None) -> Status:
+        """Waits for a condition; the daemon forgets the wait shortly after its liveliness token."""
         seconds = None if timeout is None else check_seconds("timeout", timeout)
-        began = time.monotonic()
-        event = f"wait-{uuid.uuid4().hex}" if event is None else check_name("event", event)
-        args = {"condition": condition, "event": event, "from_step": 0}
-        reply = self._session.swarm_command(self._name, "when", args, WhenReply)
-        if reply.holds:
-            return self.status()
+        if ";" in condition:
+            raise invalid("condition", f"`condition` contains a `;`: {condition!r}")
+        wait_id = self._session.wait_ids.take()
+        token = None
         try:
-            if seconds is not None:
-                seconds = max(began + seconds - time.monotonic(), 0.001)
+            token = self._session.declare_token(
+                self._session.swarm_key(self._name, f"wait/{wait_id}/alive")
+            )
             with Bar(self._name, False) as bar:
-                status = self._wait(f"event={event}", seconds, bar, 0)
-        except BaseException:
-            self._cancel_event(event)
-            raise
+                selector = f"condition={condition};id={wait_id}"
+                status = self._wait(selector, seconds, bar, 0, condition)
+        finally:
+            self._session.wait_ids.give_back(wait_id)
+            if token is not None and self._session.is_open():
+                token.undeclare()
         if status.phase == "faulted":
             raise Faulted(
                 f"swarm {self._name!r} faulted at step {status.step} before {condition} held: "
@@ -363,30 +360,22 @@ class Queries(Past):
             )
         return self._remember(status)
 
-    def _cancel_event(self, event: str) -> None:
-        """Removes a condition, also if this call is being cancelled."""
-        canceller = _cancel.current.set(None)
-        args = {"event": event, "cancel": True}
-        try:
-            # Without a daemon or a swarm there is nothing to remove.
-            with contextlib.suppress(JostleError):
-                self._session.swarm_command(self._name, "when", args, WhenReply)
-        finally:
-            _cancel.current.reset(canceller)
-
-    def _wait(self, condition: str, seconds: float | None, bar: Bar, target: int) -> Status:
-        """Sends `get/wait` until the condition holds; `bar` shows the progress to `target`."""
+    def _wait(
+        self, awaited: str, seconds: float | None, bar: Bar, target: int, condition: str
+    ) -> Status:
+        """Sends `get/wait` until `awaited` is reached; `bar` shows the progress to `target`."""
         began = time.monotonic()
         deadline = math.inf if seconds is None else began + seconds
         outage = Outage(self._session.endpoint, f"the wait for {condition} of swarm {self._name!r}")
         backoff = Backoff(began, deadline - began, RECONNECT_TIMEOUT_SECS)
         first: int | None = None
+        tokenless_since: float | None = None
         longest = _BAR_INTERVAL_SECS if bar.is_wanted else _MAX_WAIT_SECS
         while True:
             # After an outage the daemon replies at once, so that its end is logged.
             most = _FIRST_WAIT_SECS if outage.is_ongoing else longest
             wait = max(min(most, deadline - time.monotonic()), 0.001)
-            selector = f"get/wait?{condition};timeout_secs={wait:.3f}"
+            selector = f"get/wait?{awaited};timeout_secs={wait:.3f}"
             end = time.monotonic() + wait
             key = self._session.swarm_key(self._name, selector)
             try:
@@ -394,7 +383,16 @@ class Queries(Past):
             except FAILED as error:
                 self._session.pause(backoff, error, outage)
                 continue
+            except IncorrectState as error:
+                # After a lost connection the token may reach the daemon later than the query.
+                now = time.monotonic()
+                tokenless_since = now if tokenless_since is None else tokenless_since
+                if "token" not in error.details or now - tokenless_since > _TOKEN_TIMEOUT_SECS:
+                    raise
+                _cancel.sleep(_FIRST_WAIT_SECS)
+                continue
             except DeadlineExceeded as error:
+                tokenless_since = None
                 outage.end()
                 backoff.reset()
                 if seconds is not None and time.monotonic() >= deadline:

@@ -14,6 +14,8 @@ GROWTH = 2.0
 MAX_DELAY_SECS = 1.0
 JITTER = 0.5
 MAX_SILENT_RETRIES = 2
+# The commands whose replies a daemon forgets when it ends: another run would execute them again.
+FORGOTTEN_COMMANDS = ("discard", "experiment", "record", "replay", "seek")
 
 FAILED = (Busy, Unavailable, NotFound, PermissionDenied, Contested)
 """The errors of a request that may be sent again; `Backoff.sleep` decides."""

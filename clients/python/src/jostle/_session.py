@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 import uuid
 from typing import Any, SupportsIndex, TypeVar
@@ -23,8 +24,9 @@ from ._errors import (
     late,
 )
 from ._link import LIVELINESS_TIMEOUT_SECS, POLL_INTERVAL_SECS, Link
+from ._node import Hello
 from ._outage import Outage
-from ._retry import FAILED, Backoff
+from ._retry import FAILED, FORGOTTEN_COMMANDS, Backoff
 
 T = TypeVar("T")
 
@@ -52,6 +54,10 @@ class Session(Link):
         # The claims of the daemons that serve a swarm or a node, as read once for each set of
         # connected zenoh nodes.
         self._servers: dict[tuple[str, frozenset[str]], frozenset[Claim]] = {}
+        # Those that were reachable when a command was sent to a name that none served.
+        self._reachable: dict[frozenset[str], frozenset[Claim]] = {}
+        # The data of a run of a daemon, by its instance; None if the daemon does not say.
+        self._data_ids: dict[str, str | None] = {}
 
     def command(
         self,
@@ -151,11 +157,20 @@ class Session(Link):
     ) -> bytes:
         """Sends a command again until it is replied to, after the first attempt failed."""
         name = self._claims_of(key, swarm)
-        connected, servers = before, self._servers.get((name, before))
-        if not connected:
+        if not before:
             raise failure
+        # The connections by which it may have been executed, and the daemons; none if they claim
+        # no name.
+        connected: frozenset[str] | None = None
+        servers: frozenset[Claim] = frozenset()
         resend_secs = _FIRST_RESEND_SECS
         while True:
+            is_unsent = isinstance(failure, Busy) or failure.details.get("is_unsent")
+            if connected is None and not is_unsent:
+                connected = before
+                servers = self._servers.get((name, before)) or self._reachable.get(
+                    before, frozenset()
+                )
             if not failure.details.get("is_late"):
                 before = self.pause(backoff, failure)
             elif backoff.remaining > 0.0:
@@ -166,8 +181,8 @@ class Session(Link):
                 raise self.late(backoff.elapsed) from failure
             try:
                 # Another daemon, even of the same name, does not know which commands were executed.
-                if not isinstance(failure, Busy) and not (
-                    self._is_same(name, servers) if servers else before == connected
+                if connected is not None and not (
+                    self._is_known(name, key, servers) if servers else before == connected
                 ):
                     break
                 # The daemon rejects a timeout of 0.
@@ -265,7 +280,13 @@ class Session(Link):
         Raises:
             JostleError: The daemon's error, or the cause of its silence.
         """
-        self.check_claims(selector, swarm, before, min(_CONTEST_TIMEOUT_SECS, wait_secs))
+        try:
+            self.check_claims(selector, swarm, before, min(_CONTEST_TIMEOUT_SECS, wait_secs))
+            if payload is not None:
+                self._learn_data_ids(self._claims_of(selector, swarm), before, wait_secs)
+        except FAILED as error:
+            error.details["is_unsent"] = True
+            raise
         for reply in self.query_all(selector, wait_secs, payload):
             return reply
         raise self.explain_silence(swarm, before, selector)
@@ -304,10 +325,14 @@ class Session(Link):
         if serving := frozenset(claim for claim in claims if claim.serves):
             self._servers[(name, connected)] = serving
 
-    def _is_same(self, name: str, servers: frozenset[Claim]) -> bool:
-        """Whether a name is served by the same run of a daemon as before, or was deleted by it.
+    def _is_known(self, name: str, key: str, servers: frozenset[Claim]) -> bool:
+        """Whether the daemon that serves a name knows whether the command was executed.
+
+        The name is then served as before, or was deleted, by the same run of a daemon, or by
+        another one with the same data.
 
         Raises:
+            Busy: The daemon recovers its swarms.
             Unavailable: The daemon is not reachable.
         """
         nodes = {claim.node for claim in servers}
@@ -317,7 +342,52 @@ class Session(Link):
         if not present:
             raise self.disconnected()
         serving = {claim.instance for claim in read_claims(self.alive(name)) if claim.serves}
-        return not present.isdisjoint(instances) and serving <= instances
+        if not present.isdisjoint(instances) and serving <= instances:
+            return True
+        if len(instances) > 1 or len((present | serving) - instances) > 1:
+            return False
+        if key.rpartition("/")[2] in FORGOTTEN_COMMANDS:
+            return False
+        before = self._data_ids.get(*instances)
+        (node,) = nodes
+        return before is not None and self._read_data_id(node) == before
+
+    def _learn_data_ids(self, name: str, connected: frozenset[str], seconds: float) -> None:
+        """Reads once which data the daemons have that may execute a command, for at most `seconds`.
+
+        Raises:
+            Unavailable: No daemon is reachable; nothing was sent.
+        """
+        servers = self._servers.get((name, connected))
+        if servers is None:
+            # No daemon serves the name: any may begin to, such as one behind a router.
+            claims = read_claims(self.alive(self.node_key("*", "claim/*/*")))
+            servers = frozenset(claim for claim in claims if claim.serves)
+            if not servers and (connected != self.connected() or not self.nodes()):
+                raise self.disconnected()
+            if len(self._reachable) >= _MAX_CHECKED:
+                self._reachable.clear()
+            self._reachable[connected] = servers
+        for claim in servers:
+            if claim.instance in self._data_ids:
+                continue
+            # Without it, the command is not sent to another run of the daemon.
+            with contextlib.suppress(JostleError):
+                data_id = self._read_data_id(claim.node, seconds)
+                if len(self._data_ids) >= _MAX_CHECKED:
+                    self._data_ids.clear()
+                self._data_ids[claim.instance] = data_id
+
+    def _read_data_id(self, node: str, seconds: float = LIVELINESS_TIMEOUT_SECS) -> str | None:
+        """The id of a daemon's data; None if the daemon has none, or is of an earlier version.
+
+        Raises:
+            JostleError: The daemon's error, or the cause of its silence.
+        """
+        timeout = min(seconds, LIVELINESS_TIMEOUT_SECS)
+        for reply in self.query_all(self.node_key(node, "get/hello"), timeout):
+            return read_reply(reply, Hello).data_id
+        raise self.disconnected()
 
     def explain_silence(
         self, swarm: str | None, before: frozenset[str] | None = None, selector: str = ""

@@ -221,6 +221,7 @@ class Controller(_Context[jostle.Controller]):
     advance = _awaited(jostle.Controller.advance)
     put = _awaited(jostle.Controller.put)
     sync = _awaited(jostle.Controller.sync)
+    cancel = _awaited(jostle.Controller.cancel)
     leave = _awaited(jostle.Controller.leave)
 
 

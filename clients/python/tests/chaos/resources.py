@@ -17,8 +17,9 @@ _CACHE_MB_PER_REPLY = 64.0 / 100_000
 _OWN_DESCRIPTORS = 64
 # Sessions of clients, controllers and observers, and one that is being replaced.
 _OTHER_SESSIONS = 20
-# One for each part of the daemon without any swarm, some of its runtimes, and the ten of its lanes.
-_OWN_THREADS = 35
+# One for each part of the daemon without any swarm, some of its runtimes, the ten of its lanes, and
+# those of waits and, once a controller has joined, of the heartbeat.
+_OWN_THREADS = 37
 # zenoh's pool for handshakes when all clients connect at once after a kill; it ends when idle.
 _HANDSHAKE_THREADS = 50
 # Swarms that are created and deleted, a playback, and one more.

@@ -4,7 +4,7 @@ import { button, el, setText } from "../ui/dom.ts";
 import { form, numberField, selectField, textField } from "../ui/field.ts";
 import type { Session } from "../ui/session.ts";
 import { command, get, RequestError } from "../wire/http.ts";
-import type { Status } from "../wire/messages.ts";
+import type { Status, WaitingCondition } from "../wire/messages.ts";
 
 const ACTIONS = ["pause", "inform", "uninform", "set"] as const;
 
@@ -48,6 +48,7 @@ export class Conditions {
   private readonly details = el("div", { class: "row" });
   private readonly fields: HTMLFieldSetElement;
   private number = 0;
+  private shown = "";
 
   constructor(
     private readonly swarm: string,
@@ -88,6 +89,9 @@ export class Conditions {
   allow(): void {
     this.fields.disabled = !this.session.mayCommand;
     this.remove.disabled = !this.session.mayCommand;
+    for (const it of this.waiting.querySelectorAll("button")) {
+      it.disabled = !this.session.mayCommand;
+    }
   }
 
   /** Shows the conditions that wait now. */
@@ -95,22 +99,35 @@ export class Conditions {
     this.number += 1;
     const { number } = this;
     try {
-      const { when } = (await get<Status>(this.swarm, "status")).result;
+      const { conditions } = (await get<Status>(this.swarm, "status")).result;
       if (number === this.number) {
-        this.show(when ?? []);
+        this.show(conditions ?? []);
       }
     } catch {
       // The page shows elsewhere that the swarm or the daemon is missing.
     }
   }
 
-  private show(waiting: string[]): void {
+  private show(waiting: WaitingCondition[]): void {
     this.none.hidden = waiting.length > 0;
     this.remove.hidden = waiting.length === 0;
-    const texts = [...this.waiting.children].map((it) => it.textContent);
-    if (texts.join("\n") !== waiting.join("\n")) {
-      this.waiting.replaceChildren(...waiting.map((it) => el("li", {}, el("code", {}, it))));
+    const shown = JSON.stringify(waiting);
+    if (shown !== this.shown) {
+      this.shown = shown;
+      this.waiting.replaceChildren(...waiting.map((it) => this.item(it)));
     }
+  }
+
+  /** A condition with what follows and whose it is, and the button that removes it. */
+  private item(waiting: WaitingCondition): HTMLElement {
+    const { id, condition, action, event, client, evaluated } = waiting;
+    const does = action === "event" ? `event ${event ?? ""}` : action;
+    const what = evaluated === false ? `${does} (not evaluated)` : does;
+    const remove = button("Remove", () => this.cancel(id));
+    remove.disabled = !this.session.mayCommand;
+    remove.setAttribute("aria-label", `remove the condition ${condition}`);
+    const of = client === null ? "" : `, of ${client}`;
+    return el("li", {}, el("code", {}, condition), ` ${what}${of} `, remove);
   }
 
   private showDetails(): void {
@@ -177,13 +194,13 @@ export class Conditions {
     this.condition.input.setAttribute("aria-invalid", String(problem !== ""));
   }
 
-  private async cancel(): Promise<void> {
+  private async cancel(id?: string): Promise<void> {
     if (!checkMayCommand(this.session)) {
       return;
     }
     try {
-      await command(this.swarm, "when", { cancel: true });
-      announce("all conditions are removed");
+      await command(this.swarm, "when", id === undefined ? { cancel: true } : { cancel: true, id });
+      announce(id === undefined ? "all conditions are removed" : "the condition is removed");
     } catch (error) {
       announceError(error);
     }

@@ -25,6 +25,8 @@ const NO_REPLY: ErrorBody = {
 
 /** Longer than the daemon's own deadline for commands, 5 s. */
 const REQUEST_TIMEOUT_MS = 15_000;
+const MIN_RETRY_MS = 100;
+const MAX_RETRY_MS = 1000;
 
 async function send(path: string, init: RequestInit): Promise<[Response, ArrayBuffer]> {
   const headers = new Headers(init.headers);
@@ -41,9 +43,35 @@ async function send(path: string, init: RequestInit): Promise<[Response, ArrayBu
   }
 }
 
+/** Reasons for which a daemon has executed nothing and soon will. */
+const PASSING = ["handover", "recovering"];
+
 async function request<T>(path: string, init: RequestInit = {}): Promise<T> {
-  const [response, bytes] = await send(path, init);
-  return read<T>(response, bytes);
+  return retried(async () => read<T>(...(await send(path, init))));
+}
+
+/** Sends a request again while the daemon recovers its swarms or hands one over, until the timeout. */
+async function retried<T>(attempt: () => Promise<T>): Promise<T> {
+  const deadline = Date.now() + REQUEST_TIMEOUT_MS;
+  for (let pause = MIN_RETRY_MS; ; pause = Math.min(2 * pause, MAX_RETRY_MS)) {
+    try {
+      return await attempt();
+    } catch (error) {
+      if (!isPassing(error) || Date.now() + pause >= deadline) {
+        throw error;
+      }
+      await new Promise((resolve) => setTimeout(resolve, pause));
+    }
+  }
+}
+
+/** Whether an error is one after which the same request is sent again. */
+function isPassing(error: unknown): boolean {
+  return (
+    error instanceof RequestError &&
+    error.code === "busy" &&
+    PASSING.includes(String(error.body.details.reason))
+  );
 }
 
 function read<T>(response: Response, bytes: ArrayBuffer): T {
@@ -73,8 +101,10 @@ export function get<T>(swarm: string, what: string): Promise<Reply<T>> {
 
 /** The current state of a swarm. */
 export async function currentState(swarm: string): Promise<State> {
-  const [response, bytes] = await send(`/api/get/${encodeURIComponent(swarm)}/state`, {});
-  return response.ok ? decodeState(bytes) : read<never>(response, bytes);
+  return retried(async () => {
+    const [response, bytes] = await send(`/api/get/${encodeURIComponent(swarm)}/state`, {});
+    return response.ok ? decodeState(bytes) : read<never>(response, bytes);
+  });
 }
 
 /** A new request id: the daemon executes a request that is sent twice once. */

@@ -115,7 +115,17 @@ export interface EventsResult {
 /** The part of a swarm's status that the page reads. */
 export interface Status {
   /** The conditions that it waits for; left out without any. */
-  when?: string[];
+  conditions?: WaitingCondition[];
+}
+
+export interface WaitingCondition {
+  id: string;
+  condition: string;
+  action: "pause" | "commands" | "event";
+  event?: string;
+  client: string | null;
+  /** False if it costs too much, and therefore does not hold. */
+  evaluated?: boolean;
 }
 
 export interface ExperimentFile {

@@ -8,7 +8,7 @@ import { Site, step } from "./site.ts";
 const site = new Site();
 
 async function waiting(page: Page): Promise<(string | null)[]> {
-  return page.locator(".waiting li").allTextContents();
+  return page.locator(".waiting li code").allTextContents();
 }
 
 /** Fills in the form without a pointer: each field is reached with Tab. */
@@ -71,6 +71,9 @@ test("conditions of other clients are listed, and all are removed", async () => 
     "both",
     async () => (await waiting(page)).join() === "order < 1e-9,milling > 0.999999",
   );
+  await page.getByText("pause, of page").waitFor();
+  await page.getByRole("button", { name: "remove the condition order < 1e-9" }).click();
+  await until("one", async () => (await waiting(page)).join() === "milling > 0.999999");
   await page.getByRole("button", { name: "Remove all" }).click();
   await until("none", async () => (await waiting(page)).length === 0);
   await page.getByText("No condition waits.").waitFor();
@@ -110,4 +113,17 @@ test("a viewer sees the conditions and cannot change them; 390 pixels are enough
   assert(wide <= seen, `${wide} > ${seen}`);
   const button = await page.getByRole("button", { name: "Download as experiment" }).boundingBox();
   assert(button && button.width < 250, `${button?.width}`);
+});
+
+test("a tab that gets the token later may remove the conditions that it lists", async () => {
+  const page = await site.open("/swarm/school-2", false);
+  const remove = page.getByRole("button", { name: "remove the condition order < 1e-9" });
+  await remove.waitFor();
+  assert.equal(await remove.isDisabled(), true);
+  await page.locator(".rights").click();
+  await page.locator("dialog input").fill(site.daemon.link);
+  await page.locator("dialog button.primary").click();
+  await until("permission", async () => !(await remove.isDisabled()));
+  await remove.click();
+  await page.getByText("No condition waits.").waitFor();
 });

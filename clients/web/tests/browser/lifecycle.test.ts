@@ -154,7 +154,7 @@ test("the picture dims when the daemon stops, and resumes when it is back", asyn
   tab.expectsError(new RegExp(`^Failed to load resource: ${ends} /api/hello$`), 2);
   tab.allowsError(new RegExp(`^Failed to load resource: ${ends} /api/${reads}$`));
   tab.allowsError(
-    /^WebSocket connection to '\S+\/api\/ws\?swarm=school' failed: .*net::ERR_CONNECTION_REFUSED$/,
+    /^WebSocket connection to '\S+\/api\/ws\?swarm=school' failed: .*(net::ERR_CONNECTION_REFUSED|code: 429)$/,
   );
   await site.daemon.kill();
   await page.getByText("No connection to the daemon, reconnecting").first().waitFor();

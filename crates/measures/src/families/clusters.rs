@@ -59,7 +59,7 @@ pub(crate) const DEFINITIONS: [Definition; 4] = [
         range: "0 to n - 1",
         cost: "n log n",
         argument: GAP,
-        evaluate: |view, gap| Some(2.0 * view.pairs(gap).len() as f64 / view.count()),
+        evaluate: |view, gap| Some(2.0 * view.count_pairs(gap) as f64 / view.count()),
         ..Definition::PLAIN
     },
 ];

@@ -153,6 +153,10 @@ pub enum ChangeKind {
 
 /// The result of a change.
 #[derive(Clone, Debug, PartialEq)]
+#[expect(
+    clippy::large_enum_variant,
+    reason = "there is one for each command, which is not kept"
+)]
 pub enum ChangeOutcome {
     /// Parameters were set.
     Set {
@@ -181,6 +185,8 @@ pub struct SettingValues {
     pub publish_every: u64,
     /// Names of the measures that are published.
     pub measures: Vec<String>,
+    /// The longest time in seconds for which the caller waits for a controller that sends nothing.
+    pub max_idle_secs: Option<f64>,
 }
 
 /// New values of parameters. Parameters that are `None` keep their values.
@@ -206,6 +212,8 @@ pub struct Settings {
     pub noise: Option<f64>,
     /// Steps between two published states.
     pub publish_every: Option<u64>,
+    /// See [`SettingValues::max_idle_secs`]; `Some(None)` removes the limit.
+    pub max_idle_secs: Option<Option<f64>>,
     /// Names of the measures that are published.
     pub measures: Option<Vec<String>>,
     /// Whether to scale positions if bodies of the new `pi1` would overlap.

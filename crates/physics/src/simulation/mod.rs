@@ -44,6 +44,8 @@ pub struct Checkpoint {
     pub publish_every: u64,
     /// Names of the measures that are published.
     pub measures: Vec<String>,
+    /// The longest time in seconds for which the caller waits for a controller that sends nothing.
+    pub max_idle_secs: Option<f64>,
     /// The number of the run: 1 at first, and one more after each reset.
     pub epoch: u64,
     /// The number of the last command; see [`Simulation::seq`].
@@ -64,6 +66,8 @@ pub struct Simulation {
     pub publish_every: u64,
     /// Names of the measures that are published.
     pub measures: Vec<String>,
+    /// The longest time in seconds for which the caller waits for a controller that sends nothing.
+    pub max_idle_secs: Option<f64>,
     /// The number of the run: 1 at first, and one more after each reset.
     pub epoch: u64,
     /// The number of the present command, which keys its random draws. The caller increments it
@@ -84,6 +88,7 @@ pub struct Rollback {
     state: State,
     publish_every: u64,
     measures: Vec<String>,
+    max_idle_secs: Option<f64>,
     seq: u64,
 }
 
@@ -113,6 +118,7 @@ impl Simulation {
         Ok(Simulation {
             publish_every: spec.publish_every,
             measures: spec.measures.clone(),
+            max_idle_secs: None,
             spec,
             state,
             epoch: 1,
@@ -133,6 +139,7 @@ impl Simulation {
             state: checkpoint.state.clone(),
             publish_every: checkpoint.publish_every,
             measures: checkpoint.measures.clone(),
+            max_idle_secs: checkpoint.max_idle_secs,
             epoch: checkpoint.epoch,
             seq: checkpoint.seq,
             means: checkpoint.means,
@@ -150,6 +157,7 @@ impl Simulation {
             state: self.state.clone(),
             publish_every: self.publish_every,
             measures: self.measures.clone(),
+            max_idle_secs: self.max_idle_secs,
             epoch: self.epoch,
             seq: self.seq,
             means: self.means,
@@ -231,6 +239,7 @@ impl Simulation {
             state: self.state.clone(),
             publish_every: self.publish_every,
             measures: self.measures.clone(),
+            max_idle_secs: self.max_idle_secs,
             seq: self.seq,
         }
     }
@@ -240,6 +249,7 @@ impl Simulation {
         self.state = saved.state;
         self.publish_every = saved.publish_every;
         self.measures = saved.measures;
+        self.max_idle_secs = saved.max_idle_secs;
         self.seq = saved.seq;
         // The callback admits a size that it admitted before.
         let _ = (self.reserve)(Reservation::Return(self.n()));
@@ -322,6 +332,7 @@ impl Simulation {
             parameters: self.state.parameters,
             publish_every: self.publish_every,
             measures: self.measures.clone(),
+            max_idle_secs: self.max_idle_secs,
         }
     }
 
@@ -351,6 +362,7 @@ impl Simulation {
         if let Some(measures) = &settings.measures {
             self.measures.clone_from(measures);
         }
+        self.max_idle_secs = settings.max_idle_secs.unwrap_or(before.max_idle_secs);
         Ok(ChangeOutcome::Set {
             before,
             now: self.setting_values(),

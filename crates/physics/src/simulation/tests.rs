@@ -299,6 +299,7 @@ fn settings_change_what_they_name_and_are_returned_with_the_values_before() {
         parameters,
         publish_every: 1,
         measures: Vec::new(),
+        max_idle_secs: None,
     };
     let outcome = swarm.apply(&set(settings)).unwrap();
     let expected = ChangeOutcome::Set {

@@ -8,6 +8,7 @@ use tracing::warn;
 
 use super::types::{Action, Name};
 use super::verdict::{Others, Verdict, judge};
+use crate::suspension;
 
 /// The time that claims of other daemons may take to arrive. zenoh's routers compute their routes
 /// 100 ms after a connection and then forward claims, so this leaves 300 ms for the network.
@@ -17,11 +18,6 @@ pub const SETTLING: Duration = Duration::from_millis(400);
 /// a router, and must not delay the commands of all clients indefinitely.
 const MAX_HOLDS: usize = 5;
 const HOLD_WINDOW: Duration = Duration::from_secs(60);
-
-/// After a daemon was suspended for longer than this, it rejects the commands that arrived
-/// meanwhile: other daemons notice its absence after 2.3 s to 3 s (the lease of its connections),
-/// and may then serve its names.
-const MAX_PAUSE: Duration = Duration::from_millis(1500);
 
 /// All claims that this daemon knows.
 pub(super) struct Known {
@@ -35,9 +31,12 @@ pub(super) struct Known {
     pub(super) held_until: Instant,
     /// The recent router connections that held commands.
     holds: VecDeque<Instant>,
-    /// The last time when the daemon was known not to be suspended.
-    pub(super) heartbeat: Instant,
-    /// Commands are rejected until then, after a suspension.
+    /// Held while a router is connected, so that a suspension is detected.
+    pub(super) watch: Option<suspension::Watch>,
+    /// The end of the last suspension that is known here.
+    resumed: Option<Instant>,
+    /// Commands are rejected until then, after a suspension: other daemons may have served the names of this
+    /// one meanwhile.
     pub(super) stale_until: Instant,
     /// The names whose claims changed since the last `reconcile`.
     pub(super) changed: BTreeSet<Name>,
@@ -68,7 +67,8 @@ impl Known {
             routers: BTreeSet::new(),
             held_until: now,
             holds: VecDeque::new(),
-            heartbeat: now,
+            watch: None,
+            resumed: suspension::resumed(),
             stale_until: now,
             changed: BTreeSet::new(),
             due: None,
@@ -107,23 +107,25 @@ impl Known {
     ///
     /// After a suspension its lease has expired, so it may be removed before a command that arrived
     /// from it meanwhile is handled. Without a router that command would be executed.
-    pub(super) fn remove_router(&mut self, router: &str, now: Instant) {
-        self.detect_suspension(now);
+    pub(super) fn remove_router(&mut self, router: &str, resumed: Option<Instant>) {
+        self.note_suspension(resumed);
         self.routers.remove(router);
+        if self.routers.is_empty() {
+            self.watch = None;
+        }
     }
 
-    /// Detects that the daemon was suspended for so long that others may serve its names.
-    pub(super) fn detect_suspension(&mut self, now: Instant) {
-        let paused = now.saturating_duration_since(self.heartbeat);
-        if self.routers.is_empty() || paused <= MAX_PAUSE {
+    /// Notes when the daemon resumed after its last suspension: others may serve its names.
+    pub(super) fn note_suspension(&mut self, resumed: Option<Instant>) {
+        if resumed == self.resumed {
             return;
         }
-        warn!(
-            secs = paused.as_secs_f64(),
-            "daemon was suspended: rejecting commands that arrived meanwhile"
-        );
-        self.heartbeat = now;
-        self.stale_until = now + SETTLING;
+        self.resumed = resumed;
+        let Some(resumed) = resumed.filter(|_| !self.routers.is_empty()) else {
+            return;
+        };
+        warn!("rejecting commands that arrived while the daemon was suspended");
+        self.stale_until = resumed + SETTLING;
         self.changed.insert(Name::Node);
     }
 }
@@ -200,16 +202,16 @@ mod tests {
     #[test]
     fn a_suspension_is_detected_when_the_router_is_removed_first() {
         let began = Instant::now();
-        for (paused, is_stale) in [(MAX_PAUSE * 2, true), (MAX_PAUSE / 2, false)] {
+        let now = began + Duration::from_secs(3);
+        for (resumed, is_stale) in [(Some(now), true), (None, false)] {
             let mut known = Known::new(began);
             known.routers.insert("router".to_owned());
-            let now = began + paused;
-            known.remove_router("router", now);
+            known.remove_router("router", resumed);
             assert!(known.routers.is_empty());
-            assert_eq!(now < known.stale_until, is_stale, "{paused:?}");
+            assert_eq!(now < known.stale_until, is_stale, "{resumed:?}");
             // The command that arrived meanwhile is handled afterwards.
-            known.detect_suspension(now);
-            assert_eq!(now < known.stale_until, is_stale, "{paused:?}");
+            known.note_suspension(resumed);
+            assert_eq!(now < known.stale_until, is_stale, "{resumed:?}");
         }
     }
 }

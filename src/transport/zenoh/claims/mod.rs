@@ -14,7 +14,6 @@ mod verdict;
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
-use std::thread;
 use std::time::{Duration, Instant, SystemTime};
 
 use jostle_proto::{Claim, Claimant, Standing};
@@ -28,11 +27,9 @@ use zenoh::{Session, Wait};
 
 use self::known::{Known, Own, SETTLING};
 use self::verdict::{Verdict, judge};
+use crate::suspension;
 
 pub use self::types::{Action, Contest, Gate, Name, Reserved};
-
-/// The time between two checks whether the daemon was suspended.
-const HEARTBEAT_INTERVAL: Duration = Duration::from_millis(200);
 
 /// How long a name is reserved for a swarm that is being built, on a daemon that is connected to
 /// routers.
@@ -133,6 +130,12 @@ impl Claims {
         }
     }
 
+    /// Whether the keys of a name are open, or are to be opened by an [`Action`] that was returned.
+    pub fn is_open(&self, name: &Name) -> bool {
+        let known = self.known.lock();
+        known.own.get(name).is_some_and(|own| own.is_open)
+    }
+
     /// Withdraws the claim to a name.
     pub fn end(&self, name: &Name) {
         self.known.lock().own.remove(name);
@@ -191,7 +194,7 @@ impl Claims {
     pub fn gate(&self, name: &Name, is_command: bool) -> Gate {
         let now = Instant::now();
         let mut known = self.known.lock();
-        known.detect_suspension(now);
+        known.note_suspension(suspension::resumed());
         let Some((verdict, own)) = known.verdict(name, &self.claimant) else {
             // A swarm that was just deleted here, of a name that another daemon serves now.
             let is_of_another = !known.routers.is_empty() && known.others.contains_key(name);
@@ -264,6 +267,7 @@ impl Claims {
         let (mut actions, mut declared, mut ended) = (Vec::new(), Vec::new(), Vec::new());
         {
             let mut known = self.known.lock();
+            known.note_suspension(suspension::resumed());
             let changed = std::mem::take(&mut known.changed);
             // The verdict on the daemon's own name applies to all of its swarms.
             let names: Vec<Name> = match known.due.is_some_and(|due| now >= due) {
@@ -347,39 +351,19 @@ impl Claims {
     }
 
     /// Records that a router connected or disconnected.
-    fn router(self: &Arc<Self>, router: String, is_connected: bool) {
+    fn router(&self, router: String, is_connected: bool) {
         let now = Instant::now();
         let mut known = self.known.lock();
         known.changed.insert(Name::Node);
         if !is_connected {
-            return known.remove_router(&router, now);
+            return known.remove_router(&router, suspension::resumed());
         }
-        let is_first = known.routers.is_empty();
+        if known.routers.is_empty() {
+            known.watch = Some(suspension::watch());
+        }
+        known.note_suspension(suspension::resumed());
         known.routers.insert(router);
         known.hold(now);
-        if is_first {
-            known.heartbeat = now;
-            let claims = Arc::downgrade(self);
-            let beating = thread::Builder::new()
-                .name("heartbeat".into())
-                .spawn(move || {
-                    while let Some(claims) = claims.upgrade() {
-                        let mut known = claims.known.lock();
-                        if known.routers.is_empty() {
-                            break;
-                        }
-                        known.detect_suspension(Instant::now());
-                        known.heartbeat = Instant::now();
-                        drop(known);
-                        drop(claims);
-                        thread::sleep(HEARTBEAT_INTERVAL);
-                    }
-                });
-            if let Err(error) = beating {
-                // Without heartbeats, commands are rejected as after a suspension.
-                warn!(%error, "failed to start the heartbeat");
-            }
-        }
     }
 
     /// Records that another daemon declared or undeclared a claim. Returns false if the key is not

@@ -124,6 +124,10 @@ async fn steered(recorder: &RecordingClient<'_>) {
     join(recorder, "", "crowd", ada).await;
     let eve = options("join.args.pause", DEADLINE_SECS);
     join(recorder, "", "crowd", eve).await;
+    let idle = args("set.args.max_idle");
+    recorder
+        .cmd("set.reply.max_idle", "crowd", "set", idle)
+        .await;
     let set = json!({"ids": [1, 2], "direction": [0.5, -1.0], "weight": [0.75, 0.0],
         "turn": [0.5, null], "speed": [null, 0.25]});
     let mut request = advance("ada", json!({"set": set}));

@@ -85,6 +85,11 @@ const FIXED: &[(&str, &str, &str)] = &[
     ("node.hello.reply", "/result/unix_secs", "1795275152.815602"),
     (
         "node.hello.reply",
+        "/result/data_id",
+        "\"5d0c7b1e93f24a6890b2c4e1f7a3d586\"",
+    ),
+    (
+        "node.hello.reply",
         "/result/limits/max_memory_bytes",
         "2147483648",
     ),

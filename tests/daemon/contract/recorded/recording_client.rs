@@ -15,7 +15,7 @@ use crate::contract::proto;
 use crate::support::daemon_process::DaemonProcess;
 use crate::support::process::jostled;
 use crate::support::streams::{Subscriber, subscribe};
-use crate::support::{Client, PREFIX, TIMEOUT};
+use crate::support::{Client, PREFIX, TIMEOUT, hold_token};
 
 /// The node of the fixtures.
 pub const FIXTURE_NODE: &str = "lab";
@@ -128,6 +128,7 @@ impl<'a> RecordingClient<'a> {
         let mut query = self.client.session.get(selector).timeout(3 * TIMEOUT);
         if let Some(request) = request {
             let payload = request.to_string();
+            hold_token(&self.client.session, selector, payload.as_bytes()).await;
             query = query.payload(payload).encoding(Encoding::APPLICATION_JSON);
         }
         if let Some(token) = &self.token {

@@ -12,7 +12,7 @@ use super::documents::Recorded;
 use super::lifecycle::STANDING;
 use super::recording_client::{RecordingClient, args};
 use crate::support::daemon_process::{self, DaemonProcess};
-use crate::support::{Client, PREFIX, TIMEOUT};
+use crate::support::{Client, PREFIX, TIMEOUT, until};
 use crate::verify::{self, Alteration};
 
 pub async fn record_fixtures(recorded: &Recorded) {
@@ -80,7 +80,21 @@ async fn crowd(recorder: &RecordingClient<'_>) {
     recorder
         .cmd("when.reply", "crowd", "when", args("when.args"))
         .await;
+    let token = keys::wait_alive(PREFIX, "crowd", "w1");
+    let liveliness = recorder.client.session.liveliness();
+    let token = liveliness.declare_token(token).await.unwrap();
+    let selector = keys::get(PREFIX, "crowd", "wait?condition=order > 1;id=w1");
+    let _pending = recorder.send(&selector, None).await;
+    until("a client waits", async || {
+        let status = recorder.get("", "crowd", "status").await;
+        !status["result"]["waits"].is_null()
+    })
+    .await;
+    let commands = json!([{"verb": "set", "args": {"pi3": 1.1}}]);
+    let changes = json!({"condition": "order > 0.999", "commands": commands});
+    recorder.cmd("", "crowd", "when", changes).await;
     recorder.get("status.reply.when", "crowd", "status").await;
+    token.undeclare().await.unwrap();
     recorder
         .get("snapshot.reply.running", "crowd", "snapshot")
         .await;

@@ -3,7 +3,7 @@
 mod checks;
 mod report;
 
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use jostle_client::{Client, ConnectOptions};
 
@@ -15,7 +15,11 @@ use crate::output::Output;
 
 /// Executes all checks and prints the report.
 pub async fn doctor(output: Output, global: GlobalArguments) -> Result<(), Failure> {
-    let options = ConnectOptions::from(&global);
+    // It reports the present state, and waits for no daemon.
+    let options = ConnectOptions {
+        wait: Duration::ZERO,
+        ..ConnectOptions::from(&global)
+    };
     let endpoint = options.resolved_endpoint()?;
     let began = Instant::now();
     let mut report = Report::new(endpoint.clone());

@@ -59,13 +59,13 @@ async fn follow(context: &Context, name: &str, bar: &ProgressBar) -> Result<Prog
     let mut shown: Option<Progress> = None;
     let mut outage = Outage::default();
     loop {
+        let note = |text: &str| bar.suspend(|| output.note(text));
         match client.get_experiment(name, "progress").await {
             Ok(payload) => {
-                outage.end();
+                outage.end(note);
                 show(*output, bar, &payload, &mut shown)?;
             }
             Err(error) if error.is_transient() && shown.is_some() => {
-                let note = |text: &str| bar.suspend(|| output.note(text));
                 outage.wait_to_retry(error, note).await?;
                 continue;
             }

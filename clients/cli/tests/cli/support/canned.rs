@@ -89,9 +89,9 @@ impl Canned {
     async fn start_with(config: zenoh::Config) -> Self {
         let session = open_peer(config).await;
         for prefix in PREFIXES {
-            let node = format!("{prefix}/@node/test/alive");
+            let node = ["alive", "claim/1/serving"].map(|it| format!("{prefix}/@node/test/{it}"));
             let swarms = SWARMS.map(|swarm| format!("{prefix}/{swarm}/alive/test"));
-            for key in swarms.into_iter().chain([node]) {
+            for key in swarms.into_iter().chain(node) {
                 let token = session.liveliness().declare_token(key).await.unwrap();
                 // It lives as long as the session.
                 std::mem::forget(token);
@@ -159,11 +159,23 @@ impl Sent {
         let payload = payload.filter(|bytes| !bytes.is_empty());
         let token = query.attachment().map(|it| it.to_bytes().into_owned());
         Sent {
-            selector: query.selector().to_string(),
+            selector: without_id(&query.selector().to_string()),
             payload: payload.map(|bytes| serde_json::from_slice(&bytes).unwrap()),
             token: token.map(|bytes| String::from_utf8(bytes).unwrap()),
             at: Instant::now(),
         }
+    }
+}
+
+/// A selector, with the id of a wait replaced by `ID`.
+fn without_id(selector: &str) -> String {
+    let is_wait = selector.contains("/get/wait?condition=");
+    match selector.split_once(";id=").filter(|_| is_wait) {
+        Some((before, after)) => {
+            let rest = after.split_once(';').map_or("", |(_, rest)| rest);
+            format!("{before};id=ID;{rest}")
+        }
+        None => selector.to_owned(),
     }
 }
 

@@ -11,7 +11,7 @@ use crate::support::{Ended, Running, open_peer};
 /// A reply, an error or, as an error of null, no reply.
 pub type Answered = Result<Value, Value>;
 
-/// The received payloads.
+/// The received payloads, and the selectors of queries without one.
 pub type Received = Arc<Mutex<Vec<Vec<u8>>>>;
 
 /// A peer with the tokens of daemons and few replies.
@@ -25,7 +25,8 @@ impl Impostor {
     /// Declares the tokens of these keys, and never replies to queries on `silent`.
     pub async fn start(tokens: &[&str], silent: &str, nonsense: &str) -> Self {
         let session = open_peer(zenoh::Config::default()).await;
-        for token in tokens {
+        // Commands are sent to a daemon only.
+        for token in tokens.iter().chain(&["jostle/@node/a/claim/1/serving"]) {
             let token = session.liveliness().declare_token(*token).await.unwrap();
             // It lives as long as the session.
             std::mem::forget(token);
@@ -46,15 +47,15 @@ impl Impostor {
     }
 
     /// Replies to queries on a key with these in order, and to all further ones with the last. Returns
-    /// the received payloads.
+    /// what it received.
     pub async fn answer(&self, key: &str, answers: Vec<Answered>) -> Received {
         let received = Received::default();
         let (seen, left) = (received.clone(), Mutex::new(answers));
         let reply = move |query: Query| {
-            let payload = query
-                .payload()
-                .map(|payload| payload.to_bytes().into_owned());
-            seen.lock().unwrap().push(payload.unwrap_or_default());
+            let payload = query.payload().map(|it| it.to_bytes().into_owned());
+            let payload = payload.filter(|bytes| !bytes.is_empty());
+            let selector = || query.selector().to_string().into_bytes();
+            seen.lock().unwrap().push(payload.unwrap_or_else(selector));
             let mut left = left.lock().unwrap();
             let answer = if left.len() > 1 {
                 left.remove(0)

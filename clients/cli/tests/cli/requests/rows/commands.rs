@@ -110,6 +110,12 @@ pub fn steering() -> Vec<Row> {
             &[r#"demo/cmd/when {"cancel": true}"#],
         ),
         row(
+            "when <name>demo --cancel 3f9c01be",
+            &[r#"demo/cmd/when {"cancel": true, "id": "3f9c01be"}"#],
+        )
+        .says("no longer waits for the condition 3f9c01be"),
+        row("when <name>demo", &["demo/get/status"]),
+        row(
             "run <name>demo --until order>0.9",
             &[
                 r#"demo/cmd/when {"condition": "order>0.9", "pause": true}"#,
@@ -117,10 +123,10 @@ pub fn steering() -> Vec<Row> {
             ],
         ),
         row(
-            "wait <name>demo <condition>order>0.9 --event mine",
+            "wait <name>demo <condition>order>0.9",
             &[
-                r#"demo/cmd/when {"condition": "order>0.9", "event": "mine", "from_step": 0}"#,
-                "demo/get/wait?event=mine;timeout_secs=30",
+                "demo/get/status",
+                "demo/get/wait?condition=order>0.9;id=ID;timeout_secs=30",
             ],
         )
         .says("order>0.9 holds"),
