@@ -175,7 +175,9 @@ fn panic_unless_passing(body: &str) -> bool {
     let report: Value = serde_json::from_str(body).unwrap();
     for reason in report["reasons"].as_array().unwrap() {
         let code = reason["code"].as_str().unwrap();
-        assert!(["bus_blocked", "thread_stuck"].contains(&code), "{body}");
+        // A listener is probed every 20 s, and does not answer during a long block.
+        let passing = ["bus_blocked", "thread_stuck", "listener_deaf"];
+        assert!(passing.contains(&code), "{body}");
     }
     false
 }

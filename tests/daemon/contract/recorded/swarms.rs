@@ -30,6 +30,7 @@ pub async fn record_fixtures(recorded: &Recorded) {
             .await;
     }
     crowd(&recorder).await;
+    costly(&recorder).await;
     errors(&recorder).await;
     verifying(&recorder).await;
     recorder.stop().await;
@@ -64,10 +65,8 @@ async fn crowd(recorder: &RecordingClient<'_>) {
         .cmd("when.reply.holds", "crowd", "when", holds)
         .await;
     recorder.get("snapshot.reply", "crowd", "snapshot").await;
-    let key = keys::get(PREFIX, "crowd", "snapshot");
-    let document = recorder.receive("", &recorder.send(&key, None).await).await;
-    let reply: Reply<Snapshot> = ciborium::from_reader(&*document.bytes).unwrap();
-    let snapshot = STANDARD.encode(to_cbor(&reply.result));
+    let snapshot = snapshot_of(recorder, "crowd").await;
+    let snapshot = STANDARD.encode(to_cbor(&snapshot));
     let restore = json!({"name": "shoal", "snapshot": snapshot});
     recorder.node_cmd("restore.reply", "restore", restore).await;
     let run = json!({"until_step": 90, "rate": STANDING});
@@ -101,6 +100,31 @@ async fn crowd(recorder: &RecordingClient<'_>) {
     let step = json!({});
     recorder
         .cmd("error.incorrect_state", "crowd", "step", step)
+        .await;
+}
+
+async fn snapshot_of(recorder: &RecordingClient<'_>, swarm: &str) -> Snapshot {
+    let key = keys::get(PREFIX, swarm, "snapshot");
+    let document = recorder.receive("", &recorder.send(&key, None).await).await;
+    let reply: Reply<Snapshot> = ciborium::from_reader(&*document.bytes).unwrap();
+    reply.result
+}
+
+/// More conditions than are evaluated, as an earlier version stored them.
+async fn costly(recorder: &RecordingClient<'_>) {
+    let spec = json!({"n": 20, "seed": 1, "start": {"kind": "disc", "radius": 5.0}});
+    recorder.create("dense", spec).await;
+    let condition = json!({"condition": "clusters.count(0.01) > 99", "pause": true});
+    recorder.cmd("", "dense", "when", condition).await;
+    let mut snapshot = snapshot_of(recorder, "dense").await;
+    let mut another = snapshot.when[0].clone();
+    another.sent.args = another.sent.args.replace("0.01", "0.02");
+    snapshot.when.push(another);
+    let snapshot = STANDARD.encode(to_cbor(&snapshot.sealed()));
+    let restore = json!({"name": "costly", "snapshot": snapshot});
+    recorder.node_cmd("", "restore", restore).await;
+    recorder
+        .get("status.reply.costly", "costly", "status")
         .await;
 }
 
