@@ -16,8 +16,8 @@ use crate::support::http::send;
 use crate::support::process::{Process, jostled};
 use crate::support::{NODE, PREFIX, until};
 
-/// Subscriptions that take zenoh some seconds to remove: a time that grows with their cube.
-const SUBSCRIPTIONS: u32 = 1500;
+/// Subscriptions that take zenoh about ten seconds to remove: a time that grows with their cube.
+const SUBSCRIPTIONS: u32 = 1100;
 
 /// The maximum time of the block, and until it begins, on a busy machine.
 const LONGEST: Duration = Duration::from_secs(120);
