@@ -10,6 +10,7 @@ mod outage_client;
 mod outages;
 #[path = "../support/programs.rs"]
 mod programs;
+mod waits;
 
 /// Each public future of the client states what is left of it when it is dropped.
 #[test]
