@@ -86,8 +86,26 @@ def test_a_rejected_command_must_not_be_in_the_journal() -> None:
         assert not replies.full(it)[0], wrong
     it.observed.full = FullDisk(**{**fine, "rejections": 0}, stepped=(3, 0))
     assert replies.full(it).cases == 0
-    silent = request("set", 3, None, timeouts=2)
-    assert not replies.timeouts(context([silent], SwarmLog()))[0]
+
+
+def test_a_request_that_a_kill_interrupts_must_get_a_reply() -> None:
+    node = SimpleNamespace(down=lambda: [(5.0, 6.0)])
+
+    def judged(**fields: Any) -> Finding:
+        one = request("set", 1, fields.pop("reply", None), **fields)
+        return replies.timeouts(context([one], SwarmLog(), node=node))
+
+    assert not judged(sent=0.0, timeouts=2).holds
+    assert not judged(sent=4.0).holds
+    pending = judged(sent=4.0, reply={"seq": 1}, answered=7.0)
+    assert (pending.holds, pending.cases) == (True, 1)
+    for fields in (
+        {"sent": 4.0, "reply": {"seq": 1}, "answered": 4.5},
+        {"sent": 5.5},
+        {"sent": 4.0, "errors": ["conflict"]},
+    ):
+        other = judged(**fields)
+        assert (other.holds, other.cases) == (True, 0), fields
 
 
 def test_a_step_must_begin_where_one_ended_and_not_before_a_durable_step() -> None:

@@ -87,36 +87,40 @@ class Observer(threading.Thread):
             return
         for name in names:
             try:
-                status = self._client.swarm(name).status()
-                log = self.logs.setdefault(name, SwarmLog())
-                log.epochs.setdefault(run, status.epoch)
-                if status.phase == "faulted":
-                    self.faulted.add(name)
-                self._read(name, log, run, status.controllers > 1)
+                self._read(name, run)
             except jostle.JostleError:
                 # The swarm was deleted or the daemon killed; the next pass reads it again.
                 continue
 
-    def _read(self, name: str, log: SwarmLog, run: int, has_several: bool) -> None:
+    def _read(self, name: str, run: int) -> None:
         swarm = self._client.swarm(name)
+        status = swarm.status()
+        log = self.logs.setdefault(name, SwarmLog())
         # After a restart everything is read again: it must still be there.
         is_first = self._last_run.get(name) != run
         entries = swarm.journal(0 if is_first else log.newest)
+        last = log.events[-1][1] if log.events and not is_first else 0
+        events = list(swarm.history(last))
+        controllers = swarm.controllers() if status.controllers > 1 else []
+        if not self._node.is_up() or self._node.runs[-1].number != run:
+            # The client went on over a restart: the next pass reads it in the next run.
+            return
+        log.epochs.setdefault(run, status.epoch)
+        if status.phase == "faulted":
+            self.faulted.add(name)
         if is_first:
             self._compare(log, entries)
         for entry in entries:
             log.journal[entry.seq] = entry
         self._last_run[name] = run
-        last = log.events[-1][1] if log.events and not is_first else 0
-        for event in swarm.history(last):
+        for event in events:
             content = (event.kind, event.seq, event.epoch, event.step)
             if log.contents.setdefault(event.number, content) != content:
                 log.duplicates.append(event.number)
             if not log.events or event.number > log.events[-1][1]:
                 log.events.append((run, event.number))
-        if has_several:
+        if controllers:
             owned: set[int] = set()
-            controllers = swarm.controllers()
             log.reads += len(controllers) > 1
             for one in controllers:
                 if owned & set(one.ids):

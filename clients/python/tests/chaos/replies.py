@@ -147,11 +147,16 @@ def full(context: Context) -> Finding:
 
 
 def timeouts(context: Context) -> Finding:
-    """A request without a reply gets one when it is sent again."""
-    silent = [request for request in context.requests.all() if request.timeouts]
-    without = [request for request in silent if request.answer is None and not request.errors]
-    seen = f"{len(silent)} requests timed out and were sent again, {len(without)} got no reply"
-    return Finding(not without, seen, len(silent))
+    """A request without a reply gets one when it is sent again, by the client or by its user."""
+    kills = [ended for ended, _ in context.node.down()]
+    everything = context.requests.all()
+    interrupted = [it for it in everything if it.timeouts or it.is_pending_at(kills)]
+    without = [it for it in interrupted if it.answer is None and not it.errors]
+    seen = (
+        f"{len(interrupted)} requests timed out or had no reply at a kill, and were sent again, "
+        f"{len(without)} got no reply"
+    )
+    return Finding(not without, seen, len(interrupted))
 
 
 def resent(context: Context) -> Finding:

@@ -59,6 +59,14 @@ class Request:
         read: dict[str, Any] = {} if self.answer is None else json.loads(self.answer)
         return read
 
+    def is_pending_at(self, times: list[float]) -> bool:
+        """Whether it was sent, and had neither a reply nor an error, at one of these times."""
+        if self.errors:
+            return False
+        return any(
+            self.sent < time and (self.answer is None or time < self.answered) for time in times
+        )
+
     @property
     def is_durable(self) -> bool:
         """Whether it has a reply that promises durability."""
