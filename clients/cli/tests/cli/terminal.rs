@@ -130,21 +130,28 @@ async fn on_a_terminal_delete_lists_the_matches_of_a_pattern_and_requires_confir
 async fn verify_shows_its_progress_on_a_terminal_and_nowhere_else() {
     let daemon = Daemon::start().await;
     daemon.said("create demo --n 100 --seed 2").await;
-    // Longer than some intervals of the progress on each machine.
-    daemon.said("step demo 30000 --timeout 60").await;
-    let terminal = Terminal::begin(&daemon.endpoint, "verify demo");
-    terminal.until_seen("demo is the same").await;
-    let seen = terminal.seen();
-    let percents = seen
-        .split('%')
-        .filter_map(|it| it.split(' ').next_back()?.parse::<u32>().ok());
-    let percents: Vec<u32> = percents.collect();
+    // Long enough for some intervals of the progress: how many steps that are depends on the machine and
+    // on what else runs on it, since a replay has a low priority.
+    let mut percents: Vec<u32> = Vec::new();
+    for _ in 0..5 {
+        daemon.said("step demo 6000 --timeout 60").await;
+        let terminal = Terminal::begin(&daemon.endpoint, "verify demo");
+        terminal.until_seen("demo is the same").await;
+        let seen = terminal.seen();
+        let shown = seen
+            .split('%')
+            .filter_map(|it| it.split(' ').next_back()?.parse().ok());
+        percents = shown.collect();
+        assert!(percents.is_sorted(), "{percents:?}");
+        assert_eq!(terminal.code().await, "0");
+        if percents.iter().any(|it| (1..100).contains(it)) {
+            break;
+        }
+    }
     assert!(
         percents.iter().any(|it| (1..100).contains(it)),
-        "{percents:?} in {seen}"
+        "{percents:?}"
     );
-    assert!(percents.is_sorted(), "{percents:?}");
-    assert_eq!(terminal.code().await, "0");
 
     let terminal = Terminal::begin(&daemon.endpoint, "--json verify demo");
     terminal.until_seen("over.").await;
