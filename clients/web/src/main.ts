@@ -3,7 +3,7 @@ import "./style/page.css";
 import { galleryPage } from "./pages/gallery.ts";
 import { listPage } from "./pages/list.ts";
 import { swarmPage } from "./pages/swarm.ts";
-import { announcements } from "./ui/announce.ts";
+import { announcements, endNoReply } from "./ui/announce.ts";
 import { button, el, setText } from "./ui/dom.ts";
 import { openHelp } from "./ui/help.ts";
 import { icon } from "./ui/icons.ts";
@@ -76,6 +76,9 @@ session.live.listen({ connection: showConnection });
 
 function showConnection(): void {
   const isLost = session.live.connection === "lost";
+  if (session.live.connection === "open") {
+    endNoReply();
+  }
   connectionNotice.hidden = !isLost;
   if (!isLost) {
     setText(connectionNotice, "");

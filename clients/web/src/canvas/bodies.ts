@@ -7,6 +7,7 @@
  */
 import type { Body } from "../geometry/body.ts";
 import type { Bodies } from "../geometry/touching.ts";
+import type { State } from "../wire/state.ts";
 import type { Camera } from "./camera.ts";
 import type { Colours, Look } from "./colours.ts";
 
@@ -16,6 +17,8 @@ export const NARROW_PX = 16;
 const EDGE_PX = 1.3;
 /** The minimum width of a body on the screen. */
 const MIN_PX = 2;
+/** The minimum of half a cross on the screen. */
+const MIN_CROSS_PX = 2.5;
 
 /** The bodies of a picture, and where and how they are drawn. */
 export interface Scene {
@@ -49,11 +52,22 @@ export function visibleBodies({ bodies, camera }: Scene): Uint32Array {
   return found.subarray(0, count);
 }
 
-/** Draws some bodies, the informed ones above the others; returns the indices of the informed. */
-export function drawBodies(scene: Scene, weight: Float64Array, which: Uint32Array): Uint32Array {
+/** Draws some bodies, the informed ones above the others; returns the indices of the informed. Those
+ * of a faulted swarm are hollow and crossed out: they differ from others without colours, too. */
+export function drawBodies(
+  scene: Scene,
+  { weight, phase }: Pick<State, "weight" | "phase">,
+  which: Uint32Array,
+): Uint32Array {
   const informed = which.filter((i) => weight[i]! > 0);
   const plain = which.filter((i) => !(weight[i]! > 0));
   const width = Math.max(2 * scene.body.radius * scene.camera.scale, MIN_PX);
+  if (phase === "faulted") {
+    drawCapsules(scene, plain, scene.colours.faulted, width);
+    drawCapsules(scene, informed, scene.colours.faulted_informed, width);
+    drawCrosses(scene, which, Math.max(0.42 * width, MIN_CROSS_PX));
+    return informed;
+  }
   const draw = which.length > MANY && width < NARROW_PX ? drawPolygons : drawCapsules;
   draw(scene, plain, scene.colours.plain, width);
   draw(scene, informed, scene.colours.informed, width);
@@ -70,6 +84,20 @@ function drawCapsules(scene: Scene, which: Uint32Array, look: Look, width: numbe
   const at = body.half_length + (0.45 - 0.3 * slender) * body.radius;
   trace(scene, which, at, at);
   stroke(g, look.edge, (0.42 + 0.18 * slender) * width);
+}
+
+/** Draws a cross on the centre of each of some bodies. */
+function drawCrosses({ g, camera, bodies, colours }: Scene, which: Uint32Array, size: number) {
+  g.lineCap = "butt";
+  g.beginPath();
+  for (const i of which) {
+    const [x, y] = camera.toScreen(bodies.x[i]!, bodies.y[i]!);
+    g.moveTo(x - size, y - size);
+    g.lineTo(x + size, y + size);
+    g.moveTo(x - size, y + size);
+    g.lineTo(x + size, y - size);
+  }
+  stroke(g, colours.faulted.edge, EDGE_PX);
 }
 
 /** Adds lines along the axes of some bodies to the path, between two offsets from the centre. */

@@ -18,8 +18,6 @@ const MAX_FIT_SCALE = 80;
 /** The camera zooms in once the group is smaller than this share of the picture. */
 const MIN_FILL = 0.55;
 const MARGIN_PX = 26;
-/** The side margin that keeps bodies clear of the buttons when every body is to be visible. */
-const BUTTONS_PX = 52;
 
 export class Camera {
   /** The point at the centre of the picture. */
@@ -29,6 +27,8 @@ export class Camera {
   scale = 24;
   width = 1;
   height = 1;
+  /** The side margin that keeps bodies clear of the buttons when every body is to be visible. */
+  buttons = MARGIN_PX;
   /** Whether the camera follows the centre of mass. */
   following = true;
   /** Whether the scale is chosen automatically: until the first zoom. */
@@ -88,7 +88,7 @@ export class Camera {
     if (!this.following || !this.fitting) {
       return false;
     }
-    const side = this.whole ? BUTTONS_PX : MARGIN_PX;
+    const side = this.whole ? this.buttons : MARGIN_PX;
     const fits = Math.min(
       inside(this.width, side) / extent.half_width,
       inside(this.height, MARGIN_PX) / extent.half_height,

@@ -14,6 +14,9 @@ export interface Colours {
   ink: string;
   plain: Look;
   informed: Look;
+  /** Bodies of a faulted swarm: pale, with a cross. */
+  faulted: Look;
+  faulted_informed: Look;
   preference: string;
   trail: string;
   selected: string;
@@ -29,6 +32,8 @@ const BODIES = {
 
 const LIGHT: Colours = {
   ...BODIES,
+  faulted: { fill: "#fbfcfd", edge: "#a3141f" },
+  faulted_informed: { fill: "#fbdcb9", edge: "#a3141f" },
   paper: "#fbfcfd",
   grid: "#e3e8ed",
   ink: "#1b242d",
@@ -43,6 +48,8 @@ const LIGHT: Colours = {
 const DARK: Colours = {
   plain: { fill: "#9cc0de", edge: "#24425c" },
   informed: { fill: "#f6ab61", edge: "#7a3a05" },
+  faulted: { fill: "#10151b", edge: "#ff8d8d" },
+  faulted_informed: { fill: "#5d3c16", edge: "#ff8d8d" },
   paper: "#10151b",
   grid: "#1f2831",
   ink: "#e4ebf1",

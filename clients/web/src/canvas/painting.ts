@@ -41,7 +41,7 @@ export function paint(scene: Scene, picture: Picture): void {
     overlays.drawSelected(scene, picture.selected);
   }
   const visible = visibleBodies(scene);
-  const informed = drawBodies(scene, state.weight, visible);
+  const informed = drawBodies(scene, state, visible);
   if (picture.preferences) {
     overlays.drawVectors(scene, visible, picture.preferences);
   } else if (informed.length > 0) {

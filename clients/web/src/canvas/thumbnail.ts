@@ -36,5 +36,5 @@ export function drawThumbnail(canvas: HTMLCanvasElement, state: State, pi1: numb
   [camera.x, camera.y, camera.scale] = [extent.x, extent.y, scale];
   const scene = { g, camera, bodies: state, body: bodyOf(pi1), colours: colours(isDark()) };
   clear(scene);
-  drawBodies(scene, state.weight, Uint32Array.from(state.id.keys()));
+  drawBodies(scene, state, Uint32Array.from(state.id.keys()));
 }

@@ -19,6 +19,8 @@ import { Trails } from "./trails.ts";
 const MAX_PIXEL_RATIO = 2;
 /** The distance from a body, in pixels, at which a click still selects it. */
 const CLICK_REACH_PX = 8;
+/** The space around the buttons, which bodies keep clear of. */
+const BUTTONS_MARGIN_PX = 16;
 
 export interface ViewEvents {
   /** The newest undecoded state, if there is one. */
@@ -41,6 +43,8 @@ export class View {
   readonly layers: Layers = { contacts: false, clusters: false, trails: false, preferences: false };
   /** Ids: indices change when individuals are injected or removed. */
   readonly selected = new Set<number>();
+  /** The buttons at the right edge of the picture. */
+  buttons: HTMLElement | null = null;
   /** Pictures drawn so far. */
   drawn = 0;
   /** The simulated time between the two newest states. */
@@ -231,6 +235,7 @@ export class View {
     const ratio = Math.min(MAX_PIXEL_RATIO, devicePixelRatio);
     camera.width = canvas.clientWidth;
     camera.height = canvas.clientHeight;
+    camera.buttons = (this.buttons?.offsetWidth ?? 0) + BUTTONS_MARGIN_PX;
     canvas.width = Math.max(1, Math.round(camera.width * ratio));
     canvas.height = Math.max(1, Math.round(camera.height * ratio));
     this.g.setTransform(ratio, 0, 0, ratio, 0, 0);

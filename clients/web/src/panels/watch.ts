@@ -3,7 +3,7 @@
 import { View } from "../canvas/view.ts";
 import { announceError } from "../ui/announce.ts";
 import { button, el, setText } from "../ui/dom.ts";
-import { fixed, plural, rates } from "../ui/format.ts";
+import { fixed, plural, rates, time } from "../ui/format.ts";
 import type { Session } from "../ui/session.ts";
 import { get } from "../wire/http.ts";
 import type { Connection } from "../wire/live.ts";
@@ -41,6 +41,7 @@ export class Watch {
   private readonly hint = el("span", {});
   private readonly mode = el("p", { class: "hint", role: "status", hidden: true });
   private readonly overlay = el("p", { class: "overlay", role: "status", hidden: true });
+  private readonly fault = el("p", { class: "fault", role: "status", hidden: true });
   private readonly meter = el("p", { class: "meter", "data-fps": "0" });
   private readonly jumps = el("span", { class: "jumps", hidden: true });
   private readonly rates = el("span", { class: "rates" });
@@ -54,7 +55,7 @@ export class Watch {
   /** The other daemon that claims the name. */
   private rival: string | null = null;
   private absent = 0;
-  private described = Number.NEGATIVE_INFINITY;
+  private described = { at: Number.NEGATIVE_INFINITY, phase: "" };
   private connection: Connection = "connecting";
 
   constructor(
@@ -79,6 +80,7 @@ export class Watch {
       "positions are not interpolated. A lower rate shows the motion.";
     this.meter.append(this.jumps, this.rates);
     this.toolbar = new Toolbar(this.view, () => this.enter("lasso"));
+    this.view.buttons = this.toolbar.element;
     this.element = el(
       "figure",
       { class: "view", "aria-label": `picture of ${swarm}` },
@@ -86,6 +88,7 @@ export class Watch {
       this.toolbar.element,
       this.mode,
       this.overlay,
+      this.fault,
       this.meter,
     );
     this.unlisten = live.listen({
@@ -188,6 +191,11 @@ export class Watch {
       this.jumped = Math.max(this.jumped, this.view.apart);
     }
     this.describe(state);
+    this.fault.hidden = state.phase !== "faulted";
+    setText(
+      this.fault,
+      state.phase === "faulted" ? `⚠ Faulted at t = ${time(state.time)}: the last good state` : "",
+    );
     this.events.state(state);
   }
 
@@ -231,11 +239,11 @@ export class Watch {
     this.events.event?.(event);
   }
 
-  /** Describes the picture for screen readers, at most every two seconds. */
+  /** Describes the picture for screen readers, at most every two seconds in the same phase. */
   private describe(state: State): void {
     const now = performance.now();
-    if (now - this.described > 2000) {
-      this.described = now;
+    if (now - this.described.at > 2000 || state.phase !== this.described.phase) {
+      this.described = { at: now, phase: state.phase };
       const informed = state.weight.filter((it) => it > 0).length;
       const parts = [
         `${plural(state.id.length, "individual")}, ${informed} informed, ${state.phase}`,

@@ -1,4 +1,5 @@
 /** Messages and errors, in live regions that screen readers announce. */
+import { RequestError } from "../wire/http.ts";
 import { button, el } from "./dom.ts";
 import type { Session } from "./session.ts";
 
@@ -51,7 +52,15 @@ export function checkMayCommand(session: Session): boolean {
 
 /** Shows an error with the daemon's message. */
 export function announceError(error: unknown): void {
+  errors.dataset.code = error instanceof RequestError ? error.code : "";
   put(errors, error instanceof Error ? error.message : String(error), ERROR_MS);
+}
+
+/** The daemon is back: removes the message that it does not reply. */
+export function endNoReply(): void {
+  if (errors.dataset.code === "no_reply") {
+    errors.replaceChildren();
+  }
 }
 
 /** Runs an action. If it fails, shows the error and returns null. */

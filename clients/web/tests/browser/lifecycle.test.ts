@@ -159,9 +159,16 @@ test("the picture dims when the daemon stops, and resumes when it is back", asyn
   await site.daemon.kill();
   await page.getByText("No connection to the daemon, reconnecting").first().waitFor();
   assert.equal(await page.locator(".view.dimmed").count(), 1);
+  tab.expectsError(new RegExp(`^Failed to load resource: ${ends} /api/cmd/school/pause$`));
+  await page.locator("button.wide").click();
+  const unanswered = page.getByText("no reply from the daemon");
+  await unanswered.waitFor();
   assert((await step(page)) > 0, "the last numbers are kept");
   await site.daemon.restart();
   await until("the picture", async () => (await page.locator(".view.dimmed").count()) === 0);
+  // No message states that the daemon is lost, once it is back.
+  assert.equal(await unanswered.count(), 0);
+  assert.equal(await page.getByText("No connection").filter({ visible: true }).count(), 0);
   const back = await step(page);
   await until("later steps", async () => (await step(page)) > back + 20);
   await page.keyboard.press(" ");

@@ -281,6 +281,53 @@ function readBoth(): [string, string][] {
   });
 }
 
+/** Runs in the page: the share of a picture's pixels that have the colour of a body's inside. */
+function shareOf(selector: string): number {
+  const canvas = document.querySelector<HTMLCanvasElement>(selector)!;
+  const { data } = canvas.getContext("2d")!.getImageData(0, 0, canvas.width, canvas.height);
+  let count = 0;
+  for (let k = 0; k < data.length; k += 4) {
+    count += data[k] === 0x8f && data[k + 1] === 0xb3 && data[k + 2] === 0xd1 ? 1 : 0;
+  }
+  return (4 * count) / data.length;
+}
+
+test("the bodies of a faulted swarm are hollow, and the picture says why", async () => {
+  // Bodies that turn at a touch, in the longest step that is allowed, are turned until two cross.
+  await daemon.create("broken", { n: 60, pi4: 1e6, dt: 0.2497, seed: 2 });
+  const tab = await openTabOf("broken");
+  const { page } = tab;
+  const fault = page.locator(".view .fault");
+  const label = () => page.locator("canvas.picture").getAttribute("aria-label");
+  const share = () => page.evaluate(shareOf, "canvas.picture");
+  assert((await share()) > 0.005, `${await share()}`);
+  assert.equal(await fault.isVisible(), false);
+  tab.expectsError(/^422 POST \/api\/cmd\/broken\/step$/);
+  await page.getByLabel("steps", { exact: true }).fill("100");
+  await page.getByRole("button", { name: "Step", exact: true }).click();
+  await fault.filter({ hasText: "⚠ Faulted at t = 0.50: the last good state" }).waitFor();
+  await until("its description", async () =>
+    (await label())?.includes("60 individuals, 0 informed, faulted"),
+  );
+  // Not by colour alone: the inside of the bodies has the colour of the ground.
+  await until("hollow bodies", async () => (await share()) === 0);
+  await page.locator(".page-head", { hasText: "the bodies of individuals" }).waitFor();
+
+  const list = await openTab();
+  await list.page.goto(`${daemon.link}&/`);
+  const card = '[data-swarm="broken"]';
+  await list.page.locator(`${card} canvas[data-step]`).waitFor();
+  assert.equal(await list.page.evaluate(shareOf, `${card} canvas`), 0);
+
+  await daemon.command("broken", "reset");
+  await fault.waitFor({ state: "hidden" });
+  await until("bodies as before", async () => (await share()) > 0.005);
+  await until("a thumbnail as before", async () => {
+    return (await list.page.evaluate(shareOf, `${card} canvas`)) > 0;
+  });
+  await daemon.command("broken", "delete");
+});
+
 test("numbers and charts show the same values, paused and running", async () => {
   await daemon.create("both", { n: 30, seed: 8, rate: 20, publish_every: 5 });
   await daemon.command("both", "step", { steps: 300 });
