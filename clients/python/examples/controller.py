@@ -41,6 +41,12 @@ def main() -> None:
                 state = arrived.state
                 for miss in arrived.news.missed:
                     print(f"step {miss.step}: {miss.controller} was late")
+                if not arrived.complete:
+                    # Another client paused or reset the swarm: it is not where the loop assumes.
+                    raise SystemExit(
+                        f"the exchange ended after {arrived.steps} of 10 steps, at step "
+                        f"{arrived.step}: someone paused or reset {args.name}"
+                    )
                 if turn % 20 == 19:
                     velocity = state.order.velocity
                     print(

@@ -212,7 +212,7 @@ def main() -> None:
         ProcessPoolExecutor(
             args.processes,
             # No connection survives a fork.
-            mp_context=multiprocessing.get_context("spawn"),
+            mp_context=multiprocessing.get_context("forkserver"),
             initializer=begin,
             initargs=(daemon.endpoint, plan),
         ) as pool,

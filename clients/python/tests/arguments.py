@@ -143,6 +143,10 @@ NO_REQUEST: dict[str, str] = {
     "View.stop": _PICTURE,
     "env.ParallelEnv.render": _PICTURE,
     "env.ShepherdEnv.render": _PICTURE,
+    **dict.fromkeys(
+        ["env.ParallelEnv.fork", "env.ShepherdEnv.fork"],
+        "a copy compares its hash with that of a real swarm: test_env_copies.py",
+    ),
     "env.ParallelEnv.state": "is what the last step led to",
 }
 """The calls without arguments that send nothing that could be compared, and why."""

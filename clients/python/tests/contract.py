@@ -129,6 +129,7 @@ ADDED = {
     ("advance.reply.state", "pi1"),
     ("advance.reply.state", "skipped"),
     ("advance.reply.state", "state_hash"),
+    ("advance.reply", "complete"),  # From the steps of the request.
     ("state", "skipped"),
     ("scheduled.reply", "outcome"),  # Of a command that did not have to wait.
     ("state", "state_hash"),  # From the reply around the state.

@@ -44,7 +44,7 @@ def read(name: str, payload: bytes) -> Any:
     kind = contract.READ[name]
     match name:
         case "advance.reply":
-            return read_advanced(payload)
+            return read_advanced(payload, 1)
         case "batch.reply":
             return read_batch(payload)
         case "error":
@@ -217,7 +217,7 @@ def test_every_field_of_an_exchange_with_a_state_arrives() -> None:
     for name, (tag, dtype) in {"id": (70, "<u4"), **kinds}.items():
         column = np.array(cbor["result"]["state"][name], dtype)
         cbor["result"]["state"][name] = cbor2.CBORTag(tag, column.tobytes())
-    advanced = read_advanced(cbor2.dumps(cbor))
+    advanced = read_advanced(cbor2.dumps(cbor), 1)
     assert advanced.state is not None
     state = message["result"].pop("state")
     assert arrived(state, plain(advanced.state)) == []
@@ -228,4 +228,4 @@ def test_every_field_of_an_exchange_with_a_state_arrives() -> None:
     cbor["result"].pop("state")
     for cut in (cbor2.dumps(cbor), cbor2.dumps(cbor)[:-1]):
         with pytest.raises(jostle.Internal):
-            read_advanced(cut)
+            read_advanced(cut, 1)

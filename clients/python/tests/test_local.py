@@ -262,7 +262,7 @@ def test_a_forked_process_gets_an_error_that_it_cannot_connect(use: str) -> None
     )
     read_pid(program)
     stdout, stderr = program.communicate(timeout=MAX_WAIT_SECS)
-    assert "spawn" in stdout.splitlines()[0]
+    assert 'context="forkserver"' in stdout.splitlines()[0]
     assert (stdout.splitlines()[1], stderr) == ("1", "")
 
 

@@ -101,14 +101,9 @@ def ids(individuals: Iterable[SupportsIndex]) -> Ids:
         individuals: The ids, shape (m,).
 
     Raises:
-        InvalidArgument: One of them is not a whole number.
+        InvalidArgument: One of them is not a whole number, or they are a boolean mask.
     """
-    if not isinstance(individuals, Iterable):
-        raise invalid(
-            "select.ids",
-            f"select.ids is {individuals!r}, but must be several whole numbers, such as [1, 2]",
-        )
-    return {"ids": [whole("select.ids", individual) for individual in individuals]}
+    return {"ids": id_list("select.ids", individuals)}
 
 
 def count(individuals: SupportsIndex) -> Count:
@@ -252,12 +247,34 @@ def poses(rows: ArrayLike) -> list[Pose]:
     return [{"x": x, "y": y, "alpha": alpha} for x, y, alpha in columns.tolist()]
 
 
+def id_list(what: str, individuals: Iterable[SupportsIndex]) -> list[int]:
+    """Returns ids of any type as a list of int.
+
+    Raises:
+        InvalidArgument: One of them is not a whole number, or they are a boolean mask.
+    """
+    if not isinstance(individuals, Iterable):
+        raise invalid(
+            what, f"{what} is {individuals!r}, but must be several whole numbers, such as [1, 2]"
+        )
+    given = list(individuals)
+    if any(isinstance(one, bool | np.bool_) for one in given):
+        raise invalid(
+            what,
+            f"{what} is a boolean mask, but must be ids: use `state.id[mask]`, or, if no "
+            "individual was removed, `np.flatnonzero(mask)`",
+        )
+    return [whole(what, one) for one in given]
+
+
 def whole(what: str, number: SupportsIndex) -> int:
     """Returns a whole number of any type as an int.
 
     Raises:
-        InvalidArgument: It is not a whole number.
+        InvalidArgument: It is not a whole number; True and False are none.
     """
+    if isinstance(number, bool):
+        raise invalid(what, f"{what} is {number}, but must be a whole number")
     try:
         return operator.index(number)
     except TypeError as error:
@@ -330,6 +347,22 @@ def measure_names(names: Sequence[str]) -> list[str]:
             "measures", f"{names!r} is no list of measures: give one such as ['drift', 'milling']"
         )
     return list(names)
+
+
+def check_condition(condition: str) -> str:
+    """Returns `condition` if a query may contain it; the daemon reads it.
+
+    Raises:
+        InvalidArgument: It is not a text, or has a `;`, which separates parameters.
+    """
+    if not isinstance(condition, str):
+        raise invalid(
+            "condition",
+            f"condition is {condition!r}, but must be a text such as 'order > 0.9 for 20'",
+        )
+    if ";" in condition:
+        raise invalid("condition", f"`condition` contains a `;`: {condition!r}")
+    return condition
 
 
 def check_label(what: str, label: str) -> str:

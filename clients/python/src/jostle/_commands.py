@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from ._arguments import (
     Region,
     Select,
+    check_condition,
     check_select,
     measure_names,
     poses,
@@ -166,9 +167,7 @@ class Commands(Queries):
             left = max(began + seconds - time.monotonic(), 0.001)
             return self.wait(step=end, timeout=left, show=show)
         except DeadlineExceeded as error:
-            what = f"swarm {self._name!r} did not reach step {end}"
-            remedy = "it runs on; `pause()` pauses it, `wait` waits for it"
-            raise late(what, seconds, remedy, error) from error
+            raise self._runs_on(f"step {end}", seconds, error) from error
 
     def _run_until(
         self,
@@ -187,6 +186,7 @@ class Commands(Queries):
                 "request_id names one request, and a run until a condition sends two: leave it out",
             )
         began = time.monotonic()
+        check_condition(condition)
         # If it is scheduled, the `run` is scheduled for the same step, after it.
         with contextlib.suppress(Pending):
             self._command("when", {"condition": condition, "pause": True}, Reply, {**options})
@@ -195,9 +195,18 @@ class Commands(Queries):
         if not wait:
             return result
         seconds = options.get("timeout")
-        if seconds is not None:
-            seconds = max(began + seconds - time.monotonic(), 0.001)
-        return self.wait(phase="paused", timeout=seconds)
+        if seconds is None:
+            return self.wait(phase="paused")
+        try:
+            left = max(began + seconds - time.monotonic(), 0.001)
+            return self.wait(phase="paused", timeout=left)
+        except DeadlineExceeded as error:
+            raise self._runs_on(condition, seconds, error) from error
+
+    def _runs_on(self, end: str, seconds: float, error: DeadlineExceeded) -> DeadlineExceeded:
+        """The error when a run has not reached its end within the timeout."""
+        what = f"swarm {self._name!r} did not reach {end}"
+        return late(what, seconds, "it runs on; `pause()` pauses it, `wait` waits for it", error)
 
     def pause(self, **options: Unpack[Options]) -> Reply:
         """Pauses the swarm after its current step; a paused swarm does not change.

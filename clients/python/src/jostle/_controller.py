@@ -5,10 +5,11 @@ from __future__ import annotations
 import contextlib
 import itertools
 import math
+import threading
 import time
 import uuid
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any, Literal, Self, SupportsIndex, Unpack, cast, overload
 
@@ -16,7 +17,8 @@ import msgspec
 import zenoh
 from numpy.typing import ArrayLike
 
-from ._arguments import check_name, check_seconds, ids, numbers, to_json, whole
+from . import _cancel
+from ._arguments import check_name, check_seconds, id_list, ids, numbers, to_json, whole
 from ._commands import MAX_TIMEOUT_SECS, Options
 from ._controller_messages import (
     Advanced,
@@ -51,15 +53,18 @@ from ._state import State, fetch_state, read_state
 # Advances that a crash of the daemon may take back. They are dropped when they are durable, a few
 # milliseconds later, so that there are this many only if the daemon's disk is full.
 _MAX_UNSAVED = 10_000
+# The interval of checks whether a cancelled call has ended.
+_POLL_INTERVAL_SECS = 0.002
 
 
 @dataclass(frozen=True, slots=True)
 class _Request:
-    """An advance: its request id, the step it is for, and its arguments as JSON."""
+    """An advance: its request id, the step it is for, its arguments as JSON, and their steps."""
 
     request_id: str
     step: int
     args: bytes
+    steps: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,9 +83,10 @@ class Controller:
             for heading in np.linspace(0.0, np.pi, 100):
                 state = ada.advance(direction=heading, state=True).state
 
-    Leaving its `with` block leaves the swarm. One thread at a time may use it. It holds a
-    liveliness token while it has joined: when its process ends or its connection breaks, the
-    daemon removes it, and the other controllers continue.
+    Leaving its `with` block leaves the swarm. One thread or task at a time may use it: `advance`,
+    `put` and `sync` raise `IncorrectState` while another one of them is executed; `cancel` and
+    `leave` end it. It holds a liveliness token while it has joined: when its process ends or its
+    connection breaks, the daemon removes it, and the other controllers continue.
 
     In lock-step every `advance` is executed once and is for one step, `step`. After a restart of
     the daemon `advance` continues: the client sends the advances again that a crash took back.
@@ -104,6 +110,9 @@ class Controller:
         self._unacknowledged: _Request | None = None
         self._unsaved: deque[_Unsaved] = deque(maxlen=_MAX_UNSAVED)
         self._step = 0
+        # Held by the call that is executed, and the event that is set if that call was cancelled.
+        self._lock = threading.Lock()
+        self._cancelled: threading.Event | None = None
         session.controllers.add(self)
         try:
             self._join(terms, options)
@@ -205,7 +214,8 @@ class Controller:
                 `timeout` to reconnect.
 
         Returns:
-            The step reached: `steps` further, unless another command interrupted it.
+            The step reached: `steps` further, unless a `pause` or a `reset` ended it before; then
+            `complete` is False.
 
         Raises:
             Conflict: The swarm is not at `step`: it stepped without this controller, or was reset.
@@ -217,7 +227,8 @@ class Controller:
                 remains, and the same call waits for it; `cancel` gives it up. A different one
                 replaces it while the swarm waits for another controller, and raises `Conflict`
                 while the swarm steps.
-            IncorrectState: It joined in mode `free_running`, which uses `put`.
+            IncorrectState: It joined in mode `free_running`, which uses `put`; or another thread
+                uses it.
             InvalidArgument: A number is out of range, or an individual is not its own. Without
                 `ids`, individuals that another client removed are left out; `news` reports them.
             NotFound: It has left, since its connection broke or it was late (see the message);
@@ -225,12 +236,28 @@ class Controller:
             Unavailable: The daemon is not back within the client's `timeout`. A call with the same
                 arguments resumes.
         """
+        with self._alone():
+            return self._advance_alone(
+                steps, ids, direction, weight, turn, speed, state=state, timeout=timeout
+            )
+
+    def _advance_alone(
+        self,
+        steps: SupportsIndex,
+        ids: Iterable[SupportsIndex] | None,
+        direction: ArrayLike | None,
+        weight: ArrayLike | None,
+        turn: ArrayLike | None,
+        speed: ArrayLike | None,
+        *,
+        state: bool,
+        timeout: float | None,
+    ) -> Advanced:
         self._check_mode("lockstep", "`put`")
         args: dict[str, Any] = {"controller": self._name}
-        if isinstance(steps, bool):
-            raise invalid("steps", f"steps is {steps}, but must be a whole number")
-        if steps != 1:
-            args["steps"] = whole("steps", steps)
+        count = whole("steps", steps)
+        if count != 1:
+            args["steps"] = count
         if direction is not None:
             args["set"] = self._set_points(ids, direction, weight, turn, speed)
         elif not (ids is None and weight is None and turn is None and speed is None):
@@ -294,17 +321,19 @@ class Controller:
             speed: Factors of the free speed, see `advance`.
 
         Raises:
-            IncorrectState: It joined in lock-step, which uses `advance`, or has left.
+            IncorrectState: It joined in lock-step, which uses `advance`, has left, or another
+                thread uses it.
             InvalidArgument: They are not numbers, or not as many as individuals.
             Unavailable: The client is closed.
         """
         self._check_mode("free_running", "`advance`")
         if self._token is None:
             raise IncorrectState(f"controller {self._name!r} has left: `sync()` rejoins")
-        self._sequence += 1
-        set_points = self._set_points(ids, direction, weight, turn, speed)
-        payload = to_json({"sequence": self._sequence, "set": set_points})
-        self._session.put(self._session.swarm_key(self._swarm, f"ctl/{self._name}"), payload)
+        with self._alone():
+            self._sequence += 1
+            set_points = self._set_points(ids, direction, weight, turn, speed)
+            payload = to_json({"sequence": self._sequence, "set": set_points})
+            self._session.put(self._session.swarm_key(self._swarm, f"ctl/{self._name}"), payload)
 
     def sync(self) -> State:
         """Resumes after a `Conflict` or a `NotFound`, and returns the present state.
@@ -314,8 +343,13 @@ class Controller:
 
         Raises:
             Conflict: Another controller steers one of them.
+            IncorrectState: Another thread uses it.
             NotFound: There is no such swarm.
         """
+        with self._alone():
+            return self._sync()
+
+    def _sync(self) -> State:
         mine = self._listed()
         state = read_state(self._get("state"))
         if mine is not None:
@@ -347,7 +381,7 @@ class Controller:
             # A controller that joins again keeps its individuals, and has not advanced.
             terms = {name: value for name, value in self._terms.items() if name != "select"}
             self._join({**terms, "again": True}, {})
-        return self.sync()
+        return self._sync()
 
     def leave(self, **options: Unpack[Options]) -> Reply:
         """Leaves the swarm. Its individuals are uninformed, unless `on_timeout` is `hold`.
@@ -395,6 +429,30 @@ class Controller:
             gone = set(reply.news.removed)
             self._ids = [one for one in self._ids if one not in gone]
 
+    @contextlib.contextmanager
+    def _alone(self) -> Iterator[None]:
+        """Lets one call at a time into its body, since calls read and write the step.
+
+        A call that was cancelled ends soon: the next one waits for it.
+
+        Raises:
+            IncorrectState: Another call is executed.
+        """
+        while not self._lock.acquire(blocking=False):
+            if self._cancelled is None or not self._cancelled.is_set():
+                raise IncorrectState(
+                    f"controller {self._name!r} is used by another thread or task: let that end, "
+                    "or join one controller for each"
+                )
+            _cancel.sleep(_POLL_INTERVAL_SECS)
+        canceller = _cancel.current.get()
+        self._cancelled = None if canceller is None else canceller.event
+        try:
+            yield
+        finally:
+            # The event stays until the next call: without it, that call would not wait.
+            self._lock.release()
+
     def _check_mode(self, mode: Mode, other: str) -> None:
         joined: Mode = self._terms["mode"]
         if joined != mode:
@@ -410,7 +468,9 @@ class Controller:
         payload = msgspec.json.encode(args)
         if request is None or (request.step, request.args) != (self._step, payload):
             request_id = f"{self._series}-{next(self._numbers)}"
-            request = self._unacknowledged = _Request(request_id, self._step, payload)
+            request = self._unacknowledged = _Request(
+                request_id, self._step, payload, args.get("steps", 1)
+            )
         try:
             return request, self._execute(request, seconds)
         except DeadlineExceeded as error:
@@ -511,7 +571,7 @@ class Controller:
             timeout=seconds,
             request_id=request.request_id,
         )
-        return read_advanced(payload)
+        return read_advanced(payload, request.steps)
 
     def _set_points(
         self,
@@ -521,7 +581,7 @@ class Controller:
         turn: ArrayLike | None,
         speed: ArrayLike | None,
     ) -> dict[str, Any]:
-        chosen = self._ids if ids is None else [whole("set.ids", one) for one in ids]
+        chosen = self._ids if ids is None else id_list("set.ids", ids)
         if ids is not None and not chosen:
             raise invalid("set.ids", "`ids` is empty: leave it out for all that it steers")
         points: dict[str, Any] = {

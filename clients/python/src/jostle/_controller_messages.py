@@ -76,10 +76,13 @@ class Advanced(StepResult, frozen=True, kw_only=True):
     """The reply to `Controller.advance`.
 
     Attributes:
+        complete: Whether the swarm took all the steps that were requested. False if it was paused
+            or reset before: by another client, for a late controller, or by a condition.
         news: What happened since the last reply to this controller.
         state: The state reached, if it was requested.
     """
 
+    complete: bool
     news: News
     state: State | None = None
 
@@ -157,15 +160,15 @@ class _Envelope(Reply, frozen=True, kw_only=True):
 _decoder = msgspec.json.Decoder(_Envelope)
 
 
-def read_advanced(payload: bytes) -> Advanced:
-    """Reads the reply to `advance`, and the state in it if it is CBOR.
+def read_advanced(payload: bytes, requested: int) -> Advanced:
+    """Reads the reply to an `advance` of `requested` steps, and the state in it if it is CBOR.
 
     Raises:
         Internal: It is not as the contract defines.
     """
     if payload.startswith(b"{"):
         try:
-            return Advanced(**_fields(_decoder.decode(payload)))
+            return Advanced(**_fields(_decoder.decode(payload), requested))
         except msgspec.DecodeError as error:
             raise unreadable(Advanced, error) from error
     fields = read_map(payload)
@@ -173,7 +176,9 @@ def read_advanced(payload: bytes) -> Advanced:
     state = fields["result"].get("state")
     if not isinstance(state, dict):
         raise Internal("the daemon's reply has no state")
-    return Arrived(**_fields(envelope), state=read_columns(state, envelope.result.state_hash))
+    return Arrived(
+        **_fields(envelope, requested), state=read_columns(state, envelope.result.state_hash)
+    )
 
 
 def with_state(advanced: Advanced, state: State) -> Arrived:
@@ -181,8 +186,9 @@ def with_state(advanced: Advanced, state: State) -> Arrived:
     return Arrived(**{**msgspec.structs.asdict(advanced), "state": state})
 
 
-def _fields(envelope: _Envelope) -> dict[str, Any]:
+def _fields(envelope: _Envelope, requested: int) -> dict[str, Any]:
     return {
+        "complete": envelope.result.steps >= requested,
         "swarm": envelope.swarm,
         "epoch": envelope.epoch,
         "step": envelope.step,

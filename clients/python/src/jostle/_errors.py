@@ -67,8 +67,11 @@ class AlreadyExists(JostleError):
     code = "already_exists"
 
 
-class InvalidArgument(JostleError):
-    """An argument is invalid in every state of the swarm; `details["field"]` names it."""
+class InvalidArgument(JostleError, ValueError):
+    """An argument is invalid in every state of the swarm; `details["field"]` names it.
+
+    Also a `ValueError`.
+    """
 
     code = "invalid_argument"
 
@@ -122,8 +125,11 @@ class StorageFull(JostleError):
     code = "storage_full"
 
 
-class DeadlineExceeded(JostleError):
-    """The request takes longer than its timeout; it continues, and `step` is its progress."""
+class DeadlineExceeded(JostleError, TimeoutError):
+    """The request takes longer than its timeout; it continues, and `step` is its progress.
+
+    Also a `TimeoutError`, without an `errno`.
+    """
 
     code = "deadline_exceeded"
 
@@ -140,8 +146,11 @@ class Internal(JostleError):
     code = "internal"
 
 
-class Unavailable(JostleError):
-    """No daemon has answered within the timeout, or it ended while it executed a command."""
+class Unavailable(JostleError, ConnectionError):
+    """No daemon has answered within the timeout, or it ended while it executed a command.
+
+    Also a `ConnectionError`, without an `errno`.
+    """
 
     code = "unavailable"
 

@@ -77,6 +77,13 @@ class Link:
             stream.close()
         self.zenoh.close()
 
+    def __reduce__(self) -> tuple[object, ...]:
+        # Of clients, swarms, controllers and streams alike, when one is pickled or copied deeply.
+        raise TypeError(
+            "a connection to a daemon cannot be pickled or copied: pass the endpoint and the name "
+            f"of the swarm instead, and call `jostle.connect({self.endpoint!r}).swarm(name)` there"
+        )
+
     def is_ours(self) -> bool:
         """Whether this process opened it, not one that this process was forked from.
 

@@ -24,6 +24,7 @@ from ._connect import open_session
 from ._errors import Unavailable, invalid
 from ._progress import Bar
 from ._session import Session
+from ._shutdown import check_usable
 from ._watchdog import with_watchdog
 
 # A daemon replays the journals of its folder before it listens.
@@ -76,6 +77,8 @@ def local(
         Unavailable: There is no `jostled`, or it does not start; the message has its log.
     """
     seconds = check_seconds("timeout", timeout)
+    # Before a daemon starts to which this process could not connect.
+    check_usable()
     daemon = Daemon(_program.find(jostled), folder, settings, show)
     try:
         session, node = open_session(daemon.endpoint, client=client, timeout=seconds)

@@ -15,7 +15,7 @@ import msgspec
 
 from . import _program
 from ._delivery import RUNS, Kept, Returned, Stored, Target, TooLarge, dask_worker, deliver
-from ._errors import Conflict, Faulted
+from ._errors import Conflict, Faulted, JostleError
 from ._experiment import Files
 from ._watchdog import with_watchdog
 
@@ -83,6 +83,9 @@ def run_part(
         return _run(files, runs, jostled, target, worker, processes)
     except TooLarge as error:
         raise _failed(runs, str(error)) from None
+    except JostleError:
+        # `Unavailable` is also an `OSError`.
+        raise
     except OSError as error:
         remedy = ""
         if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES):

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from . import _cancel
 from ._arguments import (
+    check_condition,
     check_measure,
     check_name,
     check_seconds,
@@ -27,7 +28,6 @@ from ._errors import (
     InvalidArgument,
     JostleError,
     Unavailable,
-    invalid,
     late,
 )
 from ._messages import (
@@ -336,8 +336,7 @@ class Queries(Past):
     def _wait_for(self, condition: str, timeout: float | None) -> Status:
         """Waits for a condition; the daemon forgets the wait shortly after its liveliness token."""
         seconds = None if timeout is None else check_seconds("timeout", timeout)
-        if ";" in condition:
-            raise invalid("condition", f"`condition` contains a `;`: {condition!r}")
+        check_condition(condition)
         wait_id = self._session.wait_ids.take()
         token = None
         try:

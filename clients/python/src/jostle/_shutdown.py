@@ -45,17 +45,27 @@ def use_zenoh() -> None:
             for threads that the child does not have.
     """
     global _is_used
+    check_usable()
+    _is_used = True
+
+
+def check_usable() -> None:
+    """Checks that this process can use zenoh.
+
+    Raises:
+        Unavailable: The process was forked from one that had used zenoh.
+    """
     if _is_lost:
         raise forked()
-    _is_used = True
 
 
 def forked() -> Unavailable:
     """The error in a process that was forked from one that had connected."""
     return Unavailable(
         "this process was forked from one that had connected, and no connection survives a fork: "
-        "start processes with the multiprocessing context `spawn` or `forkserver`, and connect "
-        "there"
+        'start processes with `context="forkserver"`, as in `gymnasium.vector.AsyncVectorEnv(..., '
+        'context="forkserver")`, or call `multiprocessing.set_start_method("forkserver")` before, '
+        "and connect there"
     )
 
 

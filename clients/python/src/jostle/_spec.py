@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from typing import Any
 
 import msgspec
@@ -85,3 +86,9 @@ class Spec(HtmlStruct, frozen=True, kw_only=True):
     publish_every: int = 5
     measures: list[str] | msgspec.UnsetType = msgspec.UNSET
     rate: float | None = 1.0
+
+    def __reduce__(self) -> tuple[object, ...]:
+        # Without fields that are not set: picklers search all modules for the name of `UNSET`.
+        given = {name: getattr(self, name) for name in self.__struct_fields__}
+        given = {name: value for name, value in given.items() if value is not msgspec.UNSET}
+        return functools.partial(type(self), **given), ()

@@ -26,7 +26,9 @@ async def call(work: Callable[[], T], discard: Callable[[T], object] | None = No
     try:
         return await future
     except asyncio.CancelledError:
-        # zenoh may block until a running callback returns; the event loop must not.
+        # At once, for the next call on the same object; zenoh may block until a running callback
+        # returns, which the event loop must not.
+        canceller.event.set()
         call_in_thread(canceller.cancel)
         raise
 

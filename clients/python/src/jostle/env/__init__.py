@@ -10,6 +10,9 @@ Both reward the group's drift along the goal: the speed of its centroid in that 
 speeds. Each starts a private daemon at the first `reset`, unless an `endpoint` is given. The same
 seed and the same actions lead to the same `state_hash`, which is in every `info`.
 
+A pickled environment has its arguments and no episode; `fork` and `copy.deepcopy` copy the episode.
+No connection survives a fork of the process: `AsyncVectorEnv(..., context="forkserver")`.
+
 `pip install './clients/python[env]'` in a checkout installs its dependencies. `jostled` must be on
 the `PATH`, unless the wheel contains it or `JOSTLED` names it.
 """

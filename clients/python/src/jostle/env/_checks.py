@@ -3,13 +3,34 @@
 from __future__ import annotations
 
 import math
-from typing import SupportsIndex
+from collections.abc import Mapping
+from typing import Any, SupportsIndex
 
+import gymnasium.error
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._arguments import whole_from_0
-from .._errors import invalid
+from .._errors import IncorrectState, invalid
+
+
+class ResetNeeded(IncorrectState, gymnasium.error.ResetNeeded):
+    """No episode is in progress: call `reset`. Also gymnasium's error of that name."""
+
+
+def check_options(options: Mapping[str, Any] | None) -> None:
+    """Checks the options of `reset`, of which there are none.
+
+    Raises:
+        InvalidArgument: There are some.
+    """
+    if options:
+        names = ", ".join(map(repr, options))
+        raise invalid(
+            "options",
+            f"unknown options of `reset`: {names}; it has none: give such arguments to the "
+            "environment's class",
+        )
 
 
 def read_action(name: str, action: ArrayLike, size: int) -> NDArray[np.float64]:

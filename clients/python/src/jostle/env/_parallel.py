@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping
 from typing import Any, Self, SupportsIndex
 
@@ -13,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .._errors import InvalidArgument
 from . import _views
-from ._checks import at_least_1, positive, read_action
+from ._checks import at_least_1, check_options, positive, read_action
 from ._picture import Pixels
 from ._world import World, draw_seed
 
@@ -145,8 +146,11 @@ class ParallelEnv(pettingzoo.ParallelEnv[str, Floats, Floats]):
 
         Raises:
             IncorrectState: The environment is closed.
+            InvalidArgument: An option is given.
             Unavailable: The daemon does not start, or is disconnected.
         """
+        # PettingZoo's own check gives this option to every environment.
+        check_options(None if options == {"options": 1} else options)
         if seed is not None:
             self._random, _ = seeding.np_random(seed)
         self._world.reset(draw_seed(self._random))
@@ -168,7 +172,8 @@ class ParallelEnv(pettingzoo.ParallelEnv[str, Floats, Floats]):
             actions: The action of each agent, shape (2,).
 
         Raises:
-            IncorrectState: No episode has begun, or it has ended.
+            IncorrectState: The environment is closed; or, as gymnasium's `ResetNeeded`, no episode
+                has begun, or it has ended.
             InvalidArgument: The action of an agent is missing or invalid.
             Unavailable: The daemon is disconnected.
         """
@@ -197,10 +202,36 @@ class ParallelEnv(pettingzoo.ParallelEnv[str, Floats, Floats]):
         """A picture of the group, shape (360, 520, 3), uint8; None without a `render_mode`."""
         return self._world.render()
 
+    def fork(self) -> Self:
+        """A copy that is where this one is: the same actions lead both to the same states.
+
+            best = max(plans, key=lambda plan: value_of(env.fork(), plan))
+
+        `copy.deepcopy` does the same. The copy's swarm is a fork on the same daemon. `close` of the
+        copy or of this environment deletes it; a copy that is not closed and not referenced is
+        deleted at the next `fork` or `reset` of this one. Before the first `reset` the copy is a
+        new environment with the same arguments, as a pickled one always is.
+
+        Raises:
+            Conflict: Another client changed the swarm.
+            IncorrectState: The environment is closed.
+            ResourceExhausted: The daemon has as many swarms as its `max_swarms`.
+            Unavailable: The daemon is disconnected.
+        """
+        return copy.deepcopy(self)
+
     def close(self) -> None:
-        """Stops the private daemon, or deletes the swarm; a second call does nothing."""
+        """Stops the private daemon, or deletes the swarm, with all copies.
+
+        A second call does nothing.
+        """
         self.agents = []
         self._world.close()
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        if not self._world.has_begun:
+            self.agents = []
 
     def __enter__(self) -> Self:
         return self

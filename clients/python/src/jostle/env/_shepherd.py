@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any, SupportsIndex
+import copy
+from typing import Any, Self, SupportsIndex
 
 import gymnasium
 import numpy as np
@@ -10,7 +11,7 @@ from gymnasium.spaces import Box
 from numpy.typing import ArrayLike, NDArray
 
 from . import _views
-from ._checks import read_action
+from ._checks import check_options, read_action
 from ._picture import Pixels
 from ._world import World, draw_seed
 
@@ -113,8 +114,10 @@ class ShepherdEnv(gymnasium.Env[Floats, Floats]):
 
         Raises:
             IncorrectState: The environment is closed.
+            InvalidArgument: An option is given.
             Unavailable: The daemon does not start, or is disconnected.
         """
+        check_options(options)
         super().reset(seed=seed)
         self._world.reset(draw_seed(self.np_random))
         self._informed = np.empty(0, np.intp)
@@ -127,7 +130,8 @@ class ShepherdEnv(gymnasium.Env[Floats, Floats]):
             action: The place and the preference, shape (4,).
 
         Raises:
-            IncorrectState: No episode has begun, or it has ended.
+            IncorrectState: The environment is closed; or, as gymnasium's `ResetNeeded`, no episode
+                has begun, or it has ended.
             InvalidArgument: The action has another shape, or is not finite.
             Unavailable: The daemon is disconnected.
         """
@@ -145,8 +149,29 @@ class ShepherdEnv(gymnasium.Env[Floats, Floats]):
         """A picture of the group, shape (360, 520, 3), uint8; None without a `render_mode`."""
         return self._world.render()
 
+    def fork(self) -> Self:
+        """A copy that is where this one is: the same actions lead both to the same states.
+
+            best = max(plans, key=lambda plan: value_of(env.fork(), plan))
+
+        `copy.deepcopy` does the same. The copy's swarm is a fork on the same daemon. `close` of the
+        copy or of this environment deletes it; a copy that is not closed and not referenced is
+        deleted at the next `fork` or `reset` of this one. Before the first `reset` the copy is a
+        new environment with the same arguments, as a pickled one always is.
+
+        Raises:
+            Conflict: Another client changed the swarm.
+            IncorrectState: The environment is closed.
+            ResourceExhausted: The daemon has as many swarms as its `max_swarms`.
+            Unavailable: The daemon is disconnected.
+        """
+        return copy.deepcopy(self)
+
     def close(self) -> None:
-        """Stops the private daemon, or deletes the swarm; a second call does nothing."""
+        """Stops the private daemon, or deletes the swarm, with all copies.
+
+        A second call does nothing.
+        """
         self._world.close()
 
     def _observe(self) -> Floats:

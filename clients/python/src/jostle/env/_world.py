@@ -6,8 +6,11 @@ Directions are in the goal's frame: (1, 0) is along the goal, (0, 1) to its left
 from __future__ import annotations
 
 import contextlib
+import copy
 import math
 import uuid
+import weakref
+from collections import deque
 from collections.abc import Mapping
 from typing import Any, SupportsIndex
 
@@ -28,10 +31,11 @@ from .._errors import (
     invalid,
 )
 from .._local import local
+from .._messages import Status
 from .._spec import Spec
 from .._state import State
 from .._swarm import Swarm
-from ._checks import at_least_1, finite, positive
+from ._checks import ResetNeeded, at_least_1, finite, positive
 from ._picture import Pixels, paint
 
 _CONTROLLER = "env"
@@ -41,14 +45,25 @@ _PUBLISH_EVERY = 50
 # Seeds are below this.
 _SEED_LIMIT = 2**53
 
+# What is pickled.
+_ARGUMENTS = frozenset(
+    (
+        *("n", "informed", "goal", "max_weight", "max_steps", "spec", "_steps_per_action"),
+        *("_camera", "_steered", "_endpoint", "_is_closed"),
+    )
+)
+
 _CLOSED = "this environment is closed: make another one"
+_CHANGED = "another client changed the swarm: call `reset`"
 _NOT_RESET = "no episode has begun: call `reset` first"
 
 
 class World:
     """A swarm on a daemon, private unless an endpoint is given; `reset` creates it.
 
-    It does not connect before, so that a process that has made a `World` may be forked.
+    It does not connect before, so that a process that has made a `World` may be forked. A pickled
+    one has its arguments and no episode. A deep copy, or `fork`, has the episode: its swarm is a
+    fork on the same daemon, which exists until it or the one that it was copied from is closed.
 
     Attributes:
         n: The size of the group.
@@ -97,6 +112,11 @@ class World:
         self._steered = range(self.n if steers_all else self.informed)
         self._endpoint = endpoint
         self._is_closed = False
+        self._detach()
+
+    def _detach(self) -> None:
+        """Sets everything that another process cannot have."""
+        self._name = f"env-{uuid.uuid4().hex}"
         self._client: Client | None = None
         self._swarm: Swarm | None = None
         self._controller: Controller | None = None
@@ -104,16 +124,43 @@ class World:
         self._hash = ""
         self._began_at = 0.0
         self._actions = 0
+        if self._camera is not None:
+            self._camera = Camera()
+        # The one that this was forked from, whose client it uses.
+        self._parent: World | None = None
+        # Those that were forked from this one.
+        self._copies: weakref.WeakSet[World] = weakref.WeakSet()
+        # The swarms of copies that nothing references; one for all copies of copies.
+        self._dropped: deque[str] = deque()
+        self._at_drop: weakref.finalize[[str], World] | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in vars(self).items() if name in _ARGUMENTS}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self._detach()
+
+    def __deepcopy__(self, memo: object) -> World:
+        return self.fork()
+
+    @property
+    def has_begun(self) -> bool:
+        """Whether there is an episode."""
+        return self._state is not None
 
     @property
     def state(self) -> State:
         """The present state.
 
         Raises:
-            IncorrectState: No episode has begun.
+            IncorrectState: The environment is closed.
+            ResetNeeded: No episode has begun.
         """
+        if self._is_closed:
+            raise IncorrectState(_CLOSED)
         if self._state is None:
-            raise IncorrectState(_NOT_RESET)
+            raise ResetNeeded(_NOT_RESET)
         return self._state
 
     @property
@@ -125,14 +172,15 @@ class World:
         """Checks that an episode has begun and has not ended.
 
         Raises:
-            IncorrectState: It has not begun, or has ended.
+            IncorrectState: The environment is closed.
+            ResetNeeded: It has not begun, or has ended.
         """
         if self._is_closed:
             raise IncorrectState(_CLOSED)
         if self._state is None:
-            raise IncorrectState(_NOT_RESET)
+            raise ResetNeeded(_NOT_RESET)
         if self.is_over:
-            raise IncorrectState("the episode is over: call `reset`")
+            raise ResetNeeded("the episode is over: call `reset`")
 
     def reset(self, seed: int) -> None:
         """Begins an episode; creates the swarm or the private daemon again if it is missing.
@@ -157,16 +205,53 @@ class World:
             self._begin(seed)
 
     def _begin(self, seed: int) -> None:
+        self._delete_dropped()
         if self._swarm is None:
             self._swarm = self._create()
         if self._controller is None:
-            self._controller = self._swarm.join(_CONTROLLER, select=ids_of(self._steered))
+            self._controller = self._join(self._swarm)
         self._hash = self._swarm.reset(seed).state_hash
         self._state = self._controller.sync()
         self._began_at = self._along(self._state)
         self._actions = 0
         if self._camera is not None:
             self._camera = Camera()
+
+    def fork(self) -> World:
+        """A copy with the same present and, by the same actions, the same future.
+
+        Without an episode it has the arguments only.
+
+        Raises:
+            Conflict: Another client changed the swarm.
+            IncorrectState: The environment is closed.
+            Unavailable: The daemon is disconnected.
+        """
+        if self._is_closed:
+            raise IncorrectState(_CLOSED)
+        copied = World.__new__(World)
+        copied.__setstate__(self.__getstate__())
+        if self._swarm is None or self._state is None:
+            return copied
+        self._delete_dropped()
+        swarm = self._swarm.fork(copied._name)
+        try:
+            controller = self._join(swarm)
+            self._check_unchanged(swarm.status())
+        except BaseException:
+            with contextlib.suppress(JostleError):
+                swarm.delete()
+            raise
+        copied._parent, copied._client, copied._dropped = self, self._client, self._dropped
+        copied._swarm, copied._controller = swarm, controller
+        copied._state, copied._hash = self._state, self._hash
+        copied._began_at, copied._actions = self._began_at, self._actions
+        copied._camera = copy.deepcopy(self._camera)
+        self._copies.add(copied)
+        # Nothing is sent while objects are collected.
+        copied._at_drop = weakref.finalize(copied, self._dropped.append, copied._name)
+        copied._at_drop.atexit = False
+        return copied
 
     def advance(self, ids: NDArray[np.intp], preference: NDArray[np.float64]) -> float:
         """Sets the preferences of `ids`, shape (k, 2), advances, and returns the drift meanwhile.
@@ -187,8 +272,8 @@ class World:
             self._steps_per_action, ids=ids, direction=direction, weight=weight, state=True
         )
         after = advanced.state
-        if advanced.steps < self._steps_per_action or after is None:
-            raise Conflict("another client changed the swarm: call `reset`", step=advanced.step)
+        if not advanced.complete:
+            raise Conflict(_CHANGED, step=advanced.step)
         self._state, self._hash = after, advanced.state_hash
         self._actions += 1
         return (self._along(after) - self._along(before)) / (after.time - before.time)
@@ -215,22 +300,56 @@ class World:
         self._release()
 
     def _release(self) -> None:
-        self._state = None
-        client, self._client = self._client, None
-        swarm, self._swarm = self._swarm, None
-        self._controller = None
-        if client is None:
-            return
-        if swarm is not None and self._endpoint is not None:
+        # A private daemon ends with all of its swarms.
+        is_daemon_ours = self._parent is None and self._endpoint is None
+        for copied in list(self._copies):
+            copied._is_closed = True
+            if is_daemon_ours and copied._client is self._client:
+                copied._forget()
+            else:
+                copied._release()
+        client, swarm = self._client, self._swarm
+        parent = self._parent
+        if client is not None and not is_daemon_ours:
             # The daemon may be disconnected.
             with contextlib.suppress(JostleError):
-                swarm.delete()
-        client.close()
+                if swarm is not None:
+                    swarm.delete()
+            with contextlib.suppress(JostleError):
+                self._delete_dropped()
+        self._forget()
+        if client is not None and parent is None:
+            client.close()
+
+    def _forget(self) -> None:
+        """Forgets the swarm, and those that were forked from it."""
+        for copied in list(self._copies):
+            copied._is_closed = True
+            copied._forget()
+        self._client = self._swarm = self._controller = self._state = self._parent = None
+        if self._at_drop is not None:
+            self._at_drop.detach()
+        self._copies.clear()
+        self._dropped = deque()
+
+    def _check_unchanged(self, copied: Status) -> None:
+        if copied.state_hash != self._hash:
+            raise Conflict(_CHANGED, step=copied.step)
+
+    def _delete_dropped(self) -> None:
+        """Deletes the swarms of copies that were not closed, and that nothing references."""
+        while self._client is not None and self._dropped:
+            with contextlib.suppress(NotFound):
+                self._client.swarm(self._dropped[0]).delete()
+            self._dropped.popleft()
 
     def _create(self) -> Swarm:
         if self._client is None:
             self._client = local() if self._endpoint is None else connect(self._endpoint)
-        return self._client.create(f"env-{uuid.uuid4().hex}", self.spec)
+        return self._client.create(self._name, self.spec)
+
+    def _join(self, swarm: Swarm) -> Controller:
+        return swarm.join(_CONTROLLER, select=ids_of(self._steered))
 
     def _along(self, state: State) -> float:
         """The position of the group's centroid along the goal, body sizes."""
