@@ -1,7 +1,7 @@
 import { defineConfig } from "vite";
 
 // The names carry no hash, so that the same sources give the same files, whatever else there is;
-// the daemon has nothing cached (`no-store`).
+// a browser asks the daemon at each use whether a cached file is still the same (`no-cache`, `ETag`).
 export default defineConfig({
   base: "./",
   build: {

@@ -53,7 +53,10 @@ pub use recording::{
     RecordingFormat, RecordingGap, RecordingName, RecordingPhase, RecordingPiece, Recordings,
 };
 pub use replay::{OpenArgs, Replay, ReplayArgs, ReplayResult, SeekArgs, UploadArgs};
-pub use result_row::{COLUMNS, Column, ExtraValue, FAULT, Measure, ResultRow};
+pub use result_row::{
+    COLUMNS, Column, ExtraValue, FAULT, Measure, OCCASIONAL_COLUMNS, ResultRow, STOPPED_AT,
+    rename_fault,
+};
 pub use role::{Credentials, Role, WhoAmI};
 pub use snapshot::Snapshot;
 pub use spec::{Attraction, ContactRule, MAX_PUBLISHED_MEASURES, Spec, Start, Stepping};

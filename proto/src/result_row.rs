@@ -61,6 +61,26 @@ const EXTRA: &str = "extra";
 /// that column of a table.
 pub const FAULT: &str = "fault";
 
+/// The name of the column of a table with the time at which `[stop]` ended a run.
+pub const STOPPED_AT: &str = "stopped_at";
+
+/// The columns that a table has only sometimes, beside the variables of its grid and its chosen
+/// measures. A new variable must not have one of these names.
+pub const OCCASIONAL_COLUMNS: [&str; 2] = [STOPPED_AT, FAULT];
+
+/// Renames the variable `fault` to `fault_`. Earlier versions accepted it, and wrote tables with two
+/// columns of that name.
+pub fn rename_fault(extra: &mut [ExtraValue]) {
+    let Some(at) = extra.iter().position(|it| it.name == FAULT) else {
+        return;
+    };
+    let mut name = format!("{FAULT}_");
+    while extra.iter().any(|it| it.name == name) {
+        name.push('_');
+    }
+    extra[at].name = name;
+}
+
 /// The value of a column that only some experiments have, in one row: a variable of the grid,
 /// `stopped_at`, or the mean of a chosen measure.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize, JsonSchema)]
@@ -343,7 +363,8 @@ impl<'de> Visitor<'de> for RowVisitor {
         }
         let row = ResultRow::from_cells(cells.into_iter().flatten())
             .ok_or_else(|| Error::custom("a value is not of its column's kind"))?;
-        let (extra, fault) = (extra.unwrap_or_default(), fault.flatten());
+        let (mut extra, fault) = (extra.unwrap_or_default(), fault.flatten());
+        rename_fault(&mut extra);
         Ok(ResultRow {
             extra,
             fault,

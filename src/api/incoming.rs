@@ -369,10 +369,6 @@ fn page_of<'a>(
     max: usize,
 ) -> Result<(Option<&'a str>, u64, usize), CommandError> {
     let (mut run, mut after) = (None, 0);
-    let wrong = |field| CommandError::Field {
-        field,
-        problem: "is not a whole number in its range; separate parameters with `;`",
-    };
     for (name, value) in selector(parameters, known)? {
         match name {
             "run" => run = Some(value),
@@ -380,7 +376,7 @@ fn page_of<'a>(
             _ => {
                 let number = value.parse().ok();
                 let number = number.filter(|number| (1..=max).contains(number));
-                limit = number.ok_or_else(|| wrong("limit"))?;
+                limit = number.ok_or(CommandError::PageLimit { max })?;
             }
         }
     }

@@ -47,7 +47,7 @@ pub fn incomplete(folder: &Path) -> Vec<Incomplete> {
 /// Which finished runs of an experiment lack files, or that its list of runs cannot be read. None if it
 /// has no plan, which the daemon reports.
 fn lost_runs(experiment: &Path) -> Option<String> {
-    let mut plan = Plan::of(Files::stored(experiment).ok()?).ok()?;
+    let mut plan = Plan::stored(Files::stored(experiment).ok()?).ok()?;
     plan.name = experiment.file_name()?.to_str()?.to_owned();
     let missing = match Folder::missing_files(experiment, &plan) {
         Ok(missing) if experiments::is_finished(experiment) => missing.of_finished(),

@@ -137,12 +137,14 @@ fn part(text: &str) -> Result<SelectedRuns, String> {
 pub fn run(options: &Options) -> Result<u8, Box<dyn Error>> {
     let file = options.file.display();
     let files = Files::read(&options.file)?;
-    let plan = Plan::of(files).map_err(|error| format!("failed to plan {file}: {error}"))?;
+    let failed = |error| format!("failed to plan {file}: {error}");
+    let (plan, accepted) = Plan::new_or_stored(files).map_err(failed)?;
     let selected = options.selected_runs();
     let subset = selected
         .subset(&plan)
         .map_err(|error| format!("failed to select runs of {file}: {error}"))?;
     let Some(output) = &options.output else {
+        accepted.map_err(failed)?;
         stdout::unless_closed(list(&plan, &subset, options.json))?;
         let dry_run = DryRun::of(&plan, &subset)?;
         // Standard output has the runs alone, for programs.
@@ -162,6 +164,9 @@ pub fn run(options: &Options) -> Result<u8, Box<dyn Error>> {
     let label = selected.label().filter(|_| !exists);
     let path = label.as_ref().map(|label| unfinished(output, label));
     let path = path.unwrap_or_else(|| output.clone());
+    if !Files::stored(&path).is_ok_and(|files| files == plan.files) {
+        accepted.map_err(failed)?;
+    }
     let mut folder = Folder::open(&path, &plan)?;
     let lacking = folder.lacking().and(&subset);
     if !lacking.indices().is_empty() {

@@ -128,7 +128,7 @@ impl ExperimentManager {
         name: Option<&str>,
         files: Files,
     ) -> Result<(bool, Report), ExperimentError> {
-        let mut plan = Plan::of(files)?;
+        let (mut plan, accepted) = Plan::new_or_stored(files)?;
         if let Some(name) = name {
             name.clone_into(&mut plan.name);
         }
@@ -149,6 +149,7 @@ impl ExperimentManager {
             }
             return Ok((false, self.report(&name)?));
         }
+        accepted?;
         let (count, number) = {
             let entries = &self.lock().entries;
             let numbers = entries.values().map(|entry| entry.status.number);
@@ -486,7 +487,7 @@ fn load(name: &str, jobs: &JobDirectory<Status>, status: Option<Status>) -> Entr
 }
 
 fn read_plan(name: &str, folder: &Path) -> Result<Plan, ExperimentError> {
-    let mut plan = Plan::of(read_files(folder)?)?;
+    let mut plan = Plan::stored(read_files(folder)?)?;
     name.clone_into(&mut plan.name);
     Ok(plan)
 }

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use jostle_physics::model::parameters::Parameters;
 use jostle_physics::simulation::{Change, Spec};
-use jostle_results::recording::{self, About, Message};
+use jostle_results::recording::{self, About, FRAMES, Message};
 
 use crate::convert;
 use crate::playback::ReplayError;
@@ -38,6 +38,10 @@ pub struct McapSource {
     /// The parameters, each from a frame on.
     parameters: Vec<(usize, Parameters)>,
 }
+
+/// Why a recording without a frame is not played.
+const NO_FRAME: &str = "it has no frame: while it was recorded the swarm reached no step that it records, \
+                        such as while it is paused";
 
 struct ByteRange {
     file: usize,
@@ -72,7 +76,7 @@ impl McapSource {
         }
         match source {
             Some(source) if !source.index.is_empty() => Ok(source),
-            _ => Err(ReplayError::Unreadable("it has no frame".to_owned())),
+            _ => Err(ReplayError::Unreadable(NO_FRAME.to_owned())),
         }
     }
 
@@ -81,6 +85,10 @@ impl McapSource {
             let field = about.get(what);
             field.ok_or_else(|| {
                 let why = match about.contains_key("recovered") {
+                    // A recording without a part has no other metadata.
+                    false if about.get(FRAMES).is_some_and(|it| it == "0") => {
+                        return NO_FRAME.to_owned();
+                    }
                     true => "it was recovered from a file that ended before them",
                     false => "jostle did not record it",
                 };

@@ -87,6 +87,16 @@ impl Command {
         }
     }
 
+    /// The changes that it applies, at once or when its condition holds.
+    pub fn changes(&self) -> &[Change] {
+        match self {
+            Command::Change(change) => std::slice::from_ref(change),
+            Command::Batch { changes, .. } => changes,
+            Command::Watch(watch) | Command::Fired(watch) => watch.changes(),
+            _ => &[],
+        }
+    }
+
     /// Whether a faulted swarm executes it.
     pub fn is_allowed_when_faulted(&self) -> bool {
         matches!(

@@ -193,14 +193,23 @@ pub enum WriteFault {
 }
 
 impl SwarmError {
-    /// Whether the same command may succeed later in the same state.
+    /// Whether the same command may succeed later in the same state. A replay applies changes that are
+    /// weightless, as earlier versions did.
     pub fn may_succeed_later(&self) -> bool {
         match self {
-            SwarmError::Change(ChangeError::Reserve(_))
+            SwarmError::Change(ChangeError::Reserve(_) | ChangeError::Weightless)
             | SwarmError::Panicked
             | SwarmError::NotDurable(_) => true,
             SwarmError::InBatch { error, .. } => error.may_succeed_later(),
             _ => false,
+        }
+    }
+
+    /// The error of a change of a batch, with its index.
+    pub fn in_batch((index, error): (usize, ChangeError)) -> Self {
+        SwarmError::InBatch {
+            index,
+            error: Box::new(error.into()),
         }
     }
 

@@ -65,6 +65,14 @@ pub enum Action {
 }
 
 impl Watch {
+    /// The changes that it applies when it holds.
+    pub fn changes(&self) -> &[Change] {
+        match &self.action {
+            Action::Batch(changes, _) => changes,
+            Action::Pause | Action::Stop | Action::Event(_) => &[],
+        }
+    }
+
     /// Whether one of them replaces the other: they are equal and not of a protocol, or have the same
     /// event.
     pub fn is_same(&self, other: &Watch) -> bool {
@@ -297,6 +305,11 @@ impl Watches {
     /// Removes all.
     pub fn clear(&mut self) {
         *self = Watches::default();
+    }
+
+    /// The changes of each that applies some.
+    pub fn changes(&self) -> impl Iterator<Item = &[Change]> {
+        self.waiting.iter().map(|it| it.watch.changes())
     }
 
     /// Whether none waits.

@@ -1,6 +1,6 @@
 //! The effect of commands: informed individuals, the group, parameters and rules.
 
-use jostle_proto::ErrorCode;
+use jostle_proto::{ErrorCode, EventKind, Events};
 use serde_json::json;
 
 use crate::support::{Daemon, until};
@@ -214,5 +214,75 @@ async fn the_rules_and_the_noise_change_too_but_no_axes_stay_crossed() {
         assert!(message.contains("pairs cross"), "{message}");
     }
     assert_eq!(client.hash("loose").await, before, "nothing has changed");
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn informing_with_a_weight_of_0_is_rejected_at_once_and_at_its_step() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    let weightless = "a weight of 0 informs no individual: set pi2 above 0";
+    client.create("a", json!({"n": 6, "pi2": 0})).await;
+    let informed = json!({"select": {"ids": [1]}, "direction": 0.5, "weight": 1});
+    client.ok("a", "inform", informed).await;
+    let hash = client.hash("a").await;
+    let args = json!({"select": {"ids": [1, 3]}, "direction": 1});
+    let inform = json!({"verb": "inform", "args": args});
+    let batch = |first: f64| {
+        let set = json!({"verb": "set", "args": {"pi2": first}});
+        json!({"commands": [set, inform]})
+    };
+    let when = json!({"condition": "order > 0.9", "commands": [inform]});
+    let inject = json!({"count": 1, "direction": 1});
+    for (verb, request) in [
+        ("inform", args.clone()),
+        ("inject", inject.clone()),
+        ("batch", batch(0.0)),
+        ("when", when.clone()),
+        ("inform", json!({"at_step": 10, "args": args})),
+        ("inject", json!({"at_step": 10, "args": inject})),
+        ("batch", json!({"at_step": 10, "args": batch(0.0)})),
+        ("when", json!({"at_step": 10, "args": when})),
+    ] {
+        let error = client.cmd("a", verb, request.clone()).await.unwrap_err();
+        assert!(error.message.contains(weightless), "{request}: {error:?}");
+        assert_eq!(error.code, ErrorCode::InvalidArgument);
+    }
+    let field = client
+        .cmd("a", "inform", args.clone())
+        .await
+        .unwrap_err()
+        .details;
+    assert_eq!(field["field"], "weight");
+    assert_eq!(client.hash("a").await, hash);
+
+    // One that sets pi2 first, at once or at an earlier step, and one that sets it to 0 before.
+    client.ok("a", "batch", batch(0.5)).await;
+    client.ok("a", "set", json!({"pi2": 0})).await;
+    client
+        .ok("a", "set", json!({"at_step": 10, "args": {"pi2": 2}}))
+        .await;
+    client
+        .ok("a", "inform", json!({"at_step": 20, "args": args}))
+        .await;
+    client
+        .ok("a", "set", json!({"at_step": 30, "args": {"pi2": 0}}))
+        .await;
+    client
+        .ok("a", "inform", json!({"at_step": 40, "args": args}))
+        .await;
+    client.ok("a", "step", json!({"steps": 41})).await;
+    let reply = client.get("a", "events").await;
+    let events: Events = serde_json::from_value(reply["result"].clone()).unwrap();
+    let rejected = events.events.into_iter().filter_map(|it| match it.event {
+        EventKind::Refused { error, .. } => Some((it.step, error.message)),
+        _ => None,
+    });
+    let rejected: Vec<(u64, String)> = rejected.collect();
+    assert_eq!(rejected, [(40, weightless.to_owned())]);
+    let weights = client.query("jostle/a/state", None).await.unwrap()["weight"].clone();
+    assert_eq!((&weights[1], &weights[3]), (&json!(2.0), &json!(2.0)));
+    let verified = client.get("a", "verify").await["result"].clone();
+    assert_eq!(verified["differs_at"], json!(null), "{verified}");
     daemon.stop().await;
 }

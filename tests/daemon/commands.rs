@@ -433,7 +433,7 @@ async fn commands_of_one_client_are_executed_in_the_order_sent() {
     let long = " ".repeat(40_000);
     let mut answers = Vec::new();
     for k in 0..99 {
-        let setting = json!({"pi2": 0.001 * f64::from(k)}).to_string();
+        let setting = json!({"pi2": 0.001 * f64::from(k + 1)}).to_string();
         let (verb, request) = match k % 3 {
             0 => ("set", setting + &long),
             1 => (

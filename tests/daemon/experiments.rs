@@ -166,6 +166,22 @@ async fn an_experiment_is_executed_its_progress_published_and_its_results_paged(
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_page_beyond_its_limit_is_rejected_with_the_limit_of_its_noun() {
+    let daemon = Daemon::start().await;
+    for (noun, most) in [
+        ("order?run=a #0;limit=40001", 40_000),
+        ("series?run=a #0;limit=0", 40_000),
+        ("results?limit=1001", 1000),
+    ] {
+        let error = get(&daemon.client, "small", noun).await.unwrap_err();
+        let range = format!("a whole number from 1 to {most}");
+        assert_eq!(error.details["range"], range, "{noun}: {error:?}");
+        assert!(error.message.contains(&range), "{error:?}");
+    }
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn the_same_file_again_is_the_same_experiment_and_another_is_rejected() {
     let daemon = Daemon::start().await;
     let client = &daemon.client;

@@ -1,13 +1,14 @@
 //! The page's HTTP requests and WebSockets.
 
-use std::io::{BufRead, BufReader, Read};
-use std::process::Stdio;
+use std::io::{BufRead, BufReader, Read, Write};
+use std::path::Path;
+use std::process::{Command, Stdio};
 
 use futures_util::SinkExt;
 use serde_json::{Value, json};
 use tokio_tungstenite::tungstenite::{self, Message};
 
-use crate::support::http::{get, of_daemon, send};
+use crate::support::http::{get, of_daemon, send, send_bytes};
 use crate::support::process::jostled;
 use crate::support::websocket::{named, next_matching, open, step_of, tab};
 use crate::support::{Daemon, NODE, until};
@@ -72,6 +73,112 @@ async fn the_page_is_served_and_may_load_nothing_from_elsewhere() {
     ] {
         assert_eq!(get(&address, nothing).0, 404, "{nothing}");
     }
+    daemon.stop().await;
+}
+
+/// What `gzip`, which is not our library, makes of compressed bytes.
+fn unzipped(compressed: &[u8]) -> Vec<u8> {
+    let mut gzip = Command::new("gzip");
+    let gzip = gzip.arg("-dc").stdin(Stdio::piped()).stdout(Stdio::piped());
+    let mut gzip = gzip.spawn().unwrap();
+    // The output is longer than a pipe holds.
+    let mut stdin = gzip.stdin.take().unwrap();
+    let compressed = compressed.to_vec();
+    let writing = std::thread::spawn(move || stdin.write_all(&compressed).unwrap());
+    let output = gzip.wait_with_output().unwrap();
+    writing.join().unwrap();
+    assert!(output.status.success());
+    output.stdout
+}
+
+/// The value of a header, in lower case; empty if there is none.
+fn header(head: &str, name: &str) -> String {
+    let values = head.lines().filter_map(|line| line.split_once(": "));
+    let mut values = values.filter(|(it, _)| *it == name);
+    let value = values.next().map(|(_, value)| value.to_owned());
+    assert!(values.next().is_none(), "{name} twice: {head}");
+    value.unwrap_or_default()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_files_of_the_page_are_compressed_and_sent_again_only_if_they_differ() {
+    let daemon = Daemon::start().await;
+    let address = of_daemon(&daemon);
+    let fetch = |method: &str, path: &str, headers: &str| {
+        let about = format!("Host: {address}\r\nConnection: close\r\n{headers}");
+        send_bytes(
+            &address,
+            &format!("{method} {path} HTTP/1.1\r\n{about}\r\n"),
+        )
+    };
+    let dist = Path::new(env!("CARGO_MANIFEST_DIR")).join("../clients/web/dist");
+    for (path, file) in [
+        ("/", "index.html"),
+        ("/page.js", "page.js"),
+        ("/style.css", "style.css"),
+        ("/icon.svg", "icon.svg"),
+    ] {
+        let built = std::fs::read(dist.join(file)).unwrap();
+        let (status, head, body) = fetch("GET", path, "");
+        assert_eq!(status, 200, "{path}");
+        assert_eq!(header(&head, "content-encoding"), "", "{path}");
+        assert!(body == built, "{path} is what was built");
+        let (status, packed_head, packed) =
+            fetch("GET", path, "Accept-Encoding: br, GZIP;q=0.8, deflate\r\n");
+        assert_eq!(status, 200, "{path}");
+        assert_eq!(header(&packed_head, "content-encoding"), "gzip", "{path}");
+        assert!(unzipped(&packed) == built, "{path}");
+        assert!(packed.len() < built.len(), "{path}: {}", packed.len());
+        let length = packed.len().to_string();
+        assert_eq!(header(&packed_head, "content-length"), length);
+        let etags = [header(&head, "etag"), header(&packed_head, "etag")];
+        assert_ne!(etags[0], etags[1], "the bytes differ");
+        for (encoding, etag) in ["", "Accept-Encoding: gzip\r\n"].iter().zip(&etags) {
+            assert!(etag.starts_with('"') && etag.ends_with('"'), "{etag}");
+            for known in [etag.clone(), format!("\"other\", W/{etag}"), "*".to_owned()] {
+                let known = format!("{encoding}If-None-Match: {known}\r\n");
+                let (status, head, body) = fetch("GET", path, &known);
+                assert_eq!((status, body.len()), (304, 0), "{path}: {known}");
+                assert_eq!(&header(&head, "etag"), etag);
+                for name in ["cache-control", "vary", "content-security-policy"] {
+                    assert_eq!(header(&head, name), header(&packed_head, name), "{name}");
+                }
+            }
+            let unknown = format!("{encoding}If-None-Match: \"other\"\r\n");
+            assert_eq!(fetch("GET", path, &unknown).0, 200, "{path}");
+        }
+        assert_eq!(header(&packed_head, "cache-control"), "no-cache", "{path}");
+        for head in [&head, &packed_head] {
+            assert_eq!(header(head, "vary"), "accept-encoding", "{path}");
+            assert!(header(head, "content-security-policy").contains("default-src 'self'"));
+        }
+        let (status, head, body) = fetch("HEAD", path, "Accept-Encoding: gzip\r\n");
+        assert_eq!((status, body.len()), (200, 0), "{path}");
+        assert_eq!(header(&head, "content-length"), length);
+        assert_eq!(header(&head, "etag"), etags[1]);
+    }
+    let (_, _, packed) = fetch("GET", "/page.js", "Accept-Encoding: gzip\r\n");
+    let whole = std::fs::metadata(dist.join("page.js")).unwrap().len();
+    assert!((packed.len() as u64) < 2 * whole / 5, "{}", packed.len());
+    for (accepted, encoding) in [
+        ("*", "gzip"),
+        ("*;q=0.5, identity;q=0.1", "gzip"),
+        ("identity\r\nAccept-Encoding: gzip", "gzip"),
+        ("gzip;q=0", ""),
+        ("gzip; q=0.000, *", ""),
+        ("identity, gzip;q=0.5", ""),
+        ("br, deflate", ""),
+        ("", ""),
+    ] {
+        let (_, head, _) = fetch(
+            "GET",
+            "/page.js",
+            &format!("Accept-Encoding: {accepted}\r\n"),
+        );
+        assert_eq!(header(&head, "content-encoding"), encoding, "{accepted:?}");
+    }
+    let (_, head, _) = fetch("GET", "/api/hello", "");
+    assert_eq!(header(&head, "cache-control"), "no-store");
     daemon.stop().await;
 }
 

@@ -17,6 +17,8 @@ use crate::support::process::jostled;
 use crate::support::programs::ROOT;
 use crate::support::{Client, NODE, PREFIX, TIMEOUT, until};
 
+mod accepted;
+
 /// The fixtures, one folder for each build.
 fn builds() -> Vec<PathBuf> {
     let stored = Path::new(ROOT).join("tests/stored");

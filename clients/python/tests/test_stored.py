@@ -53,3 +53,18 @@ def test_results_of_an_earlier_build_are_read(build: Path) -> None:
     assert len(table) == len(text) == 16
     assert list(table.columns) == list(text.columns)
     assert list(table["run"]) == list(text["run"])
+
+
+def test_a_variable_named_fault_is_renamed() -> None:
+    """Tables of earlier builds, with two columns of that name, are read with both."""
+    table = jostle.read_table(STORED / "accepted" / "small" / "results.parquet")
+    assert list(table.columns[-2:]) == ["fault_", "fault"]
+    assert list(table["fault_"]) == [1, 3]
+    assert table["fault"][1].startswith("step 75: ")
+
+
+def test_the_frames_of_a_folder_are_those_of_all_its_parts() -> None:
+    recording = jostle.read_recording(STORED / "1a581a9" / "data" / "recordings" / "film")
+    frames = sum(1 for _ in recording)
+    assert frames > 1
+    assert recording.about["frames"] == str(frames)

@@ -60,9 +60,10 @@ impl WireCode for WireError {
 impl WireCode for ChangeError {
     fn code(&self) -> ErrorCode {
         match self {
-            ChangeError::Parameters(_) | ChangeError::Selection(_) | ChangeError::NoneLeft(_) => {
-                ErrorCode::InvalidArgument
-            }
+            ChangeError::Parameters(_)
+            | ChangeError::Selection(_)
+            | ChangeError::NoneLeft(_)
+            | ChangeError::Weightless => ErrorCode::InvalidArgument,
             ChangeError::AxesCross { .. } => ErrorCode::IncorrectState,
             ChangeError::Start(StartError::NoRoom { .. })
             | ChangeError::Injection(InjectionError::NoRoom { .. })
@@ -87,6 +88,7 @@ impl WireCode for ChangeError {
             | ChangeError::Selection(SelectionError::Number(error))
             | ChangeError::Injection(InjectionError::Parameters(error))
             | ChangeError::Reshape(ReshapeError::Parameters(error)) => return error.details(),
+            ChangeError::Weightless => json!({"field": "weight"}),
             ChangeError::NoneLeft(n) => json!({"field": "select", "selected": n, "n": n}),
             ChangeError::Injection(InjectionError::Pose { index, error }) => {
                 let mut details = error.details();

@@ -50,7 +50,6 @@ const DESCRIPTIONS: &[(&str, &str)] = &[
     ),
     ("step", "a whole number, 0 or more"),
     ("after", "a whole number, 0 or more"),
-    ("limit", "a whole number from 1 to 1000"),
     (
         "commands",
         "a list of 1 to 256 of {\"verb\": \"set\" | \"inform\" | \"uninform\" | \"inject\" | \

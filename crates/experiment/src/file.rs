@@ -106,6 +106,8 @@ pub struct Source<'a> {
     pub toml: &'a str,
     /// The CSV, whose cells have spans after the end of the TOML.
     pub points: Option<&'a Points>,
+    /// Whether the experiment is stored. What an earlier version accepted is then not rejected.
+    pub is_stored: bool,
 }
 
 impl Source<'_> {

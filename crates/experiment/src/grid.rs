@@ -5,13 +5,14 @@ use std::ops::Range;
 
 use jostle_measures::definitions;
 use jostle_physics::model::selection::share;
+use jostle_physics::simulation::ChangeError;
 use jostle_proto::Spec;
-use jostle_results::COLUMNS;
+use jostle_results::{COLUMNS, FAULT, OCCASIONAL_COLUMNS};
 use toml::{Spanned, Value};
 
 use crate::error::PlanError;
 use crate::file::{Source, Table, in_words, is_of_name};
-use crate::protocol::{STOPPED_AT, Variables};
+use crate::protocol::Variables;
 use crate::start::{Base, FIXED};
 
 /// The axes that a `[[grid]]` may vary, in the order in which the names of runs contain them.
@@ -196,7 +197,7 @@ pub fn check_axis(
             "unknown axis {key:?}: use one of {axes}, replicates, or a variable that an [[at]] or \
              [stop] uses as \"${key}\""
         )
-    } else if is_taken(key) {
+    } else if is_taken(key) && !(source.is_stored && key == FAULT) {
         format!(
             "{key:?} is a column of the results, a measure or a field of [spec]: rename the variable"
         )
@@ -233,7 +234,8 @@ fn check(source: Source<'_>, key: &str, value: &Spanned<Value>) -> Result<(), Pl
 fn is_taken(name: &str) -> bool {
     let fields = toml::Table::try_from(Spec::new(1)).unwrap_or_default();
     fields.contains_key(name)
-        || ["rate", "start", STOPPED_AT].contains(&name)
+        || ["rate", "start"].contains(&name)
+        || OCCASIONAL_COLUMNS.contains(&name)
         || COLUMNS.iter().any(|column| column.name == name)
         || definitions().iter().any(|measure| measure.name == name)
 }
@@ -386,7 +388,7 @@ fn count_informed(spec: &Spec, axis: &str, value: &Value) -> Result<usize, Strin
         ));
     }
     if count > 0 && spec.pi2 == 0.0 {
-        return Err("a weight of 0 informs no individual: set pi2 above 0".to_owned());
+        return Err(ChangeError::Weightless.to_string());
     }
     Ok(count)
 }

@@ -184,7 +184,7 @@ impl Parts {
                 .collect();
             return Err(MergeError::OtherExperiment { first, others });
         }
-        let plan = Plan::of(all[0].clone()).map_err(|source| MergeError::Plan {
+        let plan = Plan::stored(all[0].clone()).map_err(|source| MergeError::Plan {
             folder: first.clone(),
             source,
         })?;

@@ -121,16 +121,43 @@ impl Plan {
     ///
     /// [`PlanError`], with the line or the run.
     pub fn of(files: Files) -> Result<Self, PlanError> {
-        let mut plan = Self::checked(&files)?;
+        let mut plan = Self::checked(&files, false)?;
         plan.files = files;
         Ok(plan)
     }
 
+    /// As [`Self::of`], of a stored experiment: accepts all that an earlier version accepted.
+    ///
+    /// # Errors
+    ///
+    /// [`PlanError`], with the line or the run.
+    pub fn stored(files: Files) -> Result<Self, PlanError> {
+        let mut plan = Self::checked(&files, true)?;
+        plan.files = files;
+        Ok(plan)
+    }
+
+    /// As [`Self::of`], of an experiment that may be stored; with why it is rejected if it is not.
+    ///
+    /// # Errors
+    ///
+    /// [`PlanError`] if no version accepts it.
+    pub fn new_or_stored(files: Files) -> Result<(Self, Result<(), PlanError>), PlanError> {
+        match Self::of(files.clone()) {
+            Ok(plan) => Ok((plan, Ok(()))),
+            Err(error) => match Self::stored(files) {
+                Ok(plan) => Ok((plan, Err(error))),
+                Err(_) => Err(error),
+            },
+        }
+    }
+
     /// As [`Self::of`], without the files.
-    fn checked(files: &Files) -> Result<Self, PlanError> {
+    fn checked(files: &Files, is_stored: bool) -> Result<Self, PlanError> {
         let source = Source {
             toml: &files.toml,
             points: None,
+            is_stored,
         };
         let file = source.read()?;
         let points = points(source, &file, files)?;
@@ -303,6 +330,7 @@ impl Plan {
         let source = Source {
             toml: &self.files.toml,
             points: None,
+            is_stored: true,
         };
         let point = self.point(run);
         let setting = Setting {

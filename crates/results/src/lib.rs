@@ -15,4 +15,7 @@ mod samples;
 pub mod statistics;
 pub mod table;
 
-pub use jostle_proto::{COLUMNS, Cell, CellKind, Column, ExtraValue, FAULT, Measure, ResultRow};
+pub use jostle_proto::{
+    COLUMNS, Cell, CellKind, Column, ExtraValue, FAULT, Measure, OCCASIONAL_COLUMNS, ResultRow,
+    STOPPED_AT, rename_fault,
+};

@@ -36,6 +36,8 @@ pub enum CommandError {
         field: &'static str,
         problem: &'static str,
     },
+    #[error("limit is not a whole number from 1 to {max}; separate parameters with `;`")]
+    PageLimit { max: usize },
     #[error("condition: {0}")]
     Condition(#[from] ConditionError),
     #[error("condition: {0}")]
@@ -300,6 +302,7 @@ impl WireCode for CommandError {
             CommandError::Record(error) => error.code(),
             CommandError::Measures(error) => error.code(),
             CommandError::Field { .. }
+            | CommandError::PageLimit { .. }
             | CommandError::Condition(_)
             | CommandError::NeverHolds(_)
             | CommandError::Name { .. }
@@ -347,6 +350,9 @@ impl WireCode for CommandError {
             CommandError::Record(error) => error.details(),
             CommandError::Measures(error) => error.details(),
             CommandError::Field { field, .. } => named(field, Value::Null, range_of(field)),
+            CommandError::PageLimit { max } => object(
+                json!({"field": "limit", "range": format!("a whole number from 1 to {max}")}),
+            ),
             CommandError::Condition(error) => {
                 object(json!({"field": "condition", "column": error.column}))
             }

@@ -5,7 +5,9 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use fail::fail_point;
-use jostle_physics::simulation::{Change, ChangeKind, ChangeOutcome, Settings, steps_in};
+use jostle_physics::simulation::{
+    Change, ChangeKind, ChangeOutcome, Settings, check_weights, steps_in,
+};
 use tracing::{info, warn};
 
 use crate::swarm::command::{Command, Until};
@@ -246,6 +248,11 @@ impl Worker {
     ) -> Result<Vec<(ChangeKind, ChangeOutcome)>, SwarmError> {
         phase::next(&self.phase, PhaseInput::Change)?;
         self.check_measures(changes)?;
+        // The journal may have such changes, of an earlier version; otherwise it has their rejection.
+        if !self.journal.is_replaying() {
+            check_weights(changes, self.simulation.state.parameters.pi2)
+                .map_err(SwarmError::in_batch)?;
+        }
         let before = self.simulation.save();
         let simulation = &mut self.simulation;
         let seq = simulation.seq;
@@ -269,10 +276,7 @@ impl Worker {
                 self.notify_controllers(Input::Changed);
                 return Ok(outcomes);
             }
-            Ok(Err((index, error))) => SwarmError::InBatch {
-                index,
-                error: Box::new(error.into()),
-            },
+            Ok(Err(rejected)) => SwarmError::in_batch(rejected),
             Err(_) => SwarmError::Panicked,
         };
         self.simulation.rollback(before);

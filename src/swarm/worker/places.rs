@@ -1,10 +1,12 @@
 //! The places of users: how many commands a user may schedule in a swarm, and how many controllers a user
-//! may have in it. The cost of conditions is checked here, too.
+//! may have in it. The cost of conditions and the weights of scheduled changes are checked here, too.
 //!
 //! They are checked when a command is received and not when it is executed, so that a replay does not
 //! depend on them.
 
 use std::collections::BTreeSet;
+
+use jostle_physics::simulation::{Change, check_weights};
 
 use crate::swarm::command::Command;
 use crate::swarm::error::SwarmError;
@@ -31,6 +33,9 @@ impl Worker {
     ) -> Result<(), SwarmError> {
         let step = self.simulation.state.step;
         let is_scheduled = |it: &CommandMessage| it.when.at_step.is_some_and(|at| at > step);
+        if is_scheduled(message) || matches!(message.command, Command::Watch(_)) {
+            self.check_weights(&message.command, accepted)?;
+        }
         if is_scheduled(message) {
             let accepted = accepted.iter().filter(|it| is_scheduled(it));
             let waiting = self.schedule.iter().map(|it| &*it.sender);
@@ -63,6 +68,27 @@ impl Worker {
 }
 
 impl Worker {
+    /// Checks the weights of changes that are executed later, unless another command may set `pi2` before:
+    /// they are checked once more when they are executed.
+    fn check_weights(
+        &self,
+        command: &Command,
+        accepted: &[CommandMessage],
+    ) -> Result<(), SwarmError> {
+        let scheduled = self.schedule.iter().map(|it| it.command.changes());
+        let accepted = accepted.iter().map(|it| it.command.changes());
+        let mut others = scheduled.chain(accepted).chain(self.watches.changes());
+        let sets_pi2 = |it: &Change| matches!(it, Change::Set(settings) if settings.pi2.is_some());
+        if others.any(|changes| changes.iter().any(sets_pi2)) {
+            return Ok(());
+        }
+        let checked = check_weights(command.changes(), self.simulation.state.parameters.pi2);
+        checked.map_err(|(index, error)| match command {
+            Command::Change(_) => error.into(),
+            _ => SwarmError::in_batch((index, error)),
+        })
+    }
+
     /// Checks that a condition does not cost too much beside those that wait or are scheduled. No other one is
     /// received with it: [`Worker::handle_batch`] ends there.
     fn check_cost(&self, watch: &Watch) -> Result<(), SwarmError> {

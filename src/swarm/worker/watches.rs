@@ -10,7 +10,7 @@ use std::time::Instant;
 use fail::fail_point;
 use jostle_measures::{View, check_past};
 use jostle_physics::model::State;
-use jostle_physics::simulation::{Change, ChangeError};
+use jostle_physics::simulation::Change;
 use tracing::warn;
 
 use crate::swarm::command::{Command, Which};
@@ -152,11 +152,8 @@ impl Worker {
 
     pub(super) fn check_changes(&self, changes: &[Change]) -> Result<(), SwarmError> {
         for (index, change) in changes.iter().enumerate() {
-            let error = |error: ChangeError| SwarmError::InBatch {
-                index,
-                error: Box::new(error.into()),
-            };
-            self.simulation.check(change).map_err(error)?;
+            let checked = self.simulation.check(change);
+            checked.map_err(|error| SwarmError::in_batch((index, error)))?;
         }
         Ok(())
     }

@@ -173,7 +173,7 @@ impl Gateway {
             .route("/api/cmd/{swarm}/{verb}", post(command))
             .route("/api/node/{verb}", post(node_command))
             .route("/api/ws", any(websocket))
-            .fallback(routing::get(page::file))
+            .fallback(page::serve())
             .layer(DefaultBodyLimit::max(MAX_BODY_BYTES))
             .with_state(Arc::new(server))
             .layer(from_fn(move |request, next| {

@@ -65,10 +65,11 @@ fn is_own_page(headers: &HeaderMap) -> bool {
     authority.is_some_and(|it| it.as_str().eq_ignore_ascii_case(host))
 }
 
-/// Adds headers to each response that forbid caching and content sniffing.
+/// Adds headers to each response that forbid content sniffing and, unless it states otherwise, caching.
 pub async fn security_headers(mut response: Response) -> Response {
     let headers = response.headers_mut();
-    headers.insert(CACHE_CONTROL, HeaderValue::from_static("no-store"));
+    let no_store = HeaderValue::from_static("no-store");
+    headers.entry(CACHE_CONTROL).or_insert(no_store);
     let nosniff = HeaderValue::from_static("nosniff");
     headers.insert(X_CONTENT_TYPE_OPTIONS, nosniff);
     response

@@ -1,34 +1,148 @@
 //! The files of the page, which are compiled into the daemon.
 
-use axum::http::header::{CONTENT_SECURITY_POLICY, CONTENT_TYPE, REFERRER_POLICY};
-use axum::http::{HeaderValue, StatusCode, Uri};
+use std::collections::HashMap;
+use std::io::Write;
+use std::sync::LazyLock;
+
+use axum::body::Bytes;
+use axum::http::header::{
+    ACCEPT_ENCODING, CACHE_CONTROL, CONTENT_ENCODING, CONTENT_SECURITY_POLICY, CONTENT_TYPE, ETAG,
+    IF_NONE_MATCH, REFERRER_POLICY, VARY,
+};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, Uri};
 use axum::response::{IntoResponse, Response};
+use axum::routing::{self, MethodRouter};
+use flate2::Compression;
+use flate2::write::GzEncoder;
 use rust_embed::RustEmbed;
 
 /// The page may only load resources of this server.
 const POLICY: &str = "default-src 'self'; img-src 'self' data: blob:; \
      base-uri 'none'; form-action 'none'; frame-ancestors 'none'; object-src 'none'";
 
+/// The names of the files are those of every version: a browser asks at each use whether a cached
+/// file is still the same.
+const CACHING: &str = "no-cache";
+
 #[derive(RustEmbed)]
 #[folder = "clients/web/dist"]
 struct Files;
 
-/// Serves a file of the page.
-pub async fn file(uri: Uri) -> Response {
+/// A file as it is sent.
+struct File {
+    kind: &'static str,
+    plain: Body,
+    /// Compressed by gzip.
+    gzip: Option<Body>,
+}
+
+struct Body {
+    bytes: Bytes,
+    /// Differs from that of the other encoding: the bytes do.
+    etag: String,
+}
+
+/// The files by path, compressed once.
+static FILES: LazyLock<HashMap<String, File>> = LazyLock::new(|| {
+    let files = Files::iter().filter_map(|path| {
+        let data = Files::get(&path)?.data.into_owned();
+        Some((path.to_string(), File::new(kind(&path), data)))
+    });
+    files.collect()
+});
+
+impl File {
+    fn new(kind: &'static str, data: Vec<u8>) -> Self {
+        let hash = &blake3::hash(&data).to_hex()[..32];
+        let gzip = compress(&data).map(|bytes| Body {
+            bytes: bytes.into(),
+            etag: format!("\"{hash}-gzip\""),
+        });
+        let plain = Body {
+            bytes: data.into(),
+            etag: format!("\"{hash}\""),
+        };
+        File { kind, plain, gzip }
+    }
+
+    /// The response to a request for this file.
+    fn respond(&self, request: &HeaderMap) -> Response {
+        let gzip = self.gzip.as_ref().filter(|_| accepts_gzip(request));
+        let body = gzip.unwrap_or(&self.plain);
+        let mut headers = HeaderMap::new();
+        let mut set = |name: HeaderName, value: &str| {
+            if let Ok(value) = HeaderValue::from_str(value) {
+                headers.insert(name, value);
+            }
+        };
+        set(CACHE_CONTROL, CACHING);
+        set(ETAG, &body.etag);
+        set(VARY, "Accept-Encoding");
+        set(CONTENT_SECURITY_POLICY, POLICY);
+        set(REFERRER_POLICY, "no-referrer");
+        if is_cached(request, &body.etag) {
+            return (StatusCode::NOT_MODIFIED, headers).into_response();
+        }
+        set(CONTENT_TYPE, self.kind);
+        if gzip.is_some() {
+            set(CONTENT_ENCODING, "gzip");
+        }
+        (headers, body.bytes.clone()).into_response()
+    }
+}
+
+/// Serves the files of the page. Starts to compress them now, so that the first request need not wait.
+pub fn serve<S: Clone + Send + Sync + 'static>() -> MethodRouter<S> {
+    tokio::task::spawn_blocking(|| LazyLock::force(&FILES).len());
+    routing::get(file)
+}
+
+async fn file(uri: Uri, headers: HeaderMap) -> Response {
     let path = match uri.path() {
         "/" => "index.html",
         path => path.trim_start_matches('/'),
     };
-    let Some(file) = Files::get(path) else {
+    let Some(file) = FILES.get(path) else {
         let message = "not found: see /, /healthz, /livez and /metrics\n";
         return (StatusCode::NOT_FOUND, message).into_response();
     };
-    let policy = [
-        (CONTENT_SECURITY_POLICY, HeaderValue::from_static(POLICY)),
-        (REFERRER_POLICY, HeaderValue::from_static("no-referrer")),
-    ];
-    let kind = [(CONTENT_TYPE, kind(path))];
-    (policy, kind, file.data).into_response()
+    file.respond(&headers)
+}
+
+/// The compressed data; none if they are not shorter.
+fn compress(data: &[u8]) -> Option<Vec<u8>> {
+    let mut encoder = GzEncoder::new(Vec::new(), Compression::best());
+    encoder.write_all(data).ok()?;
+    let compressed = encoder.finish().ok()?;
+    (compressed.len() < data.len()).then_some(compressed)
+}
+
+/// The items of a header that is a list, which may be in several lines.
+fn items(headers: &HeaderMap, name: HeaderName) -> impl Iterator<Item = &str> {
+    let lines = headers.get_all(name).into_iter();
+    let lines = lines.filter_map(|line| line.to_str().ok());
+    lines.flat_map(|line| line.split(',')).map(str::trim)
+}
+
+/// Whether the client takes gzip at least as gladly as no encoding.
+fn accepts_gzip(headers: &HeaderMap) -> bool {
+    let quality = |encodings: &[&str]| {
+        items(headers, ACCEPT_ENCODING).find_map(|item| {
+            let mut parts = item.split(';').map(str::trim);
+            let encoding = parts.next()?;
+            let is_meant = encodings.iter().any(|it| it.eq_ignore_ascii_case(encoding));
+            let quality = parts.find_map(|it| it.strip_prefix("q=").or(it.strip_prefix("Q=")));
+            is_meant.then(|| quality.map_or(1.0, |it| it.parse::<f64>().unwrap_or(0.0)))
+        })
+    };
+    let gzip = quality(&["gzip", "x-gzip"]).or_else(|| quality(&["*"]));
+    let plain = quality(&["identity"]).unwrap_or(0.0);
+    gzip.is_some_and(|gzip| gzip > 0.0 && gzip >= plain)
+}
+
+/// Whether the client has these bytes.
+fn is_cached(headers: &HeaderMap, etag: &str) -> bool {
+    items(headers, IF_NONE_MATCH).any(|it| it == "*" || it.trim_start_matches("W/") == etag)
 }
 
 fn kind(path: &str) -> &'static str {
@@ -39,6 +153,7 @@ fn kind(path: &str) -> &'static str {
         Some("svg") => "image/svg+xml",
         Some("png") => "image/png",
         Some("json" | "webmanifest") => "application/json",
+        Some("txt") => "text/plain; charset=utf-8",
         _ => "application/octet-stream",
     }
 }

@@ -208,7 +208,9 @@ fn check_protocol(kind: Kind, results: &Path) -> Result<(), Failure> {
         true => results,
         false => results.parent().unwrap_or(results),
     };
-    let plan = Files::stored(folder).ok().and_then(|it| Plan::of(it).ok());
+    let plan = Files::stored(folder)
+        .ok()
+        .and_then(|it| Plan::stored(it).ok());
     let Some(plan) = plan else {
         return Ok(());
     };

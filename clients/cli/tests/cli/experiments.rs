@@ -54,6 +54,38 @@ async fn faulted_runs_are_counted_and_left_out_of_charts() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn results_of_runs_that_all_ended_at_step_0_are_an_error() {
+    let folder = tempfile::tempdir().unwrap();
+    let daemon = Daemon::start().await;
+    let text = "name = \"none\"\nreplicates = 2\nduration = 5\nspec = { n = 3 }\n\
+                [stop]\nwhen = \"order > -1\"\n";
+    let none = file(folder.path(), "none.toml", text);
+    daemon.jostle(&format!("experiment run {none}")).await;
+    let out = folder.path().join("results");
+    for options in ["", " --csv", &format!(" -o {}", out.display())] {
+        let ended = daemon
+            .jostle(&format!("experiment results none{options}"))
+            .await;
+        assert_eq!(ended.code, Some(4), "{options}: {ended:?}");
+        let says = "2 runs of none ended by a fault at step 0 and without results";
+        assert!(ended.stderr.contains(says), "{options}: {ended:?}");
+    }
+    assert!(!out.exists());
+    let endless = file(folder.path(), "endless.toml", ENDLESS);
+    daemon
+        .said(&format!("experiment run {endless} --detach"))
+        .await;
+    let so_far = daemon.jostle("experiment results endless").await;
+    assert_eq!(so_far.code, Some(0));
+    assert!(
+        so_far
+            .stderr
+            .contains("no run of endless is finished so far"),
+        "{so_far:?}"
+    );
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_run_from_a_snapshot_is_played() {
     let folder = tempfile::tempdir().unwrap();
     let data = folder.path().join("data");

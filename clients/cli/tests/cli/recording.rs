@@ -328,3 +328,22 @@ async fn the_example_of_a_replay_in_the_docs_runs_as_it_is_written() {
     watching.end().await;
     daemon.stop().await;
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_recording_without_a_frame_says_why_and_is_not_played() {
+    let folder = tempfile::tempdir().unwrap();
+    let daemon = Daemon::start().await;
+    daemon.said("create school -n 3").await;
+    daemon.said("step school 7").await;
+    let file = folder.path().join("none.mcap").display().to_string();
+    let said = daemon
+        .said(&format!("record school -o {file} --for 0.2 --every 5"))
+        .await;
+    assert!(said.contains("recorded 0 frames of school"), "{said}");
+    let hint = "school reached no step that is a multiple of 5: `jostle run school` runs one";
+    assert!(said.contains(hint), "{said}");
+    let played = daemon.jostle(&format!("replay {file} --as again")).await;
+    assert_eq!(played.code, Some(2), "{played:?}");
+    let reason = "it has no frame: while it was recorded the swarm reached no step that it records";
+    assert!(played.stderr.contains(reason), "{played:?}");
+}

@@ -120,8 +120,13 @@ class Recording:
         self.path = path
         self._parts = _parts(path)
         about: dict[str, str] = {}
+        frames = 0
         for part in self._parts:
-            about |= _about(part)
+            about |= (of_part := _about(part))
+            # Each part counts its own; all else is that of the recording up to its end.
+            frames += int(of_part.get("frames", 0))
+        if "frames" in about:
+            about["frames"] = str(frames)
         self.about = about
 
     def __iter__(self) -> Iterator[RecordedFrame]:

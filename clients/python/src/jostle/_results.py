@@ -223,7 +223,11 @@ def of_rows(rows: Sequence[ResultRow]) -> pandas.DataFrame:
     table: pandas.DataFrame = pd.DataFrame(
         [msgspec.structs.astuple(row)[:-2] for row in rows], columns=fixed
     )
-    values = [{it.name: it.value for it in row.extra or []} for row in rows]
+    # Daemons of earlier versions accepted a variable with the name of the last column.
+    values = [
+        {"fault_" if it.name == "fault" else it.name: it.value for it in row.extra or []}
+        for row in rows
+    ]
     extra = list(dict.fromkeys(name for named in values for name in named))
     for name in extra:
         table[name] = [named.get(name) for named in values]

@@ -31,10 +31,18 @@ def read_table(path: str | os.PathLike[str]) -> pandas.DataFrame:
         OSError: It cannot be read.
     """
     reader = import_extra("pandas", "recording")
-    import_extra("pyarrow.parquet", "recording")
+    parquet = import_extra("pyarrow.parquet", "recording")
     path = Path(path)
     with path.open("rb") as file, reading(path, "table"):
         ParquetChecksums(file, "recording").check_all()
         file.seek(0)
-        table: pandas.DataFrame = reader.read_parquet(file, engine="pyarrow")
-        return table
+        parts = parquet.ParquetFile(file)
+        names = parts.schema_arrow.names
+        if len(set(names)) == len(names):
+            file.seek(0)
+            table: pandas.DataFrame = reader.read_parquet(file, engine="pyarrow")
+            return table
+        # Earlier versions accepted a variable named fault, before the column of the faults.
+        names[names.index("fault")] = "fault_"
+        renamed: pandas.DataFrame = parts.read().rename_columns(names).to_pandas()
+        return renamed

@@ -26,7 +26,7 @@ impl Folder {
     ///
     /// [`FolderError`].
     pub fn write_tables(&self, plan: &Plan) -> Result<(), FolderError> {
-        table::write(&self.path, &self.rows())?;
+        table::write(&self.path, &self.rows(), &plan.extra_columns())?;
         if plan.touch {
             let entries = self.finished.values();
             let rows = entries.filter_map(|entry| entry.record.touch.clone());

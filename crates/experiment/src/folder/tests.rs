@@ -138,6 +138,29 @@ fn measures_over_time_are_read_back_and_written_as_a_table() {
 }
 
 #[test]
+fn tables_without_a_run_have_all_columns() {
+    let text = "name = \"a\"\nduration = 1\n[spec]\nn = 3\n[measure]\ncolumns = [\"order\"]\n\
+                [[grid]]\nlimit = [-2, -3]\n[stop]\nwhen = \"order > $limit\"\n";
+    let fixture = Fixture {
+        plan: Plan::parse(text).unwrap(),
+        ..Fixture::new()
+    };
+    let mut folder = fixture.open().unwrap();
+    for index in [0, 1] {
+        fixture.append(&mut folder, index);
+    }
+    assert!(folder.rows().is_empty());
+    folder.write_tables(&fixture.plan).unwrap();
+    let csv = fs::read_to_string(fixture.path().join(CSV_NAME)).unwrap();
+    assert!(
+        csv.ends_with(",state_hash,limit,stopped_at,order\n"),
+        "{csv}"
+    );
+    let rows = table::read(&fixture.path().join(PARQUET_NAME)).unwrap();
+    assert!(rows.is_empty());
+}
+
+#[test]
 fn series_that_earlier_versions_stored_in_files_are_read() {
     for (grid, has_drift) in [("", false), ("[[grid]]\ninformed = 1\n", true)] {
         read_stored_series(&format!("{FILE}{grid}"), has_drift);

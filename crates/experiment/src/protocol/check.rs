@@ -6,7 +6,9 @@
 
 use jostle_physics::model::selection::{Selection, share};
 use jostle_physics::model::{Parameters, ParametersError};
-use jostle_physics::simulation::{Change, ChangeError, Placement, Simulation, Spec, Start};
+use jostle_physics::simulation::{
+    Change, ChangeError, Placement, Simulation, Spec, Start, check_weights,
+};
 use toml::Spanned;
 
 use super::block::Block;
@@ -90,6 +92,8 @@ struct Possible {
     of_run: Vec<Situation>,
     /// Whether there are more than were compared.
     is_open: bool,
+    /// Whether the experiment is stored; see [`Source`](crate::file::Source).
+    is_stored: bool,
 }
 
 impl Possible {
@@ -103,7 +107,12 @@ impl Possible {
             let state = &mut self.checker.state;
             state.parameters = now.parameters;
             state.configuration.inform(0, now.weight, 0.0, None);
-            match self.checker.check(change) {
+            let mut checked = self.checker.check(change);
+            if checked.is_ok() && !self.is_stored {
+                let weights = check_weights(std::slice::from_ref(change), now.parameters.pi2);
+                checked = weights.map_err(|(_, error)| error);
+            }
+            match checked {
                 Ok(()) => Ok(now.after(change)),
                 Err(error) => Err((change, error)),
             }
@@ -171,7 +180,12 @@ impl Possible {
         match rejected.1 {
             ChangeError::Parameters(
                 ParametersError::Clash { .. } | ParametersError::StepTooLong { .. },
-            ) if self.is_open => Ok(()),
+            )
+            | ChangeError::Weightless
+                if self.is_open =>
+            {
+                Ok(())
+            }
             _ => Err(rejected),
         }
     }
@@ -311,6 +325,7 @@ impl Resolver<'_> {
             situations: vec![start],
             of_run: vec![start],
             is_open: false,
+            is_stored: self.source.is_stored,
         })
     }
 

@@ -27,9 +27,6 @@ use crate::error::PlanError;
 use crate::file::{Source, Table};
 use crate::set_points::SetPointTable;
 
-/// The column of the time at which `[stop]` ended a run.
-pub const STOPPED_AT: &str = "stopped_at";
-
 /// The protocol of one condition of a plan.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Protocol {

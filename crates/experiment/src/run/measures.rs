@@ -8,11 +8,10 @@ use jostle_physics::observables::{self, Order};
 use jostle_physics::simulation::{Simulation, steps_in};
 use jostle_physics::stepper::StepReport;
 use jostle_results::table::Series;
-use jostle_results::{ExtraValue, Measure, ResultRow};
+use jostle_results::{ExtraValue, Measure, ResultRow, STOPPED_AT, rename_fault};
 use serde::{Deserialize, Serialize};
 
 use crate::plan::{Columns, Plan, PlannedRun, Point};
-use crate::protocol::STOPPED_AT;
 use crate::run::Recorder;
 use crate::series::{SeriesKind, SeriesLog};
 
@@ -273,9 +272,28 @@ impl Measures {
             values.push((measure.to_string(), mean));
         }
         let values = values.into_iter();
-        values
+        let mut extra: Vec<ExtraValue> = values
             .map(|(name, value)| ExtraValue { name, value })
-            .collect()
+            .collect();
+        rename_fault(&mut extra);
+        extra
+    }
+}
+
+impl Plan {
+    /// Returns the names of the columns that only some experiments have, in the order of the table.
+    pub fn extra_columns(&self) -> Vec<String> {
+        let mut names: Vec<String> = Vec::new();
+        let nothing_measured = Measures::new(self);
+        for run in self.runs() {
+            let extra = nothing_measured.extra(self, run, None).into_iter();
+            for name in extra.map(|it| it.name) {
+                if !names.contains(&name) {
+                    names.push(name);
+                }
+            }
+        }
+        names
     }
 }
 

@@ -136,6 +136,36 @@ impl Change {
     }
 }
 
+/// Checks that changes that inform individuals, applied in turn, give them a weight above 0. `pi2` is
+/// that of the swarm before them. [`Simulation::apply`](super::Simulation::apply) does not check it:
+/// earlier versions applied such changes, and a replay applies them again.
+///
+/// # Errors
+///
+/// The index of the first change that informs with a weight of 0, and [`ChangeError::Weightless`].
+pub fn check_weights(changes: &[Change], mut pi2: f64) -> Result<(), (usize, ChangeError)> {
+    for (index, change) in changes.iter().enumerate() {
+        let weight = match change {
+            Change::Inform { weight, .. } => *weight,
+            Change::Inject {
+                informed: Some((_, weight)),
+                ..
+            } => *weight,
+            Change::Set(settings) => {
+                pi2 = settings.pi2.unwrap_or(pi2);
+                continue;
+            }
+            Change::Inject { informed: None, .. } | Change::Uninform(_) | Change::Remove(_) => {
+                continue;
+            }
+        };
+        if weight.unwrap_or(pi2) == 0.0 {
+            return Err((index, ChangeError::Weightless));
+        }
+    }
+    Ok(())
+}
+
 /// The kinds of changes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ChangeKind {

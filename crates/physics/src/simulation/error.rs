@@ -42,6 +42,10 @@ pub enum ChangeError {
         counted(*.0, "individual")
     )]
     NoneLeft(usize),
+    /// The individuals would be informed with `pi2`, which is 0; see
+    /// [`check_weights`](super::change::check_weights).
+    #[error("a weight of 0 informs no individual: set pi2 above 0")]
+    Weightless,
     /// The caller's [`ReserveMemory`](super::change::ReserveMemory) rejects the new size.
     #[error(transparent)]
     Reserve(#[from] ReserveError),

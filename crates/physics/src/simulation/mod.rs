@@ -15,7 +15,7 @@ use crate::stepper::{StepError, StepReport, Stepper};
 
 pub use change::{
     Change, ChangeKind, ChangeOutcome, Placement, Rate, Reservation, ReserveMemory, SetPoints,
-    SettingValues, Settings, Spec, Start,
+    SettingValues, Settings, Spec, Start, check_weights,
 };
 pub use error::{ChangeError, ReserveError};
 
@@ -379,7 +379,7 @@ impl Simulation {
     ) -> Result<ChangeOutcome, ChangeError> {
         let (weight, direction) = self.preference(direction, weight)?;
         let lapses_at =
-            for_time.map(|time| self.state.step.saturating_add(steps_in(time, self.dt())));
+            for_time.map(|time| self.state.step.saturating_add(lapse_steps(time, self.dt())));
         let chosen = self.choose(Candidates::All, selection)?;
         for &individual in &chosen {
             let configuration = &mut self.state.configuration;
@@ -515,19 +515,37 @@ pub fn begin(spec: &Spec) -> Result<State, ChangeError> {
 /// More steps than a simulation takes. Doubles represent every whole number up to this one.
 const MAX_STEPS: u64 = 1 << 53;
 
+/// Up to so many steps [`steps_in`] takes a time that is this much longer for a whole number of steps.
+/// Times are sums and products of decimal fractions.
+const ROUNDING: f64 = 1e-9;
+const ROUNDED_STEPS: f64 = 1.0 / ROUNDING;
+
 /// Returns the least whole number of steps that last at least `time`, at most 2^53.
 ///
 /// A quotient that is whole except for rounding counts as whole: 0.06 in steps of 0.02 is 3 steps.
 pub fn steps_in(time: f64, dt: f64) -> u64 {
-    const ROUNDING: f64 = 1e-9;
-    let steps = (time / dt) * (1.0 - ROUNDING);
-    #[expect(
-        clippy::cast_possible_truncation,
-        clippy::cast_sign_loss,
-        reason = "a float becomes the nearest integer that fits"
-    )]
-    let steps = steps.ceil() as u64;
-    steps.min(MAX_STEPS)
+    let quotient = time / dt;
+    if quotient < ROUNDED_STEPS {
+        return lapse_steps(time, dt);
+    }
+    // The rounding of both numbers and of their quotient: 1e-9 of them would be whole steps.
+    let rounding = (2.0 * f64::EPSILON * quotient).min(0.5);
+    whole_steps(quotient - rounding)
+}
+
+/// As [`steps_in`] with the rounding of 1e-9 for all times: after 1e9 steps, individuals that are informed
+/// for a time are uninformed so much earlier. Journals have the hashes of such states.
+fn lapse_steps(time: f64, dt: f64) -> u64 {
+    whole_steps((time / dt) * (1.0 - ROUNDING))
+}
+
+#[expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "a float becomes the nearest integer that fits"
+)]
+fn whole_steps(steps: f64) -> u64 {
+    (steps.ceil() as u64).min(MAX_STEPS)
 }
 
 #[cfg(test)]

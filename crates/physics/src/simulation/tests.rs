@@ -447,7 +447,31 @@ fn steps_last_at_least_the_time_and_rounding_adds_none() {
         (0.02, 1),
         (0.0201, 2),
         (1e300, 1 << 53),
+        (2e7, 1_000_000_000),
+        (1e9, 50_000_000_000),
+        (1e9 + 0.01, 50_000_000_001),
     ] {
         assert_eq!(steps_in(time, 0.02), steps, "{time}");
+    }
+    for steps in [1 << 30, 99_999_999_999, 1 << 40, (1 << 47) - 1] {
+        for dt in [0.02, 0.01, 0.03, 0.0007, 1.0] {
+            assert_eq!(steps_in(steps as f64 * dt, dt), steps, "{dt}");
+        }
+    }
+}
+
+#[test]
+fn a_time_of_informed_individuals_ends_as_in_the_hashes_of_journals() {
+    for (for_time, lapses_at) in [(0.06, 3), (1e9, 50_000_000_000 - 50)] {
+        let mut simulation = Simulation::new(&Spec::new(3, 1)).unwrap();
+        let inform = Change::Inform {
+            selection: Selection::Ids(vec![1]),
+            direction: 0.0,
+            weight: None,
+            for_time: Some(for_time),
+        };
+        simulation.apply(&inform).unwrap();
+        let lapses = &simulation.state.configuration.lapses_at;
+        assert_eq!(lapses[1], Some(lapses_at));
     }
 }

@@ -29,7 +29,7 @@ use std::time::SystemTime;
 use serde::{Deserialize, Serialize};
 
 pub use self::error::RecordingError;
-pub use self::extent::{Extent, metadata};
+pub use self::extent::{Extent, FRAMES, metadata};
 pub use self::folder::{number_of, part_name, parts, sweep};
 pub use self::reading::{Message, bytes_at, checksum, read};
 pub use self::recorder::Recorder;

@@ -6,21 +6,21 @@ use std::path::Path;
 use csv::ErrorKind;
 
 use super::{TableError, extra_names, has_faults, io_error};
-use crate::{COLUMNS, Cell, CellKind, ExtraValue, FAULT, ResultRow};
+use crate::{COLUMNS, Cell, CellKind, ExtraValue, FAULT, ResultRow, rename_fault};
 
-pub fn write(path: &Path, runs: &[ResultRow]) -> Result<(), TableError> {
+pub fn write(path: &Path, runs: &[ResultRow], extra: &[String]) -> Result<(), TableError> {
     let io = |source| io_error(path, source);
     let mut file = jostle_atomic_file::begin(path).map_err(io)?;
-    write_to(&mut file, runs).map_err(|error| explain(path, error))?;
+    write_to(&mut file, runs, extra).map_err(|error| explain(path, error))?;
     jostle_atomic_file::publish(file, path).map_err(io)
 }
 
-pub fn write_to(to: impl Write, runs: &[ResultRow]) -> Result<(), csv::Error> {
+pub fn write_to(to: impl Write, runs: &[ResultRow], extra: &[String]) -> Result<(), csv::Error> {
     let mut writer = csv::WriterBuilder::new()
         // The header is written below, so that a table without rows has one too.
         .has_headers(false)
         .from_writer(to);
-    let extra = extra_names(runs);
+    let extra = extra_names(runs, extra);
     let names = COLUMNS.iter().map(|column| column.name);
     let has_faults = has_faults(runs);
     let fault = has_faults.then_some(FAULT);
@@ -49,9 +49,7 @@ pub fn read(path: &Path) -> Result<Vec<ResultRow>, TableError> {
             column: column.name.to_owned(),
         })?);
     }
-    let fault = header.iter().position(|name| name == FAULT);
-    let is_extra =
-        |name: &&str| *name != FAULT && COLUMNS.iter().all(|column| column.name != *name);
+    let is_extra = |name: &&str| COLUMNS.iter().all(|column| column.name != *name);
     let extra: Vec<(usize, String)> = (0..)
         .zip(header.iter())
         .filter(|(_, name)| is_extra(name))
@@ -72,19 +70,22 @@ pub fn read(path: &Path) -> Result<Vec<ResultRow>, TableError> {
             })?);
         }
         let mut run = ResultRow::from_cells(cells).expect("`parse` returns a value of its kind");
-        // A field that is no number is not of this program, and is left out.
-        let extra = extra.iter().filter_map(|(place, name)| {
-            let field = record.get(*place)?;
-            let value = match field.is_empty() {
-                true => None,
-                false => Some(field.parse().ok()?),
+        for (place, name) in &extra {
+            let field = record.get(*place).unwrap_or_default();
+            let value = match (field.parse().ok(), &**name) {
+                (None, FAULT) if field.is_empty() => continue,
+                (None, FAULT) => {
+                    run.fault = Some(field.to_owned());
+                    continue;
+                }
+                (value, _) if value.is_some() || field.is_empty() => value,
+                // A field that is no number is not of this program, and is left out.
+                _ => continue,
             };
             let name = name.clone();
-            Some(ExtraValue { name, value })
-        });
-        run.extra = extra.collect();
-        let reason = fault.and_then(|place| record.get(place));
-        run.fault = reason.filter(|it| !it.is_empty()).map(str::to_owned);
+            run.extra.push(ExtraValue { name, value });
+        }
+        rename_fault(&mut run.extra);
         runs.push(run);
     }
     Ok(runs)
@@ -129,7 +130,7 @@ mod tests {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("results.csv");
         for runs in [vec![], samples()] {
-            write(&path, &runs).unwrap();
+            write(&path, &runs, &[]).unwrap();
             assert_eq!(read(&path).unwrap(), runs);
         }
         let text = std::fs::read_to_string(&path).unwrap();
@@ -142,7 +143,7 @@ mod tests {
     fn an_invalid_value_is_reported_by_line_and_column() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("results.csv");
-        write(&path, &[sample(), sample()]).unwrap();
+        write(&path, &[sample(), sample()], &[]).unwrap();
         let text = std::fs::read_to_string(&path).unwrap();
         let (head, last) = text.trim_end().rsplit_once('\n').unwrap();
 

@@ -81,14 +81,15 @@ pub enum TableError {
     },
 }
 
-/// Writes `runs` to both files of `directory`, which must exist.
+/// Writes `runs` to both files of `directory`, which must exist. `extra` are columns that only some
+/// experiments have: a table has them even if no run does.
 ///
 /// # Errors
 ///
 /// [`TableError::Io`], or [`TableError::Value`] for a whole number beyond 2^63.
-pub fn write(directory: &Path, runs: &[ResultRow]) -> Result<(), TableError> {
-    write_parquet(&directory.join(PARQUET_NAME), runs)?;
-    write_csv(&directory.join(CSV_NAME), runs)
+pub fn write(directory: &Path, runs: &[ResultRow], extra: &[String]) -> Result<(), TableError> {
+    parquet::write(&directory.join(PARQUET_NAME), runs, extra)?;
+    csv::write(&directory.join(CSV_NAME), runs, extra)
 }
 
 /// Writes `runs` as Parquet.
@@ -97,7 +98,7 @@ pub fn write(directory: &Path, runs: &[ResultRow]) -> Result<(), TableError> {
 ///
 /// [`TableError::Io`], or [`TableError::Value`] for a whole number beyond 2^63.
 pub fn write_parquet(path: &Path, runs: &[ResultRow]) -> Result<(), TableError> {
-    parquet::write(path, runs)
+    parquet::write(path, runs, &[])
 }
 
 /// Writes `runs` as CSV, numbers in the shortest form that is read back exactly.
@@ -106,14 +107,14 @@ pub fn write_parquet(path: &Path, runs: &[ResultRow]) -> Result<(), TableError> 
 ///
 /// [`TableError::Io`].
 pub fn write_csv(path: &Path, runs: &[ResultRow]) -> Result<(), TableError> {
-    csv::write(path, runs)
+    csv::write(path, runs, &[])
 }
 
 /// Returns `runs` as CSV, as [`write_csv`] writes it.
 #[must_use]
 pub fn csv(runs: &[ResultRow]) -> String {
     let mut bytes = Vec::new();
-    csv::write_to(&mut bytes, runs).expect("writing to memory cannot fail");
+    csv::write_to(&mut bytes, runs, &[]).expect("writing to memory cannot fail");
     String::from_utf8(bytes).expect("CSV is UTF-8")
 }
 
@@ -142,9 +143,10 @@ pub fn read(path: &Path) -> Result<Vec<ResultRow>, TableError> {
     }
 }
 
-/// Returns the names of the columns that only some experiments have, in the order of the rows.
-fn extra_names(runs: &[ResultRow]) -> Vec<&str> {
-    let mut names: Vec<&str> = Vec::new();
+/// Returns the names of the columns that only some experiments have: `first`, then others in the order of
+/// the rows.
+fn extra_names<'a>(runs: &'a [ResultRow], first: &'a [String]) -> Vec<&'a str> {
+    let mut names: Vec<&str> = first.iter().map(String::as_str).collect();
     for extra in runs.iter().flat_map(|run| &run.extra) {
         if !names.contains(&extra.name.as_str()) {
             names.push(&extra.name);
@@ -176,8 +178,8 @@ mod tests {
     use ::parquet::file::reader::{FileReader as _, SerializedFileReader};
 
     use super::*;
-    use crate::Measure;
     use crate::samples::sample;
+    use crate::{FAULT, Measure};
 
     #[test]
     fn a_directory_is_read_from_parquet_else_from_csv() {
@@ -202,7 +204,7 @@ mod tests {
             assert_eq!(read(&stored.join(PARQUET_NAME)).unwrap(), rows, "{version}");
 
             let directory = tempfile::tempdir().unwrap();
-            write(directory.path(), &rows).unwrap();
+            write(directory.path(), &rows, &[]).unwrap();
             let both = |name| [&stored, directory.path()].map(|it: &Path| it.join(name));
             let [old, new] = both(CSV_NAME).map(|it| fs::read(it).unwrap());
             assert!(old == new, "{version}");
@@ -212,6 +214,21 @@ mod tests {
             assert_eq!(old.described, new.described, "{version}");
             assert_eq!(old.keys, [""; 0], "{version}");
             assert_eq!(new.keys, [checksums::KEY], "{version}");
+        }
+    }
+
+    #[test]
+    fn a_variable_with_the_name_of_the_faults_is_renamed_in_stored_tables() {
+        let stored =
+            Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/stored/accepted/small");
+        for name in [CSV_NAME, PARQUET_NAME] {
+            let rows = read(&stored.join(name)).unwrap();
+            let values = |name: &str| rows.iter().map(|row| row.extra(name)).collect::<Vec<_>>();
+            assert_eq!(values("fault_"), [Some(1.0), Some(3.0)], "{name}");
+            assert_eq!(values(FAULT), [None, None], "{name}");
+            assert_eq!(rows[0].fault, None, "{name}");
+            let reason = rows[1].fault.as_deref().unwrap();
+            assert!(reason.contains("step 75"), "{name}: {reason}");
         }
     }
 
@@ -253,7 +270,7 @@ mod tests {
             (vec![sample(), faulted.clone()], true),
             (vec![faulted.clone(), sample()], true),
         ] {
-            write(directory.path(), &rows).unwrap();
+            write(directory.path(), &rows, &[]).unwrap();
             assert_eq!(read(&directory.path().join(PARQUET_NAME)).unwrap(), rows);
             assert_eq!(read(&csv).unwrap(), rows);
             let text = fs::read_to_string(&csv).unwrap();
@@ -268,11 +285,11 @@ mod tests {
         let mut row = sample();
         row.measures
             .retain(|(measure, _)| *measure != Measure::V_PD);
-        write(directory.path(), &[row.clone()]).unwrap();
+        write(directory.path(), &[row.clone()], &[]).unwrap();
         assert_eq!(read(directory.path()).unwrap(), [sample()]);
 
         row.measures.retain(|(measure, _)| *measure != Measure::V);
-        match write(directory.path(), &[sample(), row]).unwrap_err() {
+        match write(directory.path(), &[sample(), row], &[]).unwrap_err() {
             TableError::Value { row, column, .. } => assert_eq!((row, &*column), (2, "v")),
             other => panic!("{other}"),
         }
@@ -285,7 +302,7 @@ mod tests {
         assert!(matches!(unknown, TableError::UnknownKind { .. }));
         let missing = read(Path::new("/nowhere/results.csv")).unwrap_err();
         assert!(matches!(missing, TableError::Io { .. }), "{missing}");
-        let missing = write(Path::new("/nowhere"), &[]).unwrap_err();
+        let missing = write(Path::new("/nowhere"), &[], &[]).unwrap_err();
         assert!(matches!(missing, TableError::Io { .. }), "{missing}");
     }
 }

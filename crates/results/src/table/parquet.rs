@@ -16,7 +16,7 @@ use tempfile::NamedTempFile;
 use super::checksums::{self, Checked};
 use super::column::{CellError, ParquetValue, failed};
 use super::{TableError, extra_names, has_faults, io_error};
-use crate::{COLUMNS, Cell, CellKind, Column, ExtraValue, FAULT, ResultRow};
+use crate::{COLUMNS, Cell, CellKind, Column, ExtraValue, FAULT, ResultRow, rename_fault};
 
 fn schema(extra: &[&str], has_faults: bool) -> Result<Type, ParquetError> {
     let columns = COLUMNS.iter().map(|column| match column.kind {
@@ -30,8 +30,8 @@ fn schema(extra: &[&str], has_faults: bool) -> Result<Type, ParquetError> {
     group("run", columns.chain(extra).chain(fault).collect())
 }
 
-pub fn write(path: &Path, runs: &[ResultRow]) -> Result<(), TableError> {
-    let extra = extra_names(runs);
+pub fn write(path: &Path, runs: &[ResultRow], extra: &[String]) -> Result<(), TableError> {
+    let extra = extra_names(runs, extra);
     let has_faults = has_faults(runs);
     let mut writer = begin(path, schema(&extra, has_faults))?;
     let malformed = |error| malformed(path, &error);
@@ -75,8 +75,12 @@ pub fn read(path: &Path) -> Result<Vec<ResultRow>, TableError> {
                 run.extra.push(ExtraValue { name, value });
             }
         }
-        if has_column(group, FAULT) {
-            let faults: Vec<Option<String>> = read_column(path, group, FAULT, first)?;
+        for run in &mut runs[first..] {
+            rename_fault(&mut run.extra);
+        }
+        if let Some(index) = text_column(group, FAULT) {
+            let rows = (first, 0..rows(group));
+            let faults: Vec<Option<String>> = read_rows_at(path, group, (index, FAULT), rows)?;
             for (run, fault) in runs[first..].iter_mut().zip(faults) {
                 run.fault = fault;
             }
@@ -86,10 +90,10 @@ pub fn read(path: &Path) -> Result<Vec<ResultRow>, TableError> {
     Ok(runs)
 }
 
-/// Returns whether a row group has a column of text.
-fn has_column(group: &dyn RowGroupReader, name: &str) -> bool {
+/// Returns the index of a column of text.
+fn text_column(group: &dyn RowGroupReader, name: &str) -> Option<usize> {
     let mut columns = group.metadata().columns().iter();
-    columns.any(|chunk| {
+    columns.position(|chunk| {
         chunk.column_type() == Physical::BYTE_ARRAY && chunk.column_path().parts() == [name]
     })
 }
@@ -253,7 +257,7 @@ pub fn read_rows<C: ParquetValue>(
     path: &Path,
     group: &dyn RowGroupReader,
     column: &str,
-    (first, rows): (usize, Range<usize>),
+    rows: (usize, Range<usize>),
 ) -> Result<Vec<C>, TableError> {
     let columns = group.metadata().columns();
     let index = columns
@@ -263,6 +267,15 @@ pub fn read_rows<C: ParquetValue>(
             path: path.to_owned(),
             column: column.to_owned(),
         })?;
+    read_rows_at(path, group, (index, column), rows)
+}
+
+fn read_rows_at<C: ParquetValue>(
+    path: &Path,
+    group: &dyn RowGroupReader,
+    (index, column): (usize, &str),
+    (first, rows): (usize, Range<usize>),
+) -> Result<Vec<C>, TableError> {
     let first = first + rows.start;
     group
         .get_column_reader(index)
@@ -291,7 +304,7 @@ mod tests {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("results.parquet");
         for runs in [vec![], samples()] {
-            write(&path, &runs).unwrap();
+            write(&path, &runs, &[]).unwrap();
             assert_eq!(read(&path).unwrap(), runs);
         }
     }
@@ -301,7 +314,7 @@ mod tests {
         let directory = tempfile::tempdir().unwrap();
         let bytes = ["one.parquet", "two.parquet"].map(|name| {
             let path = directory.path().join(name);
-            write(&path, &samples()).unwrap();
+            write(&path, &samples(), &[]).unwrap();
             std::fs::read(path).unwrap()
         });
         assert_eq!(bytes[0], bytes[1]);
@@ -313,7 +326,7 @@ mod tests {
         let path = directory.path().join("results.parquet");
         let mut run = sample();
         run.seed = u64::MAX;
-        match write(&path, &[sample(), run]).unwrap_err() {
+        match write(&path, &[sample(), run], &[]).unwrap_err() {
             TableError::Value { row, column, .. } => assert_eq!((row, &*column), (2, "seed")),
             other => panic!("{other}"),
         }

@@ -42,6 +42,12 @@ pub async fn results(context: &Context, arguments: &ResultsArguments) -> Result<
         return series::print(context, name, run.as_deref()).await;
     }
     let rows = rows::fetch(client, name).await?;
+    if rows.is_empty() {
+        let progress: Progress = client.get_experiment(name, "progress").await?.read()?;
+        if progress.finished == progress.runs {
+            return Err(without_steps(&progress));
+        }
+    }
     if let Some(out) = out {
         if !force {
             check_replaceable(out, &rows)?;
@@ -76,6 +82,14 @@ pub async fn results(context: &Context, arguments: &ResultsArguments) -> Result<
         0 => Ok(()),
         count => output.data(&faults(count)),
     }
+}
+
+/// No run of those that are over has taken a step.
+fn without_steps(progress: &Progress) -> Failure {
+    let (name, runs) = (&progress.name, format::count(progress.finished, "run"));
+    let problem =
+        "ended by a fault at step 0 and without results: `jostled run FILE -o FOLDER` says why";
+    Failure::new("incorrect_state", format!("{runs} of {name} {problem}"))
 }
 
 async fn print_order(context: &Context, name: &str, run: &str) -> Result<(), Failure> {
@@ -148,7 +162,7 @@ fn write(out: &Path, rows: &[ResultRow]) -> Result<Vec<String>, Failure> {
         Some("parquet") => tables::write_parquet(out, rows).map_err(Failure::results)?,
         _ => {
             fs::create_dir_all(out).map_err(|error| Failure::file(out.display(), error))?;
-            tables::write(out, rows).map_err(Failure::results)?;
+            tables::write(out, rows, &[]).map_err(Failure::results)?;
             let names = [tables::PARQUET_NAME, tables::CSV_NAME];
             return Ok(names
                 .map(|name| out.join(name).display().to_string())

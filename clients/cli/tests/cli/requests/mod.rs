@@ -121,7 +121,7 @@ pub fn files() -> tempfile::TempDir {
         serde_json::from_value(canned::read("experiment.results")["rows"].take()).unwrap();
     let results = folder.path().join("results");
     fs::create_dir(&results).unwrap();
-    jostle_results::table::write(&results, &runs).unwrap();
+    jostle_results::table::write(&results, &runs, &[]).unwrap();
     write("grid.toml", GRID.as_bytes());
     for (name, run) in [("one", "1"), ("two", "2")] {
         part(&folder.path().join("parts").join(name), run);

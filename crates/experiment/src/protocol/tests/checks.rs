@@ -1,6 +1,7 @@
 //! What is checked before the first run.
 
 use super::{ByHand, error, finished, noise, plan, row};
+use crate::files::Files;
 use crate::plan::Plan;
 
 const INFORM: &str = "inform = { select = { count = 3 }, direction = 0 }";
@@ -239,4 +240,38 @@ fn a_plan_with_many_conditions_is_checked_in_a_second() {
     let began = std::time::Instant::now();
     check("", &blocks).unwrap();
     assert!(began.elapsed().as_secs_f64() < 30.0);
+}
+
+#[test]
+fn informing_with_a_weight_of_0_is_rejected_in_a_new_file_and_executed_in_a_stored_one() {
+    let weightless = "inform: a weight of 0 informs no individual: set pi2 above 0";
+    let blocks = |first: &str, command: &str| {
+        format!("[[at]]\ntime = 1\n{first}\n[[at]]\ntime = 2\n{command}\n")
+    };
+    let inject = "inject = { count = 1, direction = 0.5 }";
+    for (spec, blocks, problem) in [
+        (", pi2 = 0", blocks("set = { pi3 = 2 }", INFORM), weightless),
+        ("", blocks("set = { pi2 = 0 }", INFORM), weightless),
+        (", pi2 = 0", blocks("set = { pi2 = 1 }", INFORM), ""),
+        (
+            ", pi2 = 0",
+            blocks("set = { pi3 = 2 }", inject),
+            "inject: a weight of 0",
+        ),
+        (
+            ", pi2 = 0",
+            blocks("set = { pi3 = 2 }", "inject = { count = 1 }"),
+            "",
+        ),
+    ] {
+        let text = format!("{STEPS}spec = {{ n = 5, dt = 0.1{spec} }}\n{blocks}");
+        let found = Plan::parse(&text).map_err(|error| error.to_string());
+        match problem {
+            "" => assert_eq!(found.err(), None),
+            problem => assert!(found.unwrap_err().contains(problem), "{blocks}"),
+        }
+        let (stored, accepted) = Plan::new_or_stored(Files::from(&*text)).unwrap();
+        assert_eq!(accepted.is_err(), !problem.is_empty());
+        assert_eq!(stored.runs().len(), 1);
+    }
 }

@@ -493,9 +493,22 @@ pub fn lost_note(parts: u64) -> String {
 /// A note about the states that are missing, and where the last of those were that the daemon lost.
 pub fn missing_note(recording: &Recording) -> String {
     let Recording {
-        missed, lost, gap, ..
+        swarm,
+        frames,
+        missed,
+        lost,
+        gap,
+        every,
+        ..
     } = recording;
     let mut note = match missed.saturating_sub(*lost) {
+        0 if *frames == 0 => {
+            let every = every.unwrap_or(1);
+            format!(
+                "; {swarm} reached no step that is a multiple of {every}: `jostle run {swarm}` runs one \
+                 that is paused"
+            )
+        }
         0 => String::new(),
         dropped => format!("; {dropped} were left out because the disk was behind"),
     };
