@@ -8,7 +8,7 @@ use jostle_proto::ErrorCode;
 use serde_json::{Map, Value, json};
 
 use crate::format::count;
-use crate::suggest::{did_you_mean, nearest};
+use crate::suggest::{did_you_mean, instead_of_unknown, nearest};
 
 /// An error of a verb.
 #[derive(Debug)]
@@ -16,7 +16,7 @@ pub struct Failure {
     /// What callers match.
     pub kind: Kind,
     code: String,
-    /// For people; a rejection has the daemon's own message for programs.
+    /// Names the remedies of the command line.
     message: String,
     details: Map<String, Value>,
     step: Option<u64>,
@@ -106,11 +106,11 @@ impl Failure {
         Failure::new("invalid_argument", format!("{argument}: {problem}")).with("field", argument)
     }
 
-    /// One of several swarms could not be deleted.
-    pub fn not_deleted(swarm: &str, failure: Failure) -> Self {
+    /// A command to one of several swarms failed; `what` it did not become.
+    pub fn not_done(swarm: &str, what: &str, failure: Failure) -> Self {
         Failure {
             kind: Kind::Other,
-            message: format!("{swarm} was not deleted: {failure}"),
+            message: format!("{swarm} was not {what}: {failure}"),
             ..failure.with("swarm", swarm)
         }
     }
@@ -142,6 +142,15 @@ impl Failure {
             runs_on(swarm, target)
         );
         Failure::new("deadline_exceeded", message)
+    }
+
+    /// A swarm that does not run has published too few states.
+    pub fn not_counted(swarm: &str, shown: u64, count: u64, secs: f64) -> Self {
+        let message = format!(
+            "{swarm} does not run: {shown} of {count} came, none within {secs} s (--timeout): `jostle run \
+             {swarm}` runs it"
+        );
+        Failure::new("incorrect_state", message)
     }
 
     /// The condition did not hold within the timeout.
@@ -271,11 +280,11 @@ impl Failure {
         }
     }
 
-    /// The error for programs: the daemon's, or one of the same shape.
+    /// The error for programs, with the remedies of the command line; shaped as the daemon's.
     pub fn to_json(&self) -> Value {
         json!({
             "code": self.code,
-            "message": self.rejection().map_or(&self.message, |error| &error.message),
+            "message": self.message,
             "details": self.details,
             "step": self.step,
         })
@@ -293,7 +302,10 @@ impl From<Error> for Failure {
     fn from(error: Error) -> Self {
         let failure = match &error {
             Error::Rejected(error) => {
-                let message = with_options(&error.message);
+                let mut message = with_options(&error.message);
+                if let Some(question) = instead_of_unknown(&message) {
+                    message.push_str(&format!("; {question}"));
+                }
                 Failure {
                     details: error.details.clone(),
                     step: error.step,
@@ -437,7 +449,7 @@ impl Display for Failure {
 }
 
 /// Requests and fields of the wire in the daemon's remedies, and their names here.
-const REMEDIES: [(&str, &str); 10] = [
+const REMEDIES: [(&str, &str); 11] = [
     (
         "the work goes on; get/wait replies when it is done, timeout_secs waits longer",
         "it continues; `jostle status` shows it, and a longer --timeout waits longer",
@@ -466,6 +478,11 @@ const REMEDIES: [(&str, &str); 10] = [
     ("set make_room to", "--make-room to"),
     ("or null for as fast", "or max for as fast"),
     ("look at get/journal", "look at `jostle journal`"),
+    // Only `leave` gets it here.
+    (
+        "has joined: join first",
+        "has joined: `jostle controllers` lists them",
+    ),
 ];
 
 /// The daemon's message with the options of the command line.
@@ -556,7 +573,7 @@ mod tests {
     }
 
     #[test]
-    fn remedies_of_the_daemon_name_options_for_people_and_fields_for_programs() {
+    fn remedies_of_the_daemon_name_options_of_the_command_line() {
         for (message, expected) in [
             (
                 "not done within 1 s: the work goes on; get/wait replies when it is done, \
@@ -589,18 +606,18 @@ mod tests {
                 step: None,
             });
             assert_eq!(failure.to_string(), expected);
-            assert_eq!(failure.to_json()["message"], message);
+            assert_eq!(failure.to_json()["message"], expected);
         }
     }
 
     #[test]
-    fn a_rejection_keeps_the_message_of_the_daemon_for_programs() {
+    fn programs_read_the_advice_too() {
         let rejected = rejected(ErrorCode::Conflict).with_advice(Some("rather this".into()));
         assert_eq!(rejected.to_string(), "no; rather this");
         let json = rejected.to_json();
         assert_eq!(
             json,
-            json!({"code": "conflict", "message": "no", "details": {}, "step": 7})
+            json!({"code": "conflict", "message": "no; rather this", "details": {}, "step": 7})
         );
     }
 }

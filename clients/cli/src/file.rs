@@ -9,5 +9,9 @@ pub fn read(path: &Path) -> Result<String, String> {
     } else {
         std::fs::read_to_string(path)
     };
-    text.map_err(|error| format!("{}: {error}", path.display()))
+    let text = text.map_err(|error| format!("{}: {error}", path.display()))?;
+    // Editors on Windows write a byte order mark, which JSON does not allow.
+    Ok(text
+        .strip_prefix('\u{feff}')
+        .map_or(text.clone(), str::to_owned))
 }

@@ -14,6 +14,7 @@ mod fixtures;
 mod format;
 mod instant;
 mod interrupt;
+mod narrow;
 mod output;
 mod progress;
 mod screen;

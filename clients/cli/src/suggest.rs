@@ -42,6 +42,14 @@ pub fn did_you_mean<'a, S: AsRef<str> + ?Sized + 'a>(
     }
 }
 
+/// A question for a message of serde, "unknown field `nn`, expected one of `n`, `pi1`".
+pub fn instead_of_unknown(message: &str) -> Option<String> {
+    let (_, rest) = message.split_once("unknown field `")?;
+    let (word, rest) = rest.split_once("`, expected ")?;
+    let known: Vec<&str> = rest.split('`').skip(1).step_by(2).collect();
+    did_you_mean(word, known.iter().copied())
+}
+
 fn similarity(word: &str, known: &str) -> f64 {
     // The beginning of a name matches, however long the rest is.
     if word.len() > 2 && known.starts_with(word) {

@@ -7,6 +7,7 @@ use std::ops::RangeInclusive;
 use std::str::FromStr;
 
 use glob::Pattern;
+use jostle_conditions::{Field, Selection};
 use jostle_figures::Kind;
 use jostle_proto::keys::{NAME_RULE, is_name};
 use jostle_proto::verbs::{MAX_NOTE_CHARS, Pose, Region};
@@ -92,6 +93,23 @@ pub fn name(text: &str) -> Result<String, String> {
     } else {
         Err(format!("a name matches {NAME_RULE}"))
     }
+}
+
+/// What `--where` compares.
+const FIELDS: [Field; 8] = [
+    ("n", &[]),
+    ("informed", &[]),
+    ("order", &[]),
+    ("step", &[]),
+    ("time", &[]),
+    ("rate", &[]),
+    ("actual", &[]),
+    ("phase", &["paused", "running", "faulted"]),
+];
+
+/// A selection of swarms.
+pub fn selection(text: &str) -> Result<Selection, String> {
+    Selection::parse(text, &FIELDS).map_err(|error| error.to_string())
 }
 
 /// Parses the name of a swarm, or a pattern of names such as `test-*`.

@@ -33,6 +33,9 @@ pub enum Problem {
         "unknown variable ${0}: an experiment file gives its values in a [[grid]], such as {0} = [0.1, 0.2]"
     )]
     Variable(String),
+    /// A selection compares something that there is not, or compares it with what it never is.
+    #[error("{0}")]
+    Selection(String),
     /// The condition is too long or too deeply nested.
     #[error("{0}")]
     TooLong(&'static str),

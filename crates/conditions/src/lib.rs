@@ -4,15 +4,20 @@
 //! or several of them joined by `and` and `or`. It is evaluated at steps, on the state, never on a
 //! clock: [`Condition::observe`] after each step. Since when each comparison holds is a [`Held`],
 //! which a checkpoint contains.
+//!
+//! A [`Selection`] has the same form, and is evaluated once, on what is given: `n >= 200 and
+//! phase = running`.
 
 mod condition;
 mod error;
 mod held;
 mod parse;
+mod selection;
 
 pub use condition::{Comparison, Condition, Operator};
 pub use error::{ConditionError, Problem};
 pub use held::Held;
+pub use selection::{Field, Selection, Value};
 
 #[cfg(test)]
 #[expect(clippy::unwrap_used, reason = "tests")]

@@ -15,7 +15,7 @@ const MAX_LENGTH: usize = 1000;
 const MAX_DEPTH: usize = 32;
 
 /// The grammar, from which the derive macro generates `Rule`.
-mod grammar {
+pub(crate) mod grammar {
     #[derive(pest_derive::Parser)]
     #[grammar = "condition.pest"]
     pub struct Grammar;
@@ -49,6 +49,21 @@ impl Condition {
 
 /// Parses a condition; `value` returns the value of a variable.
 fn parse(text: &str, value: &dyn Fn(&str) -> Option<f64>) -> Result<Condition, ConditionError> {
+    let pair = parsed(Rule::condition, text)?;
+    let mut reader = Reader {
+        text,
+        value,
+        comparisons: Vec::new(),
+    };
+    let root = reader.node(pair)?;
+    Ok(Condition {
+        root,
+        comparisons: reader.comparisons,
+    })
+}
+
+/// Parses a text of the grammar's `rule`; its only part.
+pub(crate) fn parsed(rule: Rule, text: &str) -> Result<Pair<'_, Rule>, ConditionError> {
     let reject = |at, problem| Err(error(text, at, problem));
     if text.len() > MAX_LENGTH {
         return reject(
@@ -68,7 +83,7 @@ fn parse(text: &str, value: &dyn Fn(&str) -> Option<f64>) -> Result<Condition, C
             return reject(at, problem);
         }
     }
-    let mut parsed = Grammar::parse(Rule::condition, text).map_err(|failure| {
+    let mut parsed = Grammar::parse(rule, text).map_err(|failure| {
         let at = match failure.location {
             InputLocation::Pos(at) | InputLocation::Span((at, _)) => at,
         };
@@ -78,23 +93,11 @@ fn parse(text: &str, value: &dyn Fn(&str) -> Option<f64>) -> Result<Condition, C
         };
         error(text, at, Problem::Syntax(expected))
     })?;
-    let mut reader = Reader {
-        text,
-        value,
-        comparisons: Vec::new(),
-    };
-    let condition = parsed.next().into_iter().flat_map(Pair::into_inner).next();
-    let root = match condition {
-        Some(either) => reader.node(either)?,
-        None => return reject(0, Problem::Syntax("a condition".to_owned())),
-    };
-    Ok(Condition {
-        root,
-        comparisons: reader.comparisons,
-    })
+    let whole = parsed.next().into_iter().flat_map(Pair::into_inner).next();
+    whole.map_or_else(|| reject(0, Problem::Syntax("a condition".to_owned())), Ok)
 }
 
-fn error(text: &str, at: usize, problem: Problem) -> ConditionError {
+pub(crate) fn error(text: &str, at: usize, problem: Problem) -> ConditionError {
     let before = text.get(..at).unwrap_or(text);
     let column = before.chars().count() + 1;
     ConditionError { column, problem }
@@ -107,6 +110,10 @@ fn expected(rules: &[Rule]) -> String {
         .map(|rule| match rule {
             Rule::measure | Rule::comparison => "a measure, such as order",
             Rule::group => "`(`",
+            Rule::field | Rule::test => "a field, such as n",
+            Rule::relation => "`=`, `!=`, `<`, `<=`, `>` or `>=`",
+            Rule::value | Rule::word => "a number or a word",
+            Rule::choice => "`(`",
             Rule::operator => "`<`, `<=`, `>` or `>=`",
             Rule::number | Rule::literal | Rule::variable => "a number",
             Rule::duration => "a duration, in time units",

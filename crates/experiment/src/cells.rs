@@ -24,6 +24,14 @@ impl Cells {
     /// [`CellError`]: it is no CSV, or a row has too few or too many cells.
     pub fn read(text: &str, limit: u64, too_many: &str) -> Result<Self, CellError> {
         let text = text.strip_prefix('\u{feff}').unwrap_or(text);
+        let header = text.lines().next().unwrap_or_default();
+        if header.contains(';') && !header.contains(',') {
+            let reason = "its columns are separated by semicolons: separate them by commas, and write \
+                          numbers with decimal points, as 0.5";
+            return Err((1, 1, reason.to_owned()));
+        }
+        // NumPy's `savetxt` writes the header as a comment.
+        let text = text.strip_prefix('#').unwrap_or(text);
         let mut reader = ReaderBuilder::new()
             .has_headers(false)
             .flexible(true)

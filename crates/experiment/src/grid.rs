@@ -69,6 +69,14 @@ pub fn common(
             let reason = "seed is not a field of [spec]: move it to the top of the file";
             return Err(source.reject(&key.span(), reason));
         }
+        if ["informed", "informed_fraction"].contains(&key.get_ref().as_str()) {
+            let key_text = key.get_ref();
+            let reason = format!(
+                "{key_text} is not a field of [spec]: write it in a [[grid]], as {key_text} = {}",
+                value.get_ref()
+            );
+            return Err(source.reject(&key.span(), &reason));
+        }
         check(source, key.get_ref(), value)?;
         let given = (key.get_ref().clone(), value.get_ref().clone());
         if base.is_some()

@@ -153,10 +153,11 @@ pub fn remove_faulted(rows: &mut Vec<ResultRow>) -> Result<Vec<String>, ChartErr
 }
 
 /// Values with their names, as in the name of a run.
-type Values = Vec<(String, String)>;
+pub type Values = Vec<(String, String)>;
 
 /// Returns the values in the name of a run.
-fn values_of(run: &str) -> Values {
+#[must_use]
+pub fn values_of(run: &str) -> Values {
     let pairs = run.split(' ').filter_map(|pair| pair.split_once('='));
     pairs
         .map(|(name, value)| (name.to_owned(), value.to_owned()))
@@ -164,7 +165,8 @@ fn values_of(run: &str) -> Values {
 }
 
 /// Returns the names of the values that differ between runs, in the order of the first run's name.
-fn varied(runs: &[Values]) -> Vec<String> {
+#[must_use]
+pub fn varied(runs: &[Values]) -> Vec<String> {
     let mut all: Vec<(&str, Vec<Option<&str>>)> = Vec::new();
     for (name, _) in runs.iter().flatten() {
         if all.iter().all(|(it, _)| it != name) {

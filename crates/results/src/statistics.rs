@@ -164,7 +164,8 @@ fn compare_others(one: &str, two: &str) -> Ordering {
 }
 
 /// Compares varied values with their names, numbers by size.
-pub(crate) fn compare_values(one: &[(String, String)], two: &[(String, String)]) -> Ordering {
+#[must_use]
+pub fn compare_values(one: &[(String, String)], two: &[(String, String)]) -> Ordering {
     let pairs = one.iter().zip(two);
     let mut orders = pairs.map(|((name, value), (of, other))| {
         let by_value = match (value.parse::<f64>(), other.parse::<f64>()) {
@@ -305,7 +306,8 @@ fn student_t(freedom: u64) -> f64 {
 }
 
 /// Averages `values`, at least one.
-pub(crate) fn mean_of(values: &[f64]) -> Spread {
+#[must_use]
+pub fn mean_of(values: &[f64]) -> Spread {
     let count = values.len() as f64;
     let mean = values.iter().sum::<f64>() / count;
     let squares: f64 = values

@@ -4,9 +4,13 @@ use clap::builder::PossibleValuesParser;
 use clap::{Args, Subcommand};
 use jostle_proto::keys;
 
-/// The verbs that a role may permit: all that change something.
+/// The verbs that every role permits.
+pub const READS: [&str; 2] = ["wait", "watch"];
+
+/// The verbs that a role may permit: those, and all that change something.
 fn verbs() -> impl Iterator<Item = &'static str> {
-    keys::SWARM_VERBS.into_iter().chain(keys::NODE_VERBS)
+    let changes = keys::SWARM_VERBS.into_iter().chain(keys::NODE_VERBS);
+    changes.chain(READS)
 }
 
 #[derive(Debug, Args)]

@@ -143,6 +143,13 @@ pub struct ResultsArguments {
     /// Print a row for each run as CSV instead of a line for each condition
     #[arg(long, conflicts_with = "out")]
     pub csv: bool,
+    /// Average over the runs that share the values of these axes, such as pi3,pi4; `run` for each run
+    /// [default: all axes that vary]
+    #[arg(long, value_name = "AXES", value_delimiter = ',', conflicts_with_all = ["out", "csv", "order", "series", "trajectory"])]
+    pub by: Option<Vec<String>>,
+    /// Print only so many lines [default: all, with --json 1000]
+    #[arg(long, value_name = "COUNT", value_parser = values::count, allow_negative_numbers = true, conflicts_with_all = ["out", "csv", "order", "series", "trajectory"])]
+    pub limit: Option<usize>,
     /// Print the order of this run over time as CSV, if the experiment measures it
     #[arg(long, value_name = "RUN", conflicts_with_all = ["out", "csv"])]
     pub order: Option<String>,

@@ -196,7 +196,10 @@ pub const EXAMPLES: [(&str, &str); 58] = [
     ("experiment resume", "experiment resume order"),
     ("experiment cancel", "experiment cancel order"),
     ("experiment delete", "experiment delete order"),
-    ("experiment results", "experiment results order -o results"),
+    (
+        "experiment results",
+        "experiment results order --by pi3,pi4",
+    ),
     (
         "results merge",
         "results merge order-parts -o results --verify 1%",

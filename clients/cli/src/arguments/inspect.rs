@@ -6,13 +6,16 @@ use clap::builder::PossibleValuesParser;
 use clap::{Args, ValueEnum, ValueHint};
 use clap_complete::engine::ArgValueCompleter;
 
+use crate::arguments::FilterArguments;
 use crate::completion;
 use crate::instant;
 use crate::values;
 
 #[derive(Debug, Args)]
 pub struct TopArguments {
-    /// End after this many screens
+    #[command(flatten)]
+    pub filter: FilterArguments,
+    /// End after this many screens [default with --json: 1]
     #[arg(short = 'n', long, value_parser = values::positive, allow_negative_numbers = true)]
     pub count: Option<u64>,
     /// The time between two screens

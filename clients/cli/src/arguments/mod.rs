@@ -12,6 +12,7 @@ mod recording;
 mod replay;
 mod sending;
 mod verbs;
+mod which;
 
 use clap::{Parser, Subcommand};
 
@@ -27,6 +28,7 @@ pub use self::recording::*;
 pub use self::replay::*;
 pub use self::sending::*;
 pub use self::verbs::*;
+pub use self::which::*;
 
 /// Observes and steers swarms that a daemon, `jostled`, hosts
 #[derive(Debug, Parser)]
@@ -53,7 +55,7 @@ pub enum Verb {
     /// Creates a paused swarm
     Create(CreateArguments),
     /// Lists the swarms of a daemon
-    List,
+    List(FilterArguments),
     /// Shows the status of a swarm: phase, step, order, certificate
     Status(SwarmArguments),
     /// Lists the parameters of a swarm: values, ranges, units, and the verbs that change them
@@ -82,10 +84,10 @@ pub enum Verb {
     Replay(ReplayArguments),
     /// Moves a playback to another place in its recording
     Seek(SeekArguments),
-    /// Runs a swarm, or changes the end and the rate of a running one
+    /// Runs swarms, or changes the end and the rate of running ones
     Run(RunArguments),
-    /// Pauses a swarm
-    Pause(CommandArguments),
+    /// Pauses swarms
+    Pause(SwarmsArguments),
     /// Executes steps of a paused swarm, as fast as possible
     Step(StepArguments),
     /// Resets a swarm to its initial state, paused
@@ -111,7 +113,7 @@ pub enum Verb {
     /// Waits until a condition holds in a swarm; without --timeout it waits as long as it takes
     Wait(WaitArguments),
     /// Deletes swarms
-    Delete(DeleteArguments),
+    Delete(SwarmsArguments),
     /// Creates a paused copy of a swarm, at its current or an earlier step
     Fork(ForkArguments),
     /// Compares two swarms: specs, commands, positions and order
@@ -266,7 +268,11 @@ mod tests {
             "record demo --delete take",
             "step demo -3",
             "status demo --timeout 0",
-            "pause *",
+            "pause",
+            "pause a/*",
+            "run",
+            "list --where n",
+            "delete --where phase=runing",
             "delete demo a/b",
             "--node ** list",
             "--prefix a* list",
@@ -297,6 +303,9 @@ mod tests {
             "experiment run",
             "experiment pause a/b",
             "experiment results a -o b --csv",
+            "experiment results a --by n --csv",
+            "experiment results a --limit 3 -o b",
+            "experiment results a --limit 0",
             "plot 2 results",
             "plot a --x n -o a.svg",
             "plot a --over-time -o a.svg",

@@ -7,10 +7,10 @@ use clap_complete::engine::ArgValueCompleter;
 use jostle_proto::LARGEST_WHOLE;
 use jostle_proto::verbs::{Pose, Region};
 
-use crate::arguments::{CommandArguments, SenderArguments, SendingArguments};
+use crate::arguments::{CommandArguments, SenderArguments, SendingArguments, SwarmsArguments};
 use crate::completion;
 use crate::selection::SelectionArguments;
-use crate::values::{self, Assignment, End, Law, MAX_INDIVIDUALS, MAX_STEPS, Names, Rate};
+use crate::values::{self, Assignment, End, Law, MAX_INDIVIDUALS, MAX_STEPS, Rate};
 
 #[derive(Debug, Args)]
 pub struct SelectArguments {
@@ -114,7 +114,7 @@ pub struct CreateArguments {
 #[derive(Debug, Args)]
 pub struct RunArguments {
     #[command(flatten)]
-    pub command: CommandArguments,
+    pub swarms: SwarmsArguments,
     /// Pause at the first step at or after this time, or after which this condition holds, such as
     /// 'order > 0.9 for 20'
     #[arg(long, value_name = "TIME|CONDITION", value_parser = values::end, allow_hyphen_values = true)]
@@ -289,19 +289,6 @@ pub struct WaitArguments {
 pub enum WhenAction {
     /// It pauses
     Pause,
-}
-
-#[derive(Debug, Args)]
-pub struct DeleteArguments {
-    /// Names of swarms, or quoted patterns with `*`, `?` and `[abc]`, such as 'test-*'. With --node
-    /// only swarms of that daemon are deleted
-    #[arg(required = true, value_name = "NAME", value_parser = values::names, add = ArgValueCompleter::new(completion::swarms))]
-    pub names: Vec<Names>,
-    /// Delete matches of a pattern without confirmation
-    #[arg(short, long)]
-    pub yes: bool,
-    #[command(flatten)]
-    pub sending: SendingArguments,
 }
 
 #[derive(Debug, Args)]

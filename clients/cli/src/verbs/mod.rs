@@ -28,6 +28,7 @@ mod verify;
 mod wait;
 mod watch;
 mod when;
+mod which;
 
 use std::time::Duration;
 
@@ -93,6 +94,7 @@ pub fn records_to_file(verb: &Verb) -> bool {
 
 /// Connects, executes a verb and closes the session.
 async fn connected(global: GlobalArguments, output: Output, verb: Verb) -> Result<(), Failure> {
+    let reply_timeout = global.timeout;
     let timeout = global.is_timeout_given.then_some(global.timeout);
     let client = interrupt::either(connect(&global, output)).await?;
     let context = Context { client, output };
@@ -101,7 +103,7 @@ async fn connected(global: GlobalArguments, output: Output, verb: Verb) -> Resul
         Verb::Run(arguments) => run::run(&context, &arguments, timeout).await,
         Verb::Wait(arguments) => wait::wait(&context, &arguments, timeout).await,
         Verb::Step(arguments) => steer::step(&context, &arguments).await,
-        Verb::Watch(arguments) => watch::watch(&context, &arguments).await,
+        Verb::Watch(arguments) => watch::watch(&context, &arguments, reply_timeout).await,
         Verb::Record(arguments) => record::record(&context, &arguments).await,
         Verb::Experiment(arguments) => experiment::experiment(&context, &arguments.what).await,
         verb => interrupt::either(interruptible(&context, verb, timeout)).await,
@@ -126,7 +128,7 @@ pub fn grace(verb: &Verb) -> Duration {
 async fn interruptible(context: &Context, verb: Verb, timeout: Option<f64>) -> Result<(), Failure> {
     match verb {
         Verb::Create(arguments) => create::create(context, &arguments).await,
-        Verb::List => inspect::list(context).await,
+        Verb::List(arguments) => inspect::list(context, &arguments).await,
         Verb::Status(arguments) => inspect::status(context, &arguments.name).await,
         Verb::Parameters(arguments) => inspect::parameters(context, &arguments.name).await,
         Verb::Measures(arguments) => inspect::measures(context, &arguments).await,

@@ -7,7 +7,7 @@ use jostle_client::{Client, Error, FollowOptions, Payload, Update};
 use jostle_proto::verbs::{RunArgs, RunResult};
 use jostle_proto::{ErrorCode, Phase, Reply, Status};
 
-use crate::arguments::{CommandArguments, RunArguments};
+use crate::arguments::RunArguments;
 use crate::context::Context;
 use crate::failure::{Failure, runs_on};
 use crate::format;
@@ -17,15 +17,32 @@ use crate::progress;
 use crate::values::{End, Rate};
 use crate::verbs::outage::{Outage, RETRY_DELAY, is_missing, wait_for_deadline};
 use crate::verbs::when::pause_when;
+use crate::verbs::which;
 
-/// Runs a swarm; waits for its end for at most `timeout` seconds, if it is given.
+/// Runs swarms; waits for the end of one for at most `timeout` seconds, if it is given.
 pub async fn run(
     context: &Context,
     arguments: &RunArguments,
     timeout: Option<f64>,
 ) -> Result<(), Failure> {
+    let swarms = interrupt::either(which::chosen(context, "run", &arguments.swarms)).await?;
+    if arguments.wait && swarms.len() > 1 {
+        let problem =
+            "waits for one swarm: leave it out, and wait for each with `jostle run NAME --wait`";
+        return Err(Failure::argument("--wait", problem));
+    }
+    let run = async |swarm: &str| run_one(context, arguments, swarm, timeout).await;
+    which::each(context.output, "run", &swarms, run).await
+}
+
+async fn run_one(
+    context: &Context,
+    arguments: &RunArguments,
+    name: &str,
+    timeout: Option<f64>,
+) -> Result<(), Failure> {
     let Context { client, output } = context;
-    let CommandArguments { name, sending } = &arguments.command;
+    let sending = &arguments.swarms.sending;
     let (until_time, condition) = match &arguments.until {
         Some(End::Time(time)) => (Some(*time), None),
         Some(End::Condition(condition)) => (None, Some(condition)),

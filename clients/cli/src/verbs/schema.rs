@@ -2,6 +2,7 @@
 
 use jostle_proto::contract::{CHANNELS, Channel, ChannelKind};
 use jostle_proto::{NodeReply, Schemas};
+use serde_json::json;
 
 use crate::arguments::SchemaArguments;
 use crate::context::Context;
@@ -15,10 +16,14 @@ pub async fn schema(context: &Context, arguments: &SchemaArguments) -> Result<()
     let answer = client.get_node("schema").await?;
     let schemas = answer.read::<NodeReply<Schemas>>()?.result.schemas;
     let Some(message) = &arguments.message else {
-        if output.json {
-            return output.data(answer.json()?);
-        }
         let messages: Vec<&String> = schemas.keys().collect();
+        if output.json {
+            let listed = messages.iter().map(|message| {
+                let (key, meaning) = purpose(message);
+                json!({"message": message, "key": key, "meaning": meaning})
+            });
+            return output.document(&listed.collect::<Vec<_>>());
+        }
         let table = table::of(
             &messages,
             [("message", |it| (*it).clone()), ("key", |it| purpose(it).0)],

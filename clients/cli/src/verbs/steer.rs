@@ -12,7 +12,7 @@ use serde_json::{Map, Value};
 
 use crate::arguments::{
     AnnotateArguments, CommandArguments, LeaveArguments, ResetArguments, SetArguments,
-    StepArguments,
+    StepArguments, SwarmsArguments,
 };
 use crate::context::Context;
 use crate::failure::Failure;
@@ -21,9 +21,13 @@ use crate::interrupt;
 use crate::output::scheduled;
 use crate::suggest::did_you_mean;
 use crate::table;
+use crate::verbs::which;
 
-pub async fn pause(context: &Context, command: &CommandArguments) -> Result<(), Failure> {
-    context.execute(command, &PauseArgs {}, standing).await
+pub async fn pause(context: &Context, arguments: &SwarmsArguments) -> Result<(), Failure> {
+    let swarms = which::chosen(context, "pause", arguments).await?;
+    let (sending, args) = (&arguments.sending, PauseArgs {});
+    let pause = async |swarm: &str| context.send(swarm, sending, &args, standing).await;
+    which::each(context.output, "pause", &swarms, pause).await
 }
 
 pub async fn step(context: &Context, arguments: &StepArguments) -> Result<(), Failure> {

@@ -188,11 +188,30 @@ async fn an_experiment_is_run_listed_and_its_tables_are_those_of_the_daemon() {
         csv.trim(),
         fs::read_to_string(out.join("results.csv")).unwrap().trim()
     );
-    let rows = daemon
-        .jostle("--json experiment results small")
+    let means = daemon.reply("experiment results small").await;
+    assert_eq!((&means["runs"], &means["by"]), (&json!(4), &json!(["n"])));
+    let [first, _] = &means["groups"].as_array().unwrap()[..] else {
+        panic!("{means}");
+    };
+    assert_eq!(
+        (&first["runs"], &first["means"]["v"]["n"]),
+        (&json!(2), &json!(2))
+    );
+    assert!(first["means"]["v"]["error"].is_number(), "{first}");
+    assert_eq!(means["units"]["v"], "v0");
+    let by_run = daemon
+        .reply("experiment results small --by run --limit 3")
+        .await;
+    assert_eq!(by_run["groups"].as_array().unwrap().len(), 3);
+    assert_eq!(by_run["left_out"], 1);
+    daemon
+        .jostle("--json experiment results small --csv")
         .await
-        .json_lines();
-    assert_eq!(rows[0].as_array().unwrap().len(), 4);
+        .assert_stderr(2, "--csv");
+    daemon
+        .jostle("experiment results small --by pi5")
+        .await
+        .assert_stderr(2, "did you mean `pi");
 
     let refused = daemon
         .refusal("experiment results small --order nobody")
@@ -432,6 +451,60 @@ async fn a_count_of_one_is_singular() {
     assert!(
         refused.stderr.contains("1 individual, which is all"),
         "{refused:?}"
+    );
+    daemon.stop().await;
+}
+
+/// Axes that no group of older columns had, and weights without anyone informed.
+const AXES: &str = "name = \"axes\"\nduration = 0.2\nreplicates = 2\nspec = { n = 2 }\n\
+                    grid = [{ pi2 = [0.5, 0.75], pi3 = [1, 2], pi4 = [5, 10], dt = [0.02, 0.05], n = [2] }]\n";
+
+#[tokio::test(flavor = "multi_thread")]
+async fn results_have_a_line_for_each_combination_of_exactly_the_axes_that_vary() {
+    let folder = tempfile::tempdir().unwrap();
+    let daemon = Daemon::start().await;
+    let axes = file(folder.path(), "axes.toml", AXES);
+    daemon.said(&format!("experiment run {axes}")).await;
+    let table = daemon.said("experiment results axes").await;
+    let mut lines = table.lines();
+    let header: Vec<&str> = lines.next().unwrap().split_whitespace().collect();
+    let runs = header.iter().position(|it| *it == "runs").unwrap();
+    let mut varying = header[..runs].to_vec();
+    varying.sort_unstable();
+    assert_eq!(varying, ["dt", "pi2", "pi3", "pi4"], "{table}");
+    let values: Vec<Vec<&str>> = lines
+        .map(|line| line.split_whitespace().take(runs + 1).collect())
+        .collect();
+    let distinct: std::collections::BTreeSet<_> = values.iter().collect();
+    assert_eq!((values.len(), distinct.len()), (16, 16), "{table}");
+    assert!(values.iter().all(|it| it[runs] == "2"), "{table}");
+    // The weight is that of the table of runs, also where no one is informed.
+    let pi2 = header.iter().position(|it| *it == "pi2").unwrap();
+    assert!(
+        values.iter().all(|it| ["0.5", "0.75"].contains(&it[pi2])),
+        "{table}"
+    );
+
+    let by = daemon.said("experiment results axes --by pi3,n").await;
+    let by: Vec<Vec<&str>> = by
+        .lines()
+        .map(|line| line.split_whitespace().take(3).collect())
+        .collect();
+    assert_eq!(
+        by,
+        [["pi3", "n", "runs"], ["1", "2", "16"], ["2", "2", "16"]]
+    );
+    let document = daemon
+        .reply("experiment results axes --by pi3,pi4 --limit 3")
+        .await;
+    assert_eq!(document["groups"].as_array().unwrap().len(), 3);
+    assert_eq!(
+        document["groups"][0]["values"],
+        json!({"pi3": 1.0, "pi4": 5.0})
+    );
+    assert_eq!(
+        (&document["left_out"], &document["runs"]),
+        (&json!(1), &json!(32))
     );
     daemon.stop().await;
 }

@@ -182,3 +182,27 @@ async fn a_closed_pipe_ends_a_stream_without_an_error() {
     .await;
     daemon.stop().await;
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn whoever_counts_the_states_of_a_paused_swarm_does_not_wait_for_ever() {
+    let daemon = Daemon::start().await;
+    daemon.said("create demo --n 10").await;
+    for line in [
+        "watch demo --count 3",
+        "--json watch demo --count 3",
+        "watch demo --frames --count 3",
+    ] {
+        let ended = daemon.jostle(&format!("{line} --timeout 1")).await;
+        ended.assert_stderr(4, "demo does not run: 1 of 3 came");
+        assert!(
+            ended.stderr.contains("`jostle run demo` runs it"),
+            "{ended:?}"
+        );
+    }
+    // Steps of another client count.
+    let mut watching = daemon.begin("--json watch demo --count 2");
+    watching.lines(1);
+    daemon.said("step demo 5").await;
+    assert_eq!(watching.end().await.code, Some(0));
+    daemon.stop().await;
+}

@@ -150,7 +150,7 @@ async fn help_describes_verbs_and_topics() {
     let run = |line| Running::begin("tcp/127.0.0.1:1", line, "").end();
     for (line, text) in [
         ("help", "Usage: jostle [OPTIONS] <VERB>"),
-        ("help run", "Usage: jostle run [OPTIONS] <NAME>"),
+        ("help run", "Usage: jostle run [OPTIONS] [NAME]..."),
         ("help experiment run", "Usage: jostle experiment run"),
         ("experiment help run", "Usage: jostle experiment run"),
         ("help topics", "  exit-codes "),

@@ -74,12 +74,107 @@ async fn with_json_a_screen_is_a_reply_as_received() {
         .collect();
     assert!(uptimes.len() == 3 && uptimes.is_sorted(), "{uptimes:?}");
 
-    let mut looking = daemon.begin("--json top --interval 0.05");
+    let once = daemon.jostle("--json top --interval 0.05").await;
+    assert_eq!(
+        (once.code, once.json_lines().len()),
+        (Some(0), 1),
+        "{once:?}"
+    );
+    let mut looking = daemon.begin("--json top --interval 0.05 --count 1000000");
     looking.lines(2);
     looking.interrupt();
     assert_eq!(looking.end().await.code, Some(130));
     let refused = daemon.jostle("top --count 0").await;
     assert_eq!(refused.code, Some(2), "{refused:?}");
     assert_eq!(shown["result"]["unwell"], json!([]));
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn patterns_and_conditions_select_the_swarms_of_list_and_top() {
+    let daemon = Daemon::start().await;
+    for (name, n) in [("test-1", 5), ("test-2", 20), ("demo", 20)] {
+        daemon.said(&format!("create {name} --n {n}")).await;
+    }
+    daemon.said("run test-2 --rate 0.5").await;
+    daemon.until_running("test-2").await;
+    for (filter, expected) in [
+        ("", &["demo", "test-1", "test-2"][..]),
+        ("test-*", &["test-1", "test-2"]),
+        ("demo test-1", &["demo", "test-1"]),
+        ("--where n>=20", &["demo", "test-2"]),
+        ("test-* --where n>=20", &["test-2"]),
+        ("--where n>=20andphase=running", &["test-2"]),
+        ("--where phase!=running", &["demo", "test-1"]),
+        ("no-*", &[]),
+    ] {
+        // The blanks of a condition, which the line would split, may be left out but around words.
+        let filter = filter.replace("20and", "20\nand\n");
+        for verb in ["list", "top -n 1 --sort name"] {
+            let line = format!("{verb} {filter}").trim_end().to_owned();
+            let swarms = daemon.reply(&line).await["result"]["swarms"].clone();
+            let names = swarms.as_array().unwrap().iter();
+            let names: Vec<_> = names
+                .map(|it| it["swarm"].as_str().unwrap().to_owned())
+                .collect();
+            assert_eq!(names, expected, "{line}");
+            let shown = daemon.jostle(&line).await;
+            for name in ["demo", "test-1", "test-2"] {
+                let is_shown = shown.stdout.contains(name);
+                assert_eq!(is_shown, expected.contains(&name), "{line}: {shown:?}");
+            }
+        }
+    }
+    let wrong = daemon.jostle("list --where m=3").await;
+    wrong.assert_stderr(2, "use one of n, informed, order");
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn swarms_are_paused_run_and_deleted_by_what_holds_for_them() {
+    let daemon = Daemon::start().await;
+    for (name, n) in [("test-1", 5), ("test-2", 20), ("demo", 20)] {
+        daemon.said(&format!("create {name} --n {n}")).await;
+    }
+    let phases = async || {
+        let swarms = daemon.reply("list").await["result"]["swarms"].clone();
+        let swarms = swarms.as_array().unwrap().iter();
+        let phases: Vec<_> = swarms
+            .map(|it| format!("{} {}", it["swarm"], it["phase"]).replace('"', ""))
+            .collect();
+        phases.join(", ")
+    };
+    for verb in ["run", "pause", "delete"] {
+        let asked = daemon.jostle(&format!("{verb} test-*")).await;
+        asked.assert_stderr(2, "it matches 2 swarms: test-1, test-2");
+        let asked = daemon.jostle(&format!("{verb} --where n>6")).await;
+        asked.assert_stderr(2, "it matches 2 swarms: demo, test-2");
+        let none = daemon.jostle(&format!("{verb} --where n>600")).await;
+        none.assert_stderr(3, "holds for no swarm");
+    }
+    daemon.said("run --where n>6 --yes --rate 0.5").await;
+    assert_eq!(
+        phases().await,
+        "demo running, test-1 paused, test-2 running"
+    );
+    daemon.said("pause test-* --where phase=running -y").await;
+    assert_eq!(phases().await, "demo running, test-1 paused, test-2 paused");
+    daemon.said("run test-1 test-2 --rate 0.5").await;
+    assert_eq!(
+        phases().await,
+        "demo running, test-1 running, test-2 running"
+    );
+    let both = daemon.jostle("pause test-1 nobody").await;
+    both.assert_stderr(3, "nobody");
+    assert_eq!(
+        phases().await,
+        "demo running, test-1 paused, test-2 running"
+    );
+    daemon
+        .jostle("run test-* -y --wait")
+        .await
+        .assert_stderr(2, "--wait");
+    daemon.said("delete --where phase=running --yes").await;
+    assert_eq!(phases().await, "test-1 paused");
     daemon.stop().await;
 }

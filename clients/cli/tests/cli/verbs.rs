@@ -424,3 +424,76 @@ async fn each_swarm_that_is_not_deleted_is_named_with_its_reason() {
     assert_eq!(errors[0]["code"], "not_found");
     daemon.stop().await;
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn files_of_other_programs_are_read_or_get_a_remedy() {
+    let daemon = Daemon::start().await;
+    let folder = tempfile::tempdir().unwrap();
+    let write = |name: &str, text: &str| {
+        let path = folder.path().join(name);
+        std::fs::write(&path, text).unwrap();
+        path.display().to_string()
+    };
+    // A byte order mark.
+    let spec = write("spec.json", "\u{feff}{\"n\": 3}");
+    daemon.said(&format!("create demo --spec {spec}")).await;
+    let changes = write(
+        "changes.json",
+        "\u{feff}[{\"verb\": \"set\", \"args\": {\"pi3\": 2}}]",
+    );
+    daemon.said(&format!("batch demo {changes}")).await;
+    // Unknown keys and misplaced ones.
+    let head = "name = \"e\"\nduration = 1\n";
+    for (text, expected) in [
+        (
+            "replicate = 2\n[spec]\nn = 3\n",
+            "did you mean `replicates`?",
+        ),
+        (
+            "[spec]\nn = 3\ninformed = 4\n",
+            "line 5, column 1: informed is not a field of [spec]: write it in a [[grid]], as \
+             informed = 4",
+        ),
+        (
+            "points = \"semicolons.csv\"\n[spec]\nn = 3\n",
+            "separated by semicolons",
+        ),
+    ] {
+        write("semicolons.csv", "pi1;pi3\n1,5;2\n");
+        let file = write("e.toml", &format!("{head}{text}"));
+        for line in [
+            format!("experiment run {file}"),
+            format!("experiment run {file} --dry-run"),
+        ] {
+            daemon.jostle(&line).await.assert_stderr(2, expected);
+        }
+    }
+    // The header that NumPy's `savetxt` writes.
+    write("numpy.csv", "# pi1,pi3\n1.5e+00,2e+00\n");
+    let file = write(
+        "e.toml",
+        &format!("{head}points = \"numpy.csv\"\n[spec]\nn = 3\n"),
+    );
+    let plan = daemon
+        .said(&format!("experiment run {file} --dry-run"))
+        .await;
+    assert!(plan.contains("1 condition"), "{plan}");
+
+    let nobody = daemon.jostle("leave demo ada").await;
+    nobody.assert_stderr(
+        3,
+        "no controller ada has joined: `jostle controllers` lists them",
+    );
+    let json = daemon.refusal("leave demo ada").await;
+    assert!(
+        json["message"]
+            .as_str()
+            .unwrap()
+            .contains("`jostle controllers`"),
+        "{json}"
+    );
+    assert_eq!(daemon.said("auth can wait").await.trim(), "you may wait");
+    let listed = daemon.reply("schema").await;
+    assert_eq!(listed[0].as_object().unwrap().len(), 3, "{listed}");
+    daemon.stop().await;
+}

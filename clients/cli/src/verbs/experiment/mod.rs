@@ -1,5 +1,6 @@
 //! `experiment`: grids of runs on the daemon, which executes them without a client.
 
+mod aggregate;
 mod attach;
 mod plan;
 mod play;
@@ -29,6 +30,7 @@ use crate::file;
 use crate::format;
 use crate::interrupt;
 use crate::output::Output;
+use crate::suggest::instead_of_unknown;
 use crate::table::Column;
 
 pub async fn experiment(context: &Context, what: &Experiment) -> Result<(), Failure> {
@@ -115,7 +117,13 @@ fn read(path: &Path) -> Result<Files, String> {
 /// Shows what an experiment would do. Needs no daemon.
 pub fn dry_run(output: Output, arguments: &RunExperimentArguments) -> Result<(), Failure> {
     let files = read(&arguments.file).map_err(|problem| Failure::argument("FILE", problem))?;
-    let of_file = |error: PlanError| Failure::argument(arguments.file.display(), error.to_string());
+    let of_file = |error: PlanError| {
+        let mut problem = error.to_string();
+        if let Some(question) = instead_of_unknown(&problem) {
+            problem.push_str(&format!("; {question}"));
+        }
+        Failure::argument(arguments.file.display(), problem)
+    };
     let plan = Plan::of(files).map_err(of_file)?;
     let dry_run = DryRun::of(&plan, &Subset::all(&plan)).map_err(of_file)?;
     output.print(&dry_run, &dry_run.to_string())

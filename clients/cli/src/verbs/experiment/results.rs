@@ -6,7 +6,6 @@ use std::path::Path;
 
 use jostle_client::Client;
 use jostle_proto::{OrderPage, Progress};
-use jostle_results::statistics::{Spread, Summary, summarise};
 use jostle_results::table::SeriesWriter;
 use jostle_results::table::series::SERIES_NAME;
 use jostle_results::{ResultRow, table as tables};
@@ -17,8 +16,11 @@ use crate::context::Context;
 use crate::failure::Failure;
 use crate::format;
 use crate::output;
-use crate::table;
+use crate::verbs::experiment::aggregate::Aggregates;
 use crate::verbs::experiment::{phase, rows, series, trajectory};
+
+/// The most groups of a document, unless --limit is given.
+const MAX_GROUPS: usize = 1000;
 
 /// Shows or writes the results of an experiment.
 pub async fn results(context: &Context, arguments: &ResultsArguments) -> Result<(), Failure> {
@@ -28,10 +30,16 @@ pub async fn results(context: &Context, arguments: &ResultsArguments) -> Result<
         out,
         force,
         csv,
+        by,
+        limit,
         order,
         series,
         trajectory: of_trajectory,
     } = arguments;
+    if output.json && *csv {
+        let problem = "prints CSV, and --json JSON: leave out one of them";
+        return Err(Failure::argument("--csv", problem));
+    }
     if let Some(run) = of_trajectory {
         return trajectory::results(context, arguments, run).await;
     }
@@ -66,17 +74,23 @@ pub async fn results(context: &Context, arguments: &ResultsArguments) -> Result<
         };
         return output.print(&document, &text);
     }
-    if output.json {
-        return output.document(&rows);
-    }
     if *csv {
         return output::write(&tables::csv(&rows));
+    }
+    let most = output.json.then_some(MAX_GROUPS);
+    let aggregates = Aggregates::of(&rows, by.as_deref(), limit.or(most))?;
+    if output.json {
+        return output.document(&aggregates.to_json(name, rows.len()));
     }
     if rows.is_empty() {
         output.note(&format!("no run of {name} is finished so far"));
         return Ok(());
     }
-    output.data(&summary(&summarise(&rows)))?;
+    output.data(&aggregates.table())?;
+    if aggregates.left_out() > 0 {
+        let lines = format::count(aggregates.left_out() as u64, "line");
+        output.note(&format!("{lines} more: a higher --limit prints them"));
+    }
     rows::note_missing(context, name, rows.len()).await?;
     match rows.iter().filter(|row| row.fault.is_some()).count() as u64 {
         0 => Ok(()),
@@ -208,71 +222,4 @@ fn listed(texts: &[String]) -> String {
         [first @ .., last] if !first.is_empty() => format!("{} and {last}", first.join(", ")),
         _ => texts.join(""),
     }
-}
-
-fn summary(summaries: &[Summary]) -> String {
-    fn spread(spread: &Spread) -> String {
-        match spread.error {
-            Some(error) => format!("{} ± {error:.4}", format::fixed(spread.mean, 4)),
-            None => format::fixed(spread.mean, 4),
-        }
-    }
-    let mut columns: Vec<(&str, Vec<String>)> = vec![
-        (
-            "contacts",
-            texts(summaries, |it| it.condition.contacts.clone()),
-        ),
-        (
-            "pi1",
-            texts(summaries, |it| format::number(it.condition.pi1)),
-        ),
-        ("n", texts(summaries, |it| it.condition.n.to_string())),
-        (
-            "informed",
-            texts(summaries, |it| it.condition.informed.to_string()),
-        ),
-        (
-            "pi2",
-            texts(summaries, |it| format::number(it.condition.pi2)),
-        ),
-    ];
-    if summaries.iter().any(|it| !it.condition.others.is_empty()) {
-        columns.push(("others", texts(summaries, |it| it.condition.others.clone())));
-    }
-    columns.extend([
-        ("runs", texts(summaries, |it| it.runs.to_string())),
-        ("v", texts(summaries, |it| spread(&it.v))),
-        (
-            "v_pd",
-            texts(summaries, |it| {
-                format::or_none(it.v_pd.as_ref().map(spread))
-            }),
-        ),
-        (
-            "crossed",
-            texts(summaries, |it| format::fixed(it.crossed_share, 4)),
-        ),
-    ]);
-    let first = summaries.first().map(|it| &it.extra);
-    for name in first.into_iter().flatten().map(|it| it.name.as_str()) {
-        // A measure can be undefined in some runs.
-        let cells = texts(summaries, |it| {
-            let found = it.extra.iter().find(|extra| extra.name == name);
-            let text = found.and_then(|extra| {
-                let text = spread(extra.spread.as_ref()?);
-                Some(match extra.runs == it.runs {
-                    true => text,
-                    false => format!("{text} ({} of {})", extra.runs, it.runs),
-                })
-            });
-            format::or_none(text)
-        });
-        columns.push((name, cells));
-    }
-    table::columns(&columns)
-}
-
-/// The cells of a column.
-fn texts(summaries: &[Summary], cell: impl Fn(&Summary) -> String) -> Vec<String> {
-    summaries.iter().map(cell).collect()
 }

@@ -1,23 +1,28 @@
 //! `top`: what a daemon and its swarms cost, and how fast they are.
 
 use std::cmp::Ordering;
+use std::collections::HashSet;
 use std::time::Duration;
 
 use jostle_client::Error;
-use jostle_proto::{Metrics, NodeReply, SwarmMetrics};
+use jostle_proto::{Metrics, NodeReply, SwarmMetrics, Swarms};
+use tokio::time::Instant;
 
 use crate::arguments::{Sort, TopArguments};
 use crate::context::Context;
 use crate::failure::Failure;
 use crate::format;
+use crate::narrow::{self, Column, Room};
 use crate::output::Output;
-use crate::screen::Screen;
+use crate::screen::{Key, Keys, Screen};
 use crate::stdout;
-use crate::table;
 use crate::verbs::outage::DAEMON_AWAY;
 
 /// How far apart the two samples of the first screen are.
 const FIRST_INTERVAL: Duration = Duration::from_millis(500);
+
+/// How the last of the lines begins that stay while the swarms are scrolled: the names of the columns.
+const HEADER: &str = "swarm ";
 
 /// Shows the metrics of a daemon until interrupted or for `--count` screens. While the daemon does
 /// not reply, the last screen stays.
@@ -30,9 +35,14 @@ pub async fn top(context: &Context, arguments: &TopArguments) -> Result<(), Fail
         is_silent: false,
     };
     let mut before = None;
-    let mut left = arguments.count;
+    // A program that reads to the end needs one.
+    let mut left = arguments.count.or(output.json.then_some(1));
+    let mut keys = match (&shown.screen, left) {
+        (Some(_), None) => Keys::read(),
+        _ => None,
+    };
     loop {
-        match sample(context, arguments.sort, &mut before).await {
+        match sample(context, arguments, &mut before).await {
             Ok(text) => {
                 shown.show(text)?;
                 left = left.map(|left| left - 1);
@@ -45,13 +55,32 @@ pub async fn top(context: &Context, arguments: &TopArguments) -> Result<(), Fail
         if left == Some(0) {
             return Ok(());
         }
-        tokio::time::sleep(Duration::from_secs_f64(arguments.interval)).await;
+        let next = Instant::now() + Duration::from_secs_f64(arguments.interval);
+        loop {
+            match pressed(&mut keys, next).await {
+                None => break,
+                Some(Key::Quit) => return Ok(()),
+                Some(Key::Interrupt) => return Err(Failure::interrupted()),
+                Some(Key::Scroll(by)) => shown.scroll(by)?,
+            }
+        }
     }
 }
 
 /// Whether the daemon may reply to a later query.
 fn may_recover(error: &Error) -> bool {
     error.is_transient() || matches!(error, Error::UnknownNode { .. })
+}
+
+/// The next key before `next`.
+async fn pressed(keys: &mut Option<Keys>, next: Instant) -> Option<Key> {
+    let key = async {
+        match keys {
+            Some(keys) => keys.next().await,
+            None => std::future::pending().await,
+        }
+    };
+    tokio::time::timeout_at(next, key).await.ok()
 }
 
 /// The last screen.
@@ -68,12 +97,23 @@ impl LastScreen {
         self.is_silent = false;
         let is_first = self.text.is_none();
         match &mut self.screen {
-            Some(screen) => screen.draw(&text, None)?,
+            Some(screen) => screen.draw_scrolled(&text, None, HEADER)?,
             None if self.output.json || is_first => self.output.data(&text)?,
             None => self.output.data(&format!("\n{text}"))?,
         }
         self.text = Some(text);
         Ok(())
+    }
+
+    /// Shows other swarms of the same sample.
+    fn scroll(&mut self, by: isize) -> Result<(), Failure> {
+        match (&mut self.screen, &self.text) {
+            (Some(screen), Some(text)) => {
+                screen.scroll(by);
+                screen.draw_scrolled(text, None, HEADER)
+            }
+            _ => Ok(()),
+        }
     }
 
     /// Prints once why there is no reply.
@@ -86,7 +126,7 @@ impl LastScreen {
             error => format!("{}; retrying, Ctrl-C ends", Failure::from(error)),
         };
         match (&mut self.screen, &self.text) {
-            (Some(screen), Some(text)) => screen.draw(text, Some(&note)),
+            (Some(screen), Some(text)) => screen.draw_scrolled(text, Some(&note), HEADER),
             _ => {
                 self.output.note(&note);
                 Ok(())
@@ -100,15 +140,34 @@ impl LastScreen {
 /// about the present.
 async fn sample(
     context: &Context,
-    sort: Sort,
+    arguments: &TopArguments,
     before: &mut Option<Metrics>,
 ) -> Result<String, Error> {
     let Context { client, output } = context;
+    let TopArguments { filter, sort, .. } = arguments;
     let answer = client.get_node("metrics").await?;
-    if output.json {
+    if output.json && filter.is_empty() {
         return Ok(answer.json()?.to_owned());
     }
     let NodeReply { node, mut result } = answer.read::<NodeReply<Metrics>>()?;
+    // Metrics lack what conditions compare.
+    let listed: Option<HashSet<String>> = match filter.is_empty() {
+        true => None,
+        false => {
+            let answer = client.get_node("swarms").await?;
+            let swarms = answer.read::<NodeReply<Swarms>>()?.result.swarms;
+            let listed = swarms.into_iter().filter(|it| filter.lists(it));
+            Some(listed.map(|it| it.swarm).collect())
+        }
+    };
+    let is_listed = |it: &SwarmMetrics| listed.as_ref().is_none_or(|all| all.contains(&it.swarm));
+    if output.json {
+        result.swarms.retain(is_listed);
+        let reply = NodeReply { node, result };
+        return serde_json::to_string(&reply).map_err(|error| Error::Decode {
+            problem: error.to_string(),
+        });
+    }
     // The counters of a daemon that was restarted begin at 0.
     let earlier = before
         .take()
@@ -123,7 +182,9 @@ async fn sample(
         }
     };
     let header = header(&node, &result, &earlier);
-    let swarms = table(&result, &earlier, sort);
+    let mut shown = result.clone();
+    shown.swarms.retain(is_listed);
+    let swarms = table(&shown, &earlier, *sort, narrow::terminal_width());
     *before = Some(result);
     Ok(format!("{header}\n\n{swarms}"))
 }
@@ -219,28 +280,38 @@ fn order(sort: Sort, a: &Row<'_>, b: &Row<'_>) -> Ordering {
     by.then_with(|| a.swarm.swarm.cmp(&b.swarm.swarm))
 }
 
-fn table(now: &Metrics, earlier: &Metrics, sort: Sort) -> String {
+fn table(now: &Metrics, earlier: &Metrics, sort: Sort, width: Option<usize>) -> String {
     let mut rows = rows(now, earlier);
     rows.sort_by(|a, b| order(sort, a, b));
     fn scaled(number: Option<f64>, scale: f64) -> String {
         format::or_none(number.map(|it| format!("{:.1}", it * scale)))
     }
-    table::of(
-        &rows,
-        [
-            ("swarm", |it| it.swarm.swarm.clone()),
-            ("phase", |it| it.swarm.phase.name().into()),
-            ("step", |it| it.swarm.step.to_string()),
-            ("n", |it| it.swarm.n.to_string()),
-            ("rate", |it| format::rate(it.swarm.rate)),
-            ("actual", |it| format::factor(it.swarm.real_time_factor)),
-            ("cpu_%", |it| format!("{:.1}", it.cost * 100.0)),
-            ("step_us", |it| scaled(it.step_secs, 1e6)),
-            ("late_ms", |it| scaled(it.late_secs, 1e3)),
-            ("contacts", |it| it.swarm.contacts.to_string()),
-            ("residual", |it| format::magnitude(Some(it.swarm.residual))),
-        ],
-    )
+    let columns: [Column<Row<'_>>; 11] = [
+        ("swarm", |it| it.swarm.swarm.clone(), Room::Elide),
+        ("phase", |it| it.swarm.phase.name().into(), Room::Keep),
+        ("step", |it| it.swarm.step.to_string(), Room::Drop(4)),
+        ("n", |it| it.swarm.n.to_string(), Room::Drop(7)),
+        ("rate", |it| format::rate(it.swarm.rate), Room::Drop(6)),
+        (
+            "actual",
+            |it| format::factor(it.swarm.real_time_factor),
+            Room::Drop(8),
+        ),
+        ("cpu_%", |it| format!("{:.1}", it.cost * 100.0), Room::Keep),
+        ("step_us", |it| scaled(it.step_secs, 1e6), Room::Drop(3)),
+        ("late_ms", |it| scaled(it.late_secs, 1e3), Room::Drop(5)),
+        (
+            "contacts",
+            |it| it.swarm.contacts.to_string(),
+            Room::Drop(1),
+        ),
+        (
+            "residual",
+            |it| format::magnitude(Some(it.swarm.residual)),
+            Room::Drop(2),
+        ),
+    ];
+    narrow::of(&rows, columns, width)
 }
 
 #[cfg(test)]
@@ -290,7 +361,7 @@ mod tests {
             "{header}"
         );
         assert!(header.contains("unwell: the disk is full"), "{header}");
-        let table = table(&later(), &metrics(), Sort::Cost);
+        let table = table(&later(), &metrics(), Sort::Cost, None);
         let lines: Vec<String> = table
             .lines()
             .map(|line| line.split_whitespace().collect::<Vec<_>>().join(" "))
@@ -367,7 +438,7 @@ mod tests {
             after.unwrap().step_secs += offset;
         }
         for (sort, order) in expected {
-            let table = table(&now, &earlier, sort);
+            let table = table(&now, &earlier, sort, None);
             assert_eq!(names(&table), order, "{sort:?}:\n{table}");
         }
     }
@@ -385,7 +456,7 @@ mod tests {
             ..metrics()
         };
         for sort in Sort::value_variants() {
-            let table = table(&now, &earlier, *sort);
+            let table = table(&now, &earlier, *sort, None);
             assert_eq!(names(&table), ["a", "b", "c"], "{sort:?}");
         }
     }
@@ -396,7 +467,7 @@ mod tests {
         let mut new = now.swarms[0].clone();
         new.swarm = "zebra".into();
         now.swarms.push(new);
-        let table = table(&now, &metrics(), Sort::Cost);
+        let table = table(&now, &metrics(), Sort::Cost, None);
         assert_eq!(names(&table), ["zebra", "school", "shoal"], "{table}");
     }
 

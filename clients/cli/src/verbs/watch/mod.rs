@@ -11,14 +11,18 @@ use crate::context::Context;
 use crate::failure::Failure;
 use crate::stdout;
 
-pub async fn watch(context: &Context, arguments: &WatchArguments) -> Result<(), Failure> {
+pub async fn watch(
+    context: &Context,
+    arguments: &WatchArguments,
+    timeout: f64,
+) -> Result<(), Failure> {
     // Scripts need lines.
     let wants_lines = context.output.json || arguments.frames || arguments.count.is_some();
     if stdout::is_terminal() && !wants_lines {
         return live::show(&context.client, arguments).await;
     }
     match arguments.name.as_deref() {
-        Some(swarm) => stream::stream(context, swarm, arguments).await,
+        Some(swarm) => stream::stream(context, swarm, arguments, timeout).await,
         None => Err(Failure::argument(
             "NAME",
             "is required without a terminal: lines show one swarm; `jostle list` lists the swarms",

@@ -16,7 +16,7 @@ const COLUMNS: usize = 80;
 pub struct Terminal {
     child: Child,
     keys: ChildStdin,
-    seen: Arc<Mutex<String>>,
+    seen: Arc<Mutex<Vec<u8>>>,
 }
 
 impl Terminal {
@@ -55,13 +55,12 @@ impl Terminal {
             .unwrap();
         let keys = child.stdin.take().unwrap();
         let mut output = child.stdout.take().unwrap();
-        let seen = Arc::new(Mutex::new(String::new()));
+        let seen = Arc::new(Mutex::new(Vec::new()));
         let written = seen.clone();
         thread::spawn(move || {
             let mut piece = [0; 4096];
             while let Ok(length @ 1..) = output.read(&mut piece) {
-                let text = String::from_utf8_lossy(&piece[..length]);
-                written.lock().unwrap().push_str(&text);
+                written.lock().unwrap().extend(&piece[..length]);
             }
         });
         Terminal { child, keys, seen }
@@ -75,7 +74,8 @@ impl Terminal {
 
     /// All that was written so far.
     pub fn seen(&self) -> String {
-        self.seen.lock().unwrap().clone()
+        // A piece may end within a character.
+        String::from_utf8_lossy(&self.seen.lock().unwrap()).into_owned()
     }
 
     /// Waits until a text is on the screen, or was written in one piece.
@@ -85,6 +85,11 @@ impl Terminal {
             seen.contains(what) || screen(&seen).contains(what)
         })
         .await;
+    }
+
+    /// Waits until a text is no longer on the screen.
+    pub async fn until_gone(&self, what: &str) {
+        until(what, async || !screen(&self.seen()).contains(what)).await;
     }
 
     /// Sends the process of the command line a signal.

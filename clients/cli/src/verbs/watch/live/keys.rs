@@ -3,13 +3,16 @@
 use jostle_proto::Phase;
 use ratatui::crossterm::event::{KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
 
+use super::chord::is_chord;
 use super::command::{Command, Verb};
+use super::filter::Edit;
 use super::prompt::{KeyAction, Prompt};
 use super::view::{Action, End, View};
 
 /// The keys with their actions, as shown.
-pub const KEYS: [(&str, &str); 12] = [
+pub const KEYS: [(&str, &str); 13] = [
     ("↑ ↓ j k", "select a swarm"),
+    ("/", "list only names with a text; Esc: all"),
     ("space", "pause or run it"),
     ("s  S", "one step, or a hundred"),
     ("i", "inform some of it"),
@@ -42,16 +45,27 @@ impl View {
                 self.prompt = None;
             }
             return match pressed {
-                KeyAction::Submitted(args) => self.command(Verb::Inform(args)),
+                KeyAction::Submitted(swarm, args) => self.send(swarm, Verb::Inform(args)),
                 _ => Vec::new(),
             };
         }
-        let was_help_shown = std::mem::take(&mut self.is_help_shown);
         self.notice = None;
+        if self.filter.is_open {
+            return self.press_in_filter(key);
+        }
+        if is_chord(key) {
+            return Vec::new();
+        }
+        // A key that closes the list of keys does nothing else, except to quit.
+        if std::mem::take(&mut self.is_help_shown) && key.code != KeyCode::Char('q') {
+            return Vec::new();
+        }
         let is_shifted = key.modifiers.contains(KeyModifiers::SHIFT);
         match key.code {
             KeyCode::Char('q') => return vec![Action::End(End::Quit)],
-            KeyCode::Char('?') => self.is_help_shown = !was_help_shown,
+            KeyCode::Char('?') => self.is_help_shown = true,
+            KeyCode::Char('/') => self.filter.is_open = true,
+            KeyCode::Esc => self.filter.text.clear(),
             KeyCode::Left | KeyCode::Char('H') => self.camera.pan(-1.0, 0.0),
             KeyCode::Right | KeyCode::Char('L') => self.camera.pan(1.0, 0.0),
             KeyCode::Char('K') => self.camera.pan(0.0, 1.0),
@@ -71,10 +85,41 @@ impl View {
             }
             KeyCode::Char('s') => return self.command(Verb::Step(1)),
             KeyCode::Char('S') => return self.command(Verb::Step(100)),
-            KeyCode::Char('i') if self.selected.is_some() => self.prompt = Some(Prompt::default()),
+            KeyCode::Char('i') => self.prompt = self.steered().map(Prompt::of),
             _ => {}
         }
         Vec::new()
+    }
+
+    /// A paste, which is text and no keys.
+    pub fn paste(&mut self, text: &str) -> Vec<Action> {
+        self.is_changed = true;
+        if let Some(prompt) = &mut self.prompt {
+            prompt.insert(text);
+        } else if self.filter.is_open {
+            self.filter.insert(text);
+            return self.select_visible();
+        } else {
+            self.notify("keys are typed, not pasted: nothing was sent".into(), true);
+        }
+        Vec::new()
+    }
+
+    fn press_in_filter(&mut self, key: KeyEvent) -> Vec<Action> {
+        match self.filter.press(key) {
+            Edit::Text => self.select_visible(),
+            Edit::Move(by) => self.move_selection(by),
+            Edit::Keep if self.visible().next().is_some() => {
+                self.filter.is_open = false;
+                self.select_visible()
+            }
+            // The keys after it would steer a swarm that is not shown.
+            Edit::Keep => {
+                let text = format!("no swarm matches {}: Esc lists all", self.filter.text);
+                self.notify(text, true);
+                Vec::new()
+            }
+        }
     }
 
     fn phase(&self) -> Option<Phase> {
@@ -89,11 +134,24 @@ impl View {
         }
     }
 
+    /// The swarm that keys steer; none, with a notice, if it was selected since another one went.
+    fn steered(&mut self) -> Option<String> {
+        let swarm = self.selected.as_ref()?.name.clone();
+        if std::mem::take(&mut self.is_selected_instead) {
+            self.notify(format!("{swarm} is selected now: press again"), true);
+            return None;
+        }
+        Some(swarm)
+    }
+
     fn command(&mut self, verb: Verb) -> Vec<Action> {
-        let Some(selected) = &self.selected else {
-            return Vec::new();
-        };
-        let swarm = selected.name.clone();
+        match self.steered() {
+            Some(swarm) => self.send(swarm, verb),
+            None => Vec::new(),
+        }
+    }
+
+    fn send(&mut self, swarm: String, verb: Verb) -> Vec<Action> {
         if self.pending == MAX_PENDING {
             let text = format!("{MAX_PENDING} commands are waiting for replies");
             self.notify(text, true);

@@ -2,8 +2,10 @@
 //! own, so that none blocks another; they change the [`View`] by messages.
 
 mod camera;
+mod chord;
 mod command;
 mod draw;
+mod filter;
 mod follow;
 mod history;
 mod keys;
@@ -104,6 +106,7 @@ fn read_keys(mailbox: &Mailbox) {
     loop {
         match event::read() {
             Ok(Event::Key(key)) => mailbox.post(Message::Key(key)),
+            Ok(Event::Paste(text)) => mailbox.post(Message::Pasted(text)),
             Ok(Event::Resize(..)) => mailbox.post(Message::Resized),
             Ok(_) => {}
             Err(error) => return mailbox.post(Message::End(End::Failed(Failure::output(error)))),

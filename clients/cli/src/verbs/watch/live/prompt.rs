@@ -3,6 +3,7 @@
 use jostle_proto::verbs::{InformArgs, Select};
 use ratatui::crossterm::event::{KeyCode, KeyEvent};
 
+use super::chord::is_chord;
 use crate::values;
 
 /// The fields, each with the form of its text.
@@ -17,6 +18,8 @@ const MAX_LENGTH: usize = 24;
 /// The state of the prompt.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Prompt {
+    /// The swarm that it was opened for: another may be selected meanwhile, since this one is gone.
+    pub swarm: String,
     /// The texts of the fields.
     pub texts: [String; 3],
     /// The index of the current field.
@@ -32,21 +35,20 @@ pub enum KeyAction {
     Open,
     /// It was cancelled.
     Cancelled,
-    /// All fields are filled in.
-    Submitted(InformArgs),
+    /// All fields are filled in, for this swarm.
+    Submitted(String, InformArgs),
 }
 
-impl Default for Prompt {
-    fn default() -> Self {
+impl Prompt {
+    pub fn of(swarm: String) -> Self {
         Prompt {
+            swarm,
             texts: ["10%".into(), "0d".into(), String::new()],
             at: 0,
             problem: None,
         }
     }
-}
 
-impl Prompt {
     /// Handles a key.
     pub fn press(&mut self, key: KeyEvent) -> KeyAction {
         self.problem = None;
@@ -54,7 +56,7 @@ impl Prompt {
         match key.code {
             KeyCode::Esc => return KeyAction::Cancelled,
             KeyCode::Enter if self.at == last => match self.read() {
-                Ok(args) => return KeyAction::Submitted(args),
+                Ok(args) => return KeyAction::Submitted(self.swarm.clone(), args),
                 Err((at, problem)) => {
                     self.at = at;
                     self.problem = Some(problem);
@@ -63,12 +65,17 @@ impl Prompt {
             KeyCode::Enter | KeyCode::Tab | KeyCode::Down => self.at = (self.at + 1).min(last),
             KeyCode::BackTab | KeyCode::Up => self.at = self.at.saturating_sub(1),
             KeyCode::Backspace => drop(self.texts[self.at].pop()),
-            KeyCode::Char(typed) if self.texts[self.at].chars().count() < MAX_LENGTH => {
-                self.texts[self.at].push(typed);
-            }
+            KeyCode::Char(typed) if !is_chord(key) => self.insert(&typed.to_string()),
             _ => {}
         }
         KeyAction::Open
+    }
+
+    /// Appends what was typed or pasted to the current field.
+    pub fn insert(&mut self, text: &str) {
+        let field = &mut self.texts[self.at];
+        let room = MAX_LENGTH.saturating_sub(field.chars().count());
+        field.extend(text.chars().filter(|it| !it.is_control()).take(room));
     }
 
     /// Parses the fields; an error has the index of the field.
@@ -126,7 +133,7 @@ mod tests {
     fn filled(texts: [&str; 3]) -> Result<InformArgs, (usize, String)> {
         Prompt {
             texts: texts.map(Into::into),
-            ..Prompt::default()
+            ..Prompt::of("demo".into())
         }
         .read()
     }
@@ -166,7 +173,7 @@ mod tests {
 
     #[test]
     fn keys_edit_submit_and_cancel() {
-        let mut prompt = Prompt::default();
+        let mut prompt = Prompt::of("demo".into());
         let mut press = |code| prompt.press(KeyEvent::new(code, KeyModifiers::NONE));
         for _ in 0..3 {
             press(KeyCode::Backspace);
@@ -174,7 +181,7 @@ mod tests {
         press(KeyCode::Char('7'));
         press(KeyCode::Enter);
         press(KeyCode::Tab);
-        let KeyAction::Submitted(args) = press(KeyCode::Enter) else {
+        let KeyAction::Submitted(_, args) = press(KeyCode::Enter) else {
             panic!("it is submitted");
         };
         assert_eq!(args.select, Select::Count(7));

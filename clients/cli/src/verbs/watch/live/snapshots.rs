@@ -189,6 +189,7 @@ fn keys_and_the_prompt_are_shown_in_popups() {
     let mut view = view();
     press(&mut view, KeyCode::Char('?'));
     assert!(text(&view, (80, 24)).contains("quit; the swarms go on"));
+    assert!(press(&mut view, KeyCode::Char('i')).is_empty() && view.prompt.is_none());
     press(&mut view, KeyCode::Char('i'));
     let prompting = text(&view, (80, 24));
     assert!(prompting.contains("inform some of demo") && !prompting.contains("quit; the"));
@@ -322,4 +323,69 @@ fn a_message_without_a_change_causes_no_drawing() {
     assert!(!view.is_changed);
     view.update(Message::Outcome(Err("no".into())));
     assert!(view.is_changed && text(&view, (80, 24)).ends_with(" no"));
+}
+
+#[test]
+fn keys_after_a_swarm_is_gone_do_not_steer_the_one_selected_instead() {
+    let mut view = view();
+    press(&mut view, KeyCode::Char('i'));
+    view.update(Message::Events(vec![event(9, &json!({"kind": "deleted"}))]));
+    let mut rest = list();
+    rest.remove(1);
+    view.update(Message::Swarms(rest));
+    for _ in 0..2 {
+        press(&mut view, KeyCode::Enter);
+    }
+    // The prompt is of the swarm for which it was opened.
+    let actions = press(&mut view, KeyCode::Enter);
+    assert!(
+        matches!(&actions[..], [Action::Command(it)] if it.swarm == "demo"),
+        "{actions:?}"
+    );
+    assert!(press(&mut view, KeyCode::Char('s')).is_empty());
+    let notice = view.notice.as_ref().unwrap().text.clone();
+    assert_eq!(
+        notice,
+        "school-of-the-long-name is selected now: press again"
+    );
+    assert_eq!(press(&mut view, KeyCode::Char('s')).len(), 1);
+}
+
+#[test]
+fn a_filter_shows_and_selects_only_what_it_matches() {
+    let mut view = view();
+    let typed = |view: &mut View, text: &str| {
+        let keys = text.chars().map(KeyCode::Char);
+        keys.flat_map(|key| press(view, key)).collect::<Vec<_>>()
+    };
+    let actions = typed(&mut view, "/sch");
+    assert!(
+        matches!(&actions[..], [Action::Follow(Some(it))] if it.starts_with("school")),
+        "{actions:?}"
+    );
+    let shown = text(&view, (80, 24));
+    assert!(
+        shown.contains(" swarms /sch ") && shown.contains("/sch▏ 1 of 3"),
+        "{shown}"
+    );
+    assert!(!shown.contains("broken"), "{shown}");
+    press(&mut view, KeyCode::Esc);
+    assert_eq!(view.visible().count(), 3);
+    typed(&mut view, "/*o?e*");
+    assert_eq!(
+        view.visible()
+            .map(|it| it.swarm.as_str())
+            .collect::<Vec<_>>(),
+        ["broken"]
+    );
+    press(&mut view, KeyCode::Enter);
+    assert!(!view.filter.is_open && press(&mut view, KeyCode::Down).is_empty());
+    // The swarm that it shows is gone: none is selected.
+    view.update(Message::Swarms(list().split_off(1)));
+    for _ in 0..4 {
+        view.update(Message::Swarms(list().split_off(1)));
+    }
+    assert!(view.selected.is_none() && typed(&mut view, "s").is_empty());
+    press(&mut view, KeyCode::Esc);
+    assert_eq!(view.visible().count(), 2);
 }

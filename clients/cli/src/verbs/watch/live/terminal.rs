@@ -8,6 +8,7 @@ use std::time::Duration;
 
 use ratatui::DefaultTerminal;
 use ratatui::crossterm::cursor::Show;
+use ratatui::crossterm::event::{DisableBracketedPaste, EnableBracketedPaste};
 use ratatui::crossterm::execute;
 
 /// How long a terminal that accepts no output may delay the end of the process.
@@ -18,7 +19,10 @@ static IS_TAKEN: AtomicBool = AtomicBool::new(false);
 /// Takes the terminal. A panic restores it.
 pub fn take() -> io::Result<DefaultTerminal> {
     IS_TAKEN.store(true, Ordering::SeqCst);
-    ratatui::try_init()
+    let terminal = ratatui::try_init()?;
+    // Otherwise a paste arrives as keys, which steer.
+    execute!(stdout(), EnableBracketedPaste)?;
+    Ok(terminal)
 }
 
 /// Restores the terminal if it was taken.
@@ -29,6 +33,7 @@ pub fn restore() {
     let (done, is_done) = channel();
     thread::spawn(move || {
         // An error cannot be reported anywhere.
+        let _ = execute!(stdout(), DisableBracketedPaste);
         let _ = ratatui::try_restore();
         let _ = execute!(stdout(), Show);
         let _ = done.send(());

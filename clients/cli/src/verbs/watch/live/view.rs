@@ -6,6 +6,7 @@ use ratatui::crossterm::event::KeyEvent;
 
 use super::camera::Camera;
 use super::command::Command;
+use super::filter::Filter;
 use super::measured;
 use super::prompt::Prompt;
 use super::selected::Selected;
@@ -21,6 +22,8 @@ const MAX_MISSES: u32 = 4;
 pub enum Message {
     /// A key was pressed.
     Key(KeyEvent),
+    /// A text was pasted.
+    Pasted(String),
     /// The terminal has another size.
     Resized,
     /// The list of swarms.
@@ -82,9 +85,13 @@ pub struct View {
     pub endpoint: String,
     /// The swarms; none before the first list.
     pub swarms: Option<Vec<SwarmSummary>>,
+    /// Which of them the list shows.
+    pub filter: Filter,
     /// Why the daemon does not reply, if it does not.
     pub away: Option<String>,
     pub selected: Option<Selected>,
+    /// Whether it was selected without a key, since the selected one went.
+    pub is_selected_instead: bool,
     /// The measure of the second chart; none if that shows the drift.
     pub measure: Option<Measure>,
     /// The visible part of the plane.
@@ -109,8 +116,10 @@ impl View {
         View {
             endpoint: endpoint.into(),
             swarms: None,
+            filter: Filter::default(),
             away: None,
             selected: swarm.map(Selected::new),
+            is_selected_instead: false,
             measure: None,
             camera: Camera::default(),
             notice: None,
@@ -126,6 +135,7 @@ impl View {
     pub fn update(&mut self, message: Message) -> Vec<Action> {
         match message {
             Message::Key(key) => return self.press(key),
+            Message::Pasted(text) => return self.paste(&text),
             Message::Resized => self.is_changed = true,
             Message::Swarms(swarms) => return self.list(swarms),
             Message::Away(why) => {
@@ -159,9 +169,24 @@ impl View {
         self.is_changed = true;
     }
 
+    /// The swarms that the list shows, by name.
+    pub fn visible(&self) -> impl Iterator<Item = &SwarmSummary> {
+        let swarms = self.swarms.iter().flatten();
+        swarms.filter(|it| self.filter.shows(&it.swarm))
+    }
+
+    /// Selects a swarm that the list shows, if the selected one is not among them.
+    pub fn select_visible(&mut self) -> Vec<Action> {
+        let selected = self.selected.as_ref().map(|it| it.name.as_str());
+        match selected.is_some_and(|name| self.filter.shows(name)) {
+            true => Vec::new(),
+            false => self.move_selection(0),
+        }
+    }
+
     /// Moves the selection `by` swarms down the list.
     pub fn move_selection(&mut self, by: isize) -> Vec<Action> {
-        let swarms = self.swarms.as_deref().unwrap_or_default();
+        let swarms: Vec<&SwarmSummary> = self.visible().collect();
         let Some(last) = swarms.len().checked_sub(1) else {
             return Vec::new();
         };
@@ -170,6 +195,7 @@ impl View {
         let at = swarms.partition_point(|it| it.swarm.as_str() < name);
         let to = at.saturating_add_signed(by).min(last);
         let name = swarms[to].swarm.clone();
+        self.is_selected_instead = false;
         if self.selected.as_ref().is_some_and(|it| it.name == name) {
             return Vec::new();
         }
@@ -232,12 +258,12 @@ impl View {
         let name = self.selected.take().map(|selected| selected.name);
         if let Some(swarms) = &mut self.swarms {
             swarms.retain(|it| Some(&it.swarm) != name.as_ref());
-            let at = swarms.partition_point(|it| Some(&it.swarm) < name.as_ref());
-            let next = swarms.get(at).or(swarms.last());
-            let next = next.map(|it| it.swarm.clone());
-            return self.follow_swarm(next);
         }
-        self.follow_swarm(None)
+        let next = self.visible().find(|it| Some(&it.swarm) > name.as_ref());
+        let next = next.or_else(|| self.visible().last());
+        let next = next.map(|it| it.swarm.clone());
+        self.is_selected_instead = next.is_some();
+        self.follow_swarm(next)
     }
 
     fn add_events(&mut self, events: Vec<Event>) {

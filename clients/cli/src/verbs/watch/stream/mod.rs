@@ -28,6 +28,7 @@ pub async fn stream(
     context: &Context,
     swarm: &str,
     arguments: &WatchArguments,
+    timeout: f64,
 ) -> Result<(), Failure> {
     let Context { client, output } = context;
     let view = View::new(*output, arguments.frames);
@@ -44,10 +45,14 @@ pub async fn stream(
         client,
         view,
         last: None,
+        phase: None,
     };
     let end = arguments.for_secs.map(Duration::from_secs_f64);
     let end = end.map(|lasting| Instant::now() + lasting);
     let mut left = arguments.count;
+    // A swarm that does not run publishes nothing: `--count` would never be reached.
+    let most = Duration::from_secs_f64(timeout);
+    let mut idle_since = Instant::now();
     let mut interrupted = pin!(interrupt::interrupted());
     let mut ticks = interval(LINE_INTERVAL);
     ticks.tick().await;
@@ -56,6 +61,10 @@ pub async fn stream(
             biased;
             () = &mut interrupted => return Err(Failure::interrupted()),
             () = wait_for_deadline(end) => return Ok(()),
+            () = wait_for_deadline(printer.counts_in_vain(left).then(|| idle_since + most)) => {
+                let (count, left) = (arguments.count.unwrap_or_default(), left.unwrap_or_default());
+                return Err(Failure::not_counted(swarm, count - left, count, timeout));
+            }
             update = updates.next() => match update.transpose()? {
                 Some(Update::Deleted) => {
                     let deleted = Failure::deleted(swarm);
@@ -74,6 +83,9 @@ pub async fn stream(
             },
             _ = ticks.tick() => printer.view.tick()?,
         };
+        if shown > 0 {
+            idle_since = Instant::now();
+        }
         left = left.map(|left| left.saturating_sub(shown));
     }
     Ok(())
@@ -84,11 +96,21 @@ struct Printer<'a> {
     view: View,
     /// Epoch, step, frame and phase of the last update: a queried state may be published, too.
     last: Option<(u64, u64, u64, Phase)>,
+    /// That of the last status.
+    phase: Option<Phase>,
 }
 
 impl Printer<'_> {
+    /// Whether lines are counted of a swarm that does not run.
+    fn counts_in_vain(&self, left: Option<u64>) -> bool {
+        left.is_some() && self.phase.is_some_and(|phase| phase != Phase::Running)
+    }
+
     /// Prints an update; returns the number of lines.
     async fn print(&mut self, update: Update) -> Result<u64, Failure> {
+        if let Update::Status(status) = &update {
+            self.phase = Some(status.phase);
+        }
         match (update, &mut self.view) {
             (Update::Status(status), View::Samples) => self.status(*status).await,
             (Update::Status(status), view) => view.order(sample_of(*status, 0)),

@@ -43,17 +43,17 @@ pub fn creating() -> Vec<Row> {
 
 pub fn steering() -> Vec<Row> {
     vec![
-        row("run <name>demo", &["demo/cmd/run {}"]).says_not("waited"),
+        row("run <names>demo", &["demo/cmd/run {}"]).says_not("waited"),
         row(
-            "run <name>demo --until 2.5 --rate 4.5",
+            "run <names>demo --until 2.5 --rate 4.5",
             &[r#"demo/cmd/run {"until_time": 2.5, "rate": 4.5}"#],
         ),
         row(
-            "run <name>demo --until-step 151 --rate max",
+            "run <names>demo --until-step 151 --rate max",
             &[r#"demo/cmd/run {"until_step": 151, "rate": null}"#],
         ),
         row(
-            "run <name>demo --until-step 77 --wait",
+            "run <names>demo --until-step 77 --wait",
             &[
                 r#"demo/cmd/run {"until_step": 77}"#,
                 "school/get/wait?step=78;timeout_secs=30",
@@ -64,7 +64,27 @@ pub fn steering() -> Vec<Row> {
         .with("get/wait", "/step", json!(78))
         .with("get/wait", "/epoch", json!(1))
         .says("waited"),
-        row("pause <name>demo", &["demo/cmd/pause {}"]).says("school is paused at step"),
+        row(
+            "run <names>test-* --yes",
+            &["test-1/cmd/run {}", "test-2/cmd/run {}"],
+        ),
+        row(
+            "run --where n>3 -y",
+            &["@node/test/get/swarms", "school/cmd/run {}"],
+        ),
+        row("pause <names>demo", &["demo/cmd/pause {}"]).says("school is paused at step"),
+        row(
+            "pause <names>test-* --yes",
+            &["test-1/cmd/pause {}", "test-2/cmd/pause {}"],
+        ),
+        row(
+            "pause --where phase=paused -y",
+            &[
+                "@node/test/get/swarms",
+                "pair/cmd/pause {}",
+                "school/cmd/pause {}",
+            ],
+        ),
         row(
             "step <name>demo",
             &[r#"demo/cmd/step {"steps": 1, "return": "none"}"#],
@@ -116,7 +136,7 @@ pub fn steering() -> Vec<Row> {
         .says("no longer waits for the condition 3f9c01be"),
         row("when <name>demo", &["demo/get/status"]),
         row(
-            "run <name>demo --until order>0.9",
+            "run <names>demo --until order>0.9",
             &[
                 r#"demo/cmd/when {"condition": "order>0.9", "pause": true}"#,
                 "demo/cmd/run {}",
@@ -167,6 +187,10 @@ pub fn steering() -> Vec<Row> {
         row(
             "delete <names>test-? -y",
             &["test-1/cmd/delete {}", "test-2/cmd/delete {}"],
+        ),
+        row(
+            "delete --where n<3 --yes",
+            &["@node/test/get/swarms", "pair/cmd/delete {}"],
         ),
         row(
             "delete <names>demo --node test",

@@ -198,6 +198,11 @@ pub fn experiments() -> Vec<Row> {
         row("experiment results <name>small", &[results, progress])
             .says("v_pd")
             .says_not("n=5 informed=1 #0"),
+        row(
+            "experiment results <name>small --by run --limit 1",
+            &[results, progress],
+        )
+        .says("n=2 #0"),
         row("experiment results <name>small --csv", &[results]).says("n=5 informed=1 #0,"),
         row(
             "experiment results <name>small --out {}/tables --force",

@@ -7,6 +7,9 @@ use crate::requests::row::{Row, row};
 pub fn inspecting() -> Vec<Row> {
     let mut rows = vec![
         row("list", &["@node/test/get/swarms"]).says("pair"),
+        row("list <names>sch* --where n>3", &["@node/test/get/swarms"])
+            .says("school")
+            .says_not("pair"),
         row("status <name>demo", &["demo/get/status"]).says("school"),
         row("parameters <name>demo", &["demo/get/parameters"]).says("pi1"),
         row(
@@ -131,6 +134,16 @@ pub fn inspecting() -> Vec<Row> {
             .says("PauseArgs")
             .says_not("reset.args"),
         row("top --count 1", &["@node/test/get/metrics"]).says("cores"),
+        row(
+            "top --count 1 <names>sch* --where n>3",
+            &[
+                "@node/test/get/metrics",
+                "@node/test/get/swarms",
+                "@node/test/get/metrics",
+            ],
+        )
+        .says("school")
+        .says_not("shoal"),
         row("top -n 2 --interval 2 --json", &["@node/test/get/metrics"]).lasts(1.5),
     ];
     // The first screen takes two queries.

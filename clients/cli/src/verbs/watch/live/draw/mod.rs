@@ -57,7 +57,14 @@ fn draw_side(frame: &mut Frame<'_>, area: Rect, view: &View, palette: Palette) {
         Constraint::Fill(1),
     ]);
     let [list, order, drift] = rows.areas(area);
-    let inner = boxed(frame, list, palette, " swarms ");
+    let title = match view.filter.text.as_str() {
+        "" => " swarms ".to_owned(),
+        text => cut(
+            &format!(" swarms /{text} "),
+            usize::from(list.width.saturating_sub(2)),
+        ),
+    };
+    let inner = boxed(frame, list, palette, title);
     swarms::draw(frame, inner, view, palette);
     charts::draw(frame, [order, drift], view, palette);
 }

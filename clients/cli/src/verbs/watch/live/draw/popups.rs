@@ -17,8 +17,7 @@ const MIN_PROMPT: (u16, u16) = (46, 8);
 pub fn draw(frame: &mut Frame<'_>, area: Rect, view: &View, palette: Palette) {
     if let Some(prompt) = &view.prompt {
         if area.width >= MIN_PROMPT.0 && area.height >= MIN_PROMPT.1 {
-            let name = view.selected.as_ref().map_or("", |it| it.name.as_str());
-            draw_prompt(frame, area, prompt, name, palette);
+            draw_prompt(frame, area, prompt, palette);
         }
     } else if view.is_help_shown {
         draw_keys(frame, area, palette);
@@ -36,7 +35,7 @@ fn draw_keys(frame: &mut Frame<'_>, area: Rect, palette: Palette) {
     popup(frame, area, palette, " keys ", lines);
 }
 
-fn draw_prompt(frame: &mut Frame<'_>, area: Rect, prompt: &Prompt, swarm: &str, palette: Palette) {
+fn draw_prompt(frame: &mut Frame<'_>, area: Rect, prompt: &Prompt, palette: Palette) {
     let fields = FIELDS.iter().zip(&prompt.texts).enumerate();
     let mut lines: Vec<Line<'_>> = fields
         .map(|(index, ((name, how), text))| {
@@ -63,7 +62,7 @@ fn draw_prompt(frame: &mut Frame<'_>, area: Rect, prompt: &Prompt, swarm: &str, 
         frame,
         area,
         palette,
-        &format!(" inform some of {swarm} "),
+        &format!(" inform some of {} ", prompt.swarm),
         lines,
     );
 }

@@ -11,11 +11,12 @@ use crate::verbs::watch::live::prompt::FIELDS;
 use crate::verbs::watch::live::view::View;
 
 /// Key hints, the most important first.
-const HINTS: [(&str, &str); 7] = [
+const HINTS: [(&str, &str); 8] = [
     ("q", "quit"),
     ("?", "keys"),
     ("space", "pause/run"),
     ("↑↓", "select"),
+    ("/", "filter"),
     ("i", "inform"),
     ("s", "step"),
     ("+-", "zoom"),
@@ -78,6 +79,12 @@ pub fn draw_status_bar(frame: &mut Frame<'_>, area: Rect, view: &View, palette: 
         let text = format!(" {name}: {}▏", prompt.texts[prompt.at]);
         let rest = prompt.problem.as_deref().unwrap_or(how);
         Line::from(cut(&format!("{text} {rest}"), width))
+    } else if view.filter.is_open {
+        let (text, shown) = (&view.filter.text, view.visible().count());
+        let all = view.swarms.as_ref().map_or(0, Vec::len);
+        let notice = view.notice.as_ref().map(|it| it.text.clone());
+        let rest = notice.unwrap_or_else(|| format!("{shown} of {all}  Enter: keep, Esc: all"));
+        Line::from(cut(&format!(" /{text}▏ {rest}"), width))
     } else if let Some(away) = &view.away {
         Line::styled(cut(&format!(" {away}"), width), palette.error())
     } else if let Some(notice) = &view.notice {

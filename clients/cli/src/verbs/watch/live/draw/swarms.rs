@@ -32,7 +32,11 @@ pub fn draw(frame: &mut Frame<'_>, area: Rect, view: &View, palette: Palette) {
     match view.swarms.as_deref() {
         None => lines.push(Line::styled("loading …", palette.faint())),
         Some([]) => lines.push(Line::styled("none yet", palette.faint())),
-        Some(swarms) => {
+        Some(_) => {
+            let swarms: Vec<&SwarmSummary> = view.visible().collect();
+            if swarms.is_empty() {
+                lines.push(Line::styled("none matches", palette.faint()));
+            }
             let selected = view.selected.as_ref().map(|it| it.name.as_str());
             let at = swarms
                 .iter()
