@@ -8,6 +8,7 @@ use std::collections::BTreeMap;
 
 use serde_json::{Map, Value, json};
 
+use crate::claim::Standing;
 use crate::contract::{CHANNELS, Channel, ChannelKind, schemas};
 use crate::keys::{DEFAULT_PREFIX, NAME_RULE};
 use crate::{CBOR, JSON, WIRE_VERSION};
@@ -49,19 +50,48 @@ pub fn document(examples: &Examples) -> Value {
         "channels": channels,
         "operations": operations,
         "components": {
-            "parameters": {
-                "prefix": {
-                    "description": "The first chunk of every key; a setting of the daemon.",
-                    "default": DEFAULT_PREFIX,
-                },
-                "swarm": {"description": format!("A swarm's name: {NAME_RULE}")},
-                "node": {"description": format!("A daemon's name: {NAME_RULE}")},
-                "controller": {"description": format!("A controller's name: {NAME_RULE}")},
-                "experiment": {"description": format!("An experiment's name: {NAME_RULE}")},
-            },
+            "parameters": parameters(),
             "messages": messages(examples),
         },
     })
+}
+
+/// The parameters of the addresses.
+fn parameters() -> Map<String, Value> {
+    let name = |of: &str| json!({"description": format!("{of}: {NAME_RULE}")});
+    [
+        (
+            "prefix",
+            json!({
+                "description": "The first chunk of every key; a setting of the daemon.",
+                "default": DEFAULT_PREFIX,
+            }),
+        ),
+        ("swarm", name("A swarm's name")),
+        ("node", name("A daemon's name")),
+        ("controller", name("A controller's name")),
+        ("experiment", name("An experiment's name")),
+        (
+            "id",
+            json!({"description": "The id that the client gave its wait, in its query."}),
+        ),
+        (
+            "instance",
+            json!({
+                "description": "One run of a daemon: the time of its start, then the id of its zenoh session.",
+            }),
+        ),
+        (
+            "standing",
+            json!({
+                "description": "Whether the daemon serves the name, and has changed the swarm since it does.",
+                "enum": Standing::ALL.map(Standing::word),
+            }),
+        ),
+    ]
+    .map(|(name, described)| (name.to_owned(), described))
+    .into_iter()
+    .collect()
 }
 
 /// What a channel is called in the document, such as `swarm_get_status`.
@@ -78,8 +108,8 @@ fn describe(channel: &Channel) -> Value {
         let place = format!("components/{folder}/{name}");
         (name.to_owned(), refer(&place))
     };
-    let parameters: Map<String, Value> = ["prefix", "swarm", "node", "controller", "experiment"]
-        .into_iter()
+    let parameters: Map<String, Value> = parameters()
+        .keys()
         .filter(|name| address.contains(&format!("{{{name}}}")))
         .map(|name| link("parameters", name))
         .collect();

@@ -2,6 +2,8 @@
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use jostle_physics::model::selection::Selection;
+use jostle_physics::simulation::{Change, Simulation, Spec};
 use jostle_proto::ErrorCode;
 use serde_json::{Value, json};
 
@@ -452,5 +454,35 @@ async fn commands_of_one_client_are_executed_in_the_order_sent() {
         seqs.push(reply["seq"].as_u64().unwrap());
     }
     assert_eq!(seqs, (1..=99).collect::<Vec<_>>());
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_simulation_in_a_program_draws_as_the_daemon_does() {
+    let mut simulation = Simulation::new(&Spec::new(50, 1)).unwrap();
+    let five = Change::inform(Selection::Count(5), 0.0);
+    for _ in 0..2 {
+        simulation.apply(&five).unwrap();
+    }
+    for _ in 0..20 {
+        simulation.step().unwrap();
+    }
+
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    client.create("a", json!({"n": 50, "seed": 1})).await;
+    let inform = json!({"select": {"count": 5}, "direction": 0});
+    for _ in 0..2 {
+        client.ok("a", "inform", inform.clone()).await;
+    }
+    client.ok("a", "step", json!({"steps": 20})).await;
+    let status = client.get("a", "status").await["result"].take();
+    let hash: String = simulation
+        .state_hash()
+        .map(|it| format!("{it:02x}"))
+        .concat();
+    assert_eq!(status["state_hash"], hash);
+    let informed = simulation.state.configuration.weight.iter();
+    assert_eq!(status["informed"], informed.filter(|it| **it > 0.0).count());
     daemon.stop().await;
 }

@@ -262,8 +262,8 @@ impl ReferenceModel {
     /// Applies changes under the next `seq`, and returns it; `None` if one is rejected.
     fn apply(&mut self, changes: &[Change]) -> Option<u64> {
         let before = self.simulation.save();
-        self.simulation.seq += 1;
-        if self.simulation.apply_all(changes).is_ok() {
+        let first = self.simulation.seq + 1;
+        if self.simulation.apply_all_at(first, changes).is_ok() {
             self.record_hash();
             return Some(self.seq());
         }

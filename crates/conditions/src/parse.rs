@@ -65,7 +65,7 @@ fn parse(text: &str, value: &dyn Fn(&str) -> Option<f64>) -> Result<Condition, C
 /// Parses a text of the grammar's `rule`; its only part.
 pub(crate) fn parsed(rule: Rule, text: &str) -> Result<Pair<'_, Rule>, ConditionError> {
     let reject = |at, problem| Err(error(text, at, problem));
-    if text.len() > MAX_LENGTH {
+    if text.chars().count() > MAX_LENGTH {
         return reject(
             0,
             Problem::TooLong("a condition has at most 1000 characters"),

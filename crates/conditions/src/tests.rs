@@ -116,6 +116,8 @@ fn errors_have_the_column_and_the_remedy() {
     let deep = format!("{}order > 0{}", "(".repeat(40), ")".repeat(40));
     assert!(error(&deep).1.contains("nested"));
     assert!(error(&"order > 0 and ".repeat(100)).1.contains("1000"));
+    // The limit is one of characters: two bytes each.
+    assert!(!error(&"ö".repeat(600)).1.contains("1000"));
 }
 
 #[test]

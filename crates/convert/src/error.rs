@@ -62,6 +62,7 @@ impl WireCode for ChangeError {
         match self {
             ChangeError::Parameters(_)
             | ChangeError::Selection(_)
+            | ChangeError::Column { .. }
             | ChangeError::NoneLeft(_)
             | ChangeError::Weightless => ErrorCode::InvalidArgument,
             ChangeError::AxesCross { .. } => ErrorCode::IncorrectState,
@@ -89,6 +90,13 @@ impl WireCode for ChangeError {
             | ChangeError::Injection(InjectionError::Parameters(error))
             | ChangeError::Reshape(ReshapeError::Parameters(error)) => return error.details(),
             ChangeError::Weightless => json!({"field": "weight"}),
+            ChangeError::Column {
+                column,
+                length,
+                ids,
+            } => {
+                json!({"field": column, "values": length, "ids": ids})
+            }
             ChangeError::NoneLeft(n) => json!({"field": "select", "selected": n, "n": n}),
             ChangeError::Injection(InjectionError::Pose { index, error }) => {
                 let mut details = error.details();

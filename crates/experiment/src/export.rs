@@ -259,10 +259,9 @@ mod tests {
         fn apply(&mut self, verb: &str, args: &serde_json::Value) {
             let message: verbs::Change =
                 serde_json::from_value(json!({"verb": verb, "args": args})).unwrap();
-            self.simulation.seq += 1;
             self.history.changes.push(AppliedChange {
                 step: self.simulation.state.step,
-                draw: self.simulation.seq,
+                draw: self.simulation.seq + 1,
                 change: message.clone(),
             });
             let change = change::change(message).unwrap();

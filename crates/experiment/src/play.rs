@@ -346,8 +346,8 @@ uninform = { select = { fraction = 0.5 } }
                 assert!(!args.protocol);
                 let changes = args.commands.iter().cloned();
                 let changes: Vec<Change> = changes.map(|it| change::change(it).unwrap()).collect();
-                simulation.seq = args.draw.unwrap();
-                simulation.apply_all(&changes).unwrap();
+                let first = args.draw.unwrap();
+                simulation.apply_all_at(first, &changes).unwrap();
             }
             simulation.step().unwrap();
         }

@@ -119,7 +119,8 @@ impl Base {
             noise,
             ..
         } = spec.parameters;
-        simulation.apply(&Change::Set(Settings {
+        // No command: it has no number of its own.
+        let settings = Change::Set(Settings {
             pi2: Some(pi2),
             pi3: Some(pi3),
             pi4: Some(pi4),
@@ -129,7 +130,8 @@ impl Base {
             attraction: Some(attraction),
             noise: Some(noise),
             ..Settings::default()
-        }))?;
+        });
+        simulation.apply_at(simulation.seq, &settings)?;
         simulation.state.seed = spec.seed;
         simulation.publish_every = spec.publish_every;
         simulation.measures.clone_from(&spec.measures);

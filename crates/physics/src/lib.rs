@@ -6,7 +6,7 @@
 //! use jostle_physics::model::selection::Selection;
 //!
 //! let mut simulation = Simulation::new(&Spec::new(50, 1))?;
-//! simulation.apply(&Change::inform(Selection::Count(5), 0.0))?;
+//! simulation.apply(&Change::inform(Selection::Count(5), 0.0))?; // as a daemon's first command
 //! for _ in 0..100 {
 //!     simulation.step()?;
 //! }

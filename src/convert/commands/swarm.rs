@@ -109,11 +109,12 @@ pub fn when(args: WhenArgs) -> Result<Command, CommandError> {
         return Err(CommandError::field("id", problem));
     }
     let condition = Condition::parse(text)?;
-    // The journal and checkpoints have the normal form, which may be longer than the text.
+    // The journal and checkpoints have the normal form, or the text if the normal form is longer than a
+    // condition may be.
     let normal = condition.to_string();
-    Condition::parse(&normal)?;
+    let is_read_again = Condition::parse(&normal).is_ok();
     let fired = WhenArgs {
-        condition: Some(normal),
+        condition: Some(if is_read_again { normal } else { text.clone() }),
         ..args
     };
     // Arguments that were read can be written.

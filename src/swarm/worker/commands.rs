@@ -263,8 +263,7 @@ impl Worker {
         };
         let changed = catch_unwind(AssertUnwindSafe(|| {
             fail_point!("command");
-            simulation.seq = first_draw;
-            simulation.apply_all(changes)
+            simulation.apply_all_at(first_draw, changes)
         }));
         let error = match changed {
             Ok(Ok(outcomes)) => {

@@ -60,7 +60,7 @@ fn a_cell_that_is_wrong_is_named_with_its_place() {
         ("k,pi1\nmany,2\n", (2, 1), "a variable is a number"),
         ("k,pi1,k\n3,2,3\n", (1, 3), "duplicate column \"k\""),
         (",k,pi1\n0,3,2\n", (1, 1), "no name"),
-        ("k;pi1\n3;2\n", (1, 1), "separate columns by commas"),
+        ("k;pi1\n3;2\n", (1, 1), "separate them by commas"),
         ("k,pi5\n3,2\n", (1, 2), "unknown column \"pi5\""),
         ("k,seed\n3,2\n", (1, 2), "unknown column \"seed\""),
         ("k,replicates\n3,2\n", (1, 2), "unknown column"),

@@ -117,12 +117,12 @@ impl ProtocolRun {
         let executed = self.progress.executed[index];
         let changes = block.changes(executed).map_err(rejected)?;
         let count = changes.len() as u64;
-        simulation.seq = match block.draw {
+        let first = match block.draw {
             Some(draw) => draw + executed * count,
             None => self.progress.next_draw,
         };
         let saved = (count > 1).then(|| simulation.save());
-        if let Err((at, error)) = simulation.apply_all(&changes) {
+        if let Err((at, error)) = simulation.apply_all_at(first, &changes) {
             if let Some(saved) = saved {
                 simulation.rollback(saved);
             }

@@ -51,8 +51,7 @@ impl ByHand {
 
     fn apply(&mut self, changes: &[Change]) {
         for change in changes {
-            self.simulation.seq = self.next_draw;
-            self.simulation.apply(change).unwrap();
+            self.simulation.apply_at(self.next_draw, change).unwrap();
             self.next_draw += 1;
         }
     }

@@ -75,14 +75,13 @@ fn a_run_equals_a_simulation_with_its_seed_and_the_same_change() {
         let row = finished_run(&plan).row.unwrap();
         let spec = plan.spec(&plan.runs()[0]);
         let mut swarm = Simulation::new(&spec).unwrap();
-        swarm.seq = 1;
         let inform = Change::Inform {
             selection: Selection::Count(4),
             direction: 0.0,
             weight: None,
             for_time: None,
         };
-        swarm.apply_all(&[inform]).unwrap();
+        swarm.apply(&inform).unwrap();
         let mut worst_gap = f64::INFINITY;
         for _ in 0..row.steps {
             let now = body::worst_gap(&swarm.state.parameters, &swarm.state.configuration);

@@ -112,9 +112,8 @@ fn parameters_of_the_file_replace_those_of_the_snapshot() {
     while by_hand.state.step < 60 {
         if by_hand.state.step == 10 {
             // The first command of the run.
-            by_hand.seq = 1;
             let inform = Change::inform(Selection::Count(2), 0.0);
-            by_hand.apply(&inform).unwrap();
+            by_hand.apply_at(1, &inform).unwrap();
         }
         by_hand.step().unwrap();
     }

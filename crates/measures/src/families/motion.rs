@@ -13,7 +13,7 @@ use crate::view::View;
 pub(crate) const DEFINITIONS: [Definition; 4] = [
     Definition {
         name: "turning_rate",
-        unit: "rad v0/s",
+        unit: "rad/(s/v0)",
         formula: "sqrt(mean_i (ω_i - ω)²), ω_i = (α_i(t) - α_i(t - dt))/dt, ω their mean",
         source: "standard deviation of the turning rates of docs/model.md, Free motion, contacts included",
         range: "at least 0",

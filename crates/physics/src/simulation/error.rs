@@ -46,6 +46,16 @@ pub enum ChangeError {
     /// [`check_weights`](super::change::check_weights).
     #[error("a weight of 0 informs no individual: set pi2 above 0")]
     Weightless,
+    /// A column of set points does not have one value for each id.
+    #[error("{column} has {}, ids has {ids}: give one for each id", counted(*.length, "value"))]
+    Column {
+        /// The column.
+        column: &'static str,
+        /// Its length.
+        length: usize,
+        /// The number of ids.
+        ids: usize,
+    },
     /// The caller's [`ReserveMemory`](super::change::ReserveMemory) rejects the new size.
     #[error(transparent)]
     Reserve(#[from] ReserveError),

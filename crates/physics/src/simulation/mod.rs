@@ -70,8 +70,7 @@ pub struct Simulation {
     pub max_idle_secs: Option<f64>,
     /// The number of the run: 1 at first, and one more after each reset.
     pub epoch: u64,
-    /// The number of the present command, which keys its random draws. The caller increments it
-    /// before each command that may change the simulation; [`Self::apply`] does not.
+    /// The number of the last command, which was the key of its random draws; see [`Self::apply`].
     pub seq: u64,
     /// Means over the steps since the start or reset.
     pub means: RunningMeans,
@@ -255,20 +254,20 @@ impl Simulation {
         let _ = (self.reserve)(Reservation::Return(self.n()));
     }
 
-    /// Applies the changes in turn. The first has the present `seq`, each further one the next.
+    /// Applies the changes in turn, as the commands with the numbers `first`, `first + 1` and so on.
     ///
     /// # Errors
     ///
     /// The index of the change that was rejected, and the reason. The changes before it have been
     /// applied: undo them with [`Self::rollback`].
-    pub fn apply_all(
+    pub fn apply_all_at(
         &mut self,
+        first: u64,
         changes: &[Change],
     ) -> Result<Vec<(ChangeKind, ChangeOutcome)>, (usize, ChangeError)> {
         let mut outcomes = Vec::with_capacity(changes.len());
-        for (index, change) in changes.iter().enumerate() {
-            self.seq += u64::from(index > 0);
-            let outcome = self.apply(change).map_err(|error| (index, error))?;
+        for ((index, change), seq) in changes.iter().enumerate().zip(first..) {
+            let outcome = self.apply_at(seq, change).map_err(|error| (index, error))?;
             outcomes.push((change.kind(), outcome));
         }
         Ok(outcomes)
@@ -295,13 +294,33 @@ impl Simulation {
         }
     }
 
-    /// Applies one change. Its random draws are keyed by `seq`, which this does not increment: the
-    /// caller does so before each command.
+    /// Applies one change, as the command after the last one: [`Self::seq`] grows by 1, and random draws
+    /// of two equal changes differ. A daemon that executes the same changes, each as one command,
+    /// makes the same draws.
     ///
     /// # Errors
     ///
     /// [`ChangeError`]; the simulation is then unchanged.
     pub fn apply(&mut self, change: &Change) -> Result<ChangeOutcome, ChangeError> {
+        self.apply_at(self.seq + 1, change)
+    }
+
+    /// Applies one change, as the command with the number `seq`: two changes with the same number make
+    /// the same random draws.
+    ///
+    /// # Errors
+    ///
+    /// [`ChangeError`]; the simulation is then unchanged.
+    pub fn apply_at(&mut self, seq: u64, change: &Change) -> Result<ChangeOutcome, ChangeError> {
+        let before = std::mem::replace(&mut self.seq, seq);
+        let outcome = self.apply_present(change);
+        if outcome.is_err() {
+            self.seq = before;
+        }
+        outcome
+    }
+
+    fn apply_present(&mut self, change: &Change) -> Result<ChangeOutcome, ChangeError> {
         match change {
             Change::Set(settings) => self.set(settings),
             Change::Inform {

@@ -16,8 +16,8 @@ impl Simulation {
     ///
     /// # Errors
     ///
-    /// [`ChangeError::Selection`] for an unknown id, [`ChangeError::Parameters`] for a value
-    /// outside its range.
+    /// [`ChangeError::Column`] for columns of unequal lengths, [`ChangeError::Selection`] for an unknown
+    /// id, [`ChangeError::Parameters`] for a value outside its range. The simulation is then unchanged.
     pub fn steer(&mut self, set: &SetPoints) -> Result<(), ChangeError> {
         let SetPoints {
             ids,
@@ -25,6 +25,22 @@ impl Simulation {
             weight,
             drives,
         } = set;
+        for (column, length) in [
+            ("direction", Some(direction.len())),
+            ("weight", weight.as_ref().map(Vec::len)),
+            ("drives", drives.as_ref().map(Vec::len)),
+        ] {
+            if let Some(length) = length
+                && length != ids.len()
+            {
+                let ids = ids.len();
+                return Err(ChangeError::Column {
+                    column,
+                    length,
+                    ids,
+                });
+            }
+        }
         let usual = self.state.parameters.pi2;
         let weight_of = |k: usize| weight.as_ref().map_or(usual, |weight| weight[k]);
         let configuration = &self.state.configuration;
@@ -140,6 +156,24 @@ mod tests {
             };
             let error = swarm.steer(&rejected).unwrap_err();
             assert!(matches!(error, ChangeError::Parameters(_)), "{error:?}");
+        }
+        let columns = |directions, weights, drives| SetPoints {
+            ids: vec![0, 1],
+            direction: vec![0.0; directions],
+            weight: Some(vec![0.5; weights]),
+            drives: Some(vec![drive; drives]),
+        };
+        for (unequal, name) in [
+            (columns(1, 2, 2), "direction"),
+            (columns(3, 2, 2), "direction"),
+            (columns(2, 0, 2), "weight"),
+            (columns(2, 2, 3), "drives"),
+        ] {
+            let error = swarm.steer(&unequal).unwrap_err();
+            let ChangeError::Column { column, ids: 2, .. } = error else {
+                panic!("{error:?}");
+            };
+            assert_eq!(column, name);
         }
         assert_eq!(swarm.state_hash(), hash);
 

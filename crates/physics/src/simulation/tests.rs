@@ -101,10 +101,9 @@ fn a_step_adds_the_order_before_it_to_the_means_and_reports_its_work() {
 #[test]
 fn a_checkpoint_continues_to_the_same_hash_and_means() {
     let mut swarm = Simulation::new(&Spec::new(15, 2)).unwrap();
-    swarm.seq = 4;
     swarm.publish_every = 9;
     swarm
-        .apply(&Change::inform(Selection::Count(3), 1.0))
+        .apply_at(4, &Change::inform(Selection::Count(3), 1.0))
         .unwrap();
     for _ in 0..50 {
         swarm.step().unwrap();
@@ -190,26 +189,66 @@ fn a_start_that_cannot_be_built_returns_the_present_size() {
 fn changes_after_the_first_have_a_sequence_number_of_their_own() {
     let draw = Change::inform(Selection::Count(1), 0.0);
     let mut swarm = Simulation::new(&Spec::new(100, 1)).unwrap();
-    swarm.seq = 10;
     let together = swarm
-        .apply_all(&[draw.clone(), draw.clone(), draw.clone()])
+        .apply_all_at(10, &[draw.clone(), draw.clone(), draw.clone()])
         .unwrap();
     assert_eq!(swarm.seq, 12);
     for (seq, (kind, outcome)) in (10..).zip(&together) {
         let mut alone = Simulation::new(&Spec::new(100, 1)).unwrap();
-        alone.seq = seq;
-        assert_eq!(&alone.apply(&draw).unwrap(), outcome);
+        assert_eq!(&alone.apply_at(seq, &draw).unwrap(), outcome);
         assert_eq!(*kind, ChangeKind::Inform);
     }
-    assert_eq!(swarm.apply_all(&[]).unwrap(), []);
+    assert_eq!(swarm.apply_all_at(20, &[]).unwrap(), []);
     assert_eq!(swarm.seq, 12);
+}
+
+#[test]
+fn changes_are_counted_so_that_equal_ones_draw_anew() {
+    let mut swarm = Simulation::new(&Spec::new(50, 1)).unwrap();
+    let five = Change::inform(Selection::Count(5), 0.0);
+    let first = swarm.apply(&five).unwrap();
+    assert_eq!(swarm.seq, 1);
+    // Rejected: it has no number.
+    let all = Change::Remove(Selection::Count(50));
+    assert!(swarm.apply(&all).is_err());
+    assert_eq!(swarm.seq, 1);
+    assert_ne!(swarm.apply(&five).unwrap(), first);
+    assert_eq!(swarm.seq, 2);
+    assert_eq!(swarm.apply_at(1, &five).unwrap(), first);
+}
+
+#[test]
+fn parameters_that_were_set_without_a_check_fail_the_step() {
+    type Break = fn(&mut Parameters);
+    let breaks: [(&str, Break); 6] = [
+        ("pi1", |it| it.pi1 = f64::NAN),
+        ("pi2", |it| it.pi2 = f64::NAN),
+        ("pi3", |it| it.pi3 = -1.0),
+        ("pi4", |it| it.pi4 = f64::INFINITY),
+        ("noise", |it| it.noise = f64::NAN),
+        ("dt", |it| it.dt = 1e3),
+    ];
+    for (field, to) in breaks {
+        let mut swarm = Simulation::new(&Spec::new(20, 1)).unwrap();
+        swarm.step().unwrap();
+        let good = swarm.state.parameters;
+        to(&mut swarm.state.parameters);
+        let hash = swarm.state_hash();
+        for _ in 0..2 {
+            let error = swarm.step().unwrap_err();
+            assert!(matches!(error, StepError::Parameters(_)), "{error:?}");
+            assert!(error.to_string().contains(field), "{error}");
+            assert_eq!(swarm.state_hash(), hash);
+        }
+        swarm.state.parameters = good;
+        swarm.step().unwrap();
+    }
 }
 
 #[test]
 fn a_rejected_change_is_named_by_its_index_and_rolled_back_with_those_before() {
     let (reserve, log) = logged(10);
     let mut swarm = Simulation::with_reserve(Spec::new(8, 1), reserve).unwrap();
-    swarm.seq = 1;
     let saved = swarm.save();
     let hash = swarm.state_hash();
     let add = |count| Change::Inject {
@@ -220,16 +259,16 @@ fn a_rejected_change_is_named_by_its_index_and_rolled_back_with_those_before() {
         publish_every: Some(7),
         ..Settings::default()
     };
-    let rejected = swarm.apply_all(&[set(settings), add(2), add(1), add(1)]);
+    let rejected = swarm.apply_all_at(1, &[set(settings), add(2), add(1), add(1)]);
     let (index, error) = rejected.unwrap_err();
     assert_eq!(index, 2);
     let ChangeError::Reserve(ReserveError::TooMany { n: 11, limit: 10 }) = error else {
         panic!("{error:?}");
     };
-    assert_eq!((swarm.seq, swarm.publish_every), (3, 7));
+    assert_eq!((swarm.seq, swarm.publish_every), (2, 7));
     assert_eq!(take(&log), [Reservation::Grow(10), Reservation::Grow(11)]);
     swarm.rollback(saved);
-    assert_eq!((swarm.seq, swarm.publish_every), (1, 1));
+    assert_eq!((swarm.seq, swarm.publish_every), (0, 1));
     assert_eq!(swarm.state_hash(), hash);
     assert_eq!(take(&log), [Reservation::Return(8)]);
 }
@@ -373,7 +412,6 @@ fn crossed_bodies_stay_under_the_closest_rule() {
 fn injected_individuals_are_counted_placed_and_reserved_for() {
     let (reserve, log) = logged(20);
     let mut swarm = Simulation::with_reserve(Spec::new(3, 1), reserve).unwrap();
-    swarm.seq = 1;
     let far = Pose {
         x: 100.0,
         y: 50.0,
@@ -384,7 +422,7 @@ fn injected_individuals_are_counted_placed_and_reserved_for() {
         y: 0.0,
         radius: 5.0,
     };
-    let mut inject = |place, informed| swarm.apply(&Change::Inject { place, informed });
+    let mut inject = |place, informed| swarm.apply_at(1, &Change::Inject { place, informed });
     let outcome = inject(Placement::At(vec![far]), Some((1.25, None))).unwrap();
     assert_eq!(ids(&outcome), (vec![3], 4));
     let outcome = inject(Placement::Within(2, region), Some((0.25, Some(0.75)))).unwrap();

@@ -39,6 +39,8 @@ const ROUNDING: f64 = 1e-6;
 /// Advances states. Keeps its buffers between steps.
 #[derive(Debug, Default)]
 pub struct Stepper {
+    /// The parameters that were checked last.
+    checked: Option<Parameters>,
     level: Level,
     backend: solve::Backend,
     attraction: AttractionWorkspace,
@@ -120,6 +122,12 @@ impl Stepper {
     ///
     /// [`StepError`]; the state is then unchanged.
     pub fn step(&mut self, state: &mut State) -> Result<StepReport, StepError> {
+        // Parameters that are not a number differ from themselves: they are checked each time.
+        if self.checked.as_ref() != Some(&state.parameters) {
+            let largest_weight = state.configuration.largest_weight();
+            state.parameters.check(largest_weight)?;
+            self.checked = Some(state.parameters);
+        }
         let mut pull = std::mem::take(&mut self.pull);
         let attraction = state.parameters.attraction;
         self.attraction
@@ -129,7 +137,7 @@ impl Stepper {
         result
     }
 
-    /// Advances `state` by one step with the given attraction.
+    /// Advances `state` by one step with the given attraction. Does not check the parameters.
     ///
     /// - Shapes: n individuals; n vectors of `pull`, the result of
     ///   [`AttractionWorkspace::compute`].

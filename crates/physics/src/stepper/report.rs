@@ -2,6 +2,8 @@
 
 use thiserror::Error;
 
+use crate::model::parameters::ParametersError;
+
 /// Accuracy and work of a step, and what it found.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct StepReport {
@@ -30,6 +32,9 @@ pub struct StepReport {
 /// The reason for which a step failed.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum StepError {
+    /// The parameters of the state are outside their ranges: they were changed without a check.
+    #[error(transparent)]
+    Parameters(#[from] ParametersError),
     /// Two axes cross before or after the step, or in the configuration about which `relinearise`
     /// linearises: their distance has no gradient. Does not occur under `closest`.
     #[error(

@@ -184,8 +184,8 @@ fn a_hundred_random_protocols_are_the_commands_of_a_swarm() {
                 changes.push(ramp(step));
             }
             for change in changes {
-                by_hand.simulation.seq = by_hand.next_draw;
-                if let Err(error) = by_hand.simulation.apply(&change) {
+                let seq = by_hand.next_draw;
+                if let Err(error) = by_hand.simulation.apply_at(seq, &change) {
                     rejected = Some(error.to_string());
                     break 'run;
                 }
