@@ -230,7 +230,6 @@ def test_poses_are_rows_of_three() -> None:
 
 def test_ids_are_whole_numbers() -> None:
     assert jostle.ids(np.array([3, 4], np.uint32)) == {"ids": [3, 4]}
-    assert jostle.ids([True, 2]) == {"ids": [1, 2]}
     wrong: list[Any] = [[1.5], np.array([1.0]), "ab", [None]]
     for individuals in wrong:
         with pytest.raises(jostle.InvalidArgument):
