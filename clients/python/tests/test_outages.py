@@ -22,7 +22,7 @@ import pytest
 
 import jostle
 from conftest import MAX_WAIT_SECS, ROOT, Daemon, Router, eventually
-from jostle import _outage, _retry
+from jostle import _outage, _retry, _session
 from outage_client import LAST_CONDITION, LAST_NOTE, SHORT_TIMEOUT_SECS
 
 TABLE = tomllib.loads((ROOT / "tests" / "outages.toml").read_text())
@@ -367,6 +367,31 @@ def test_commands_in_flight_at_a_kill_are_executed_once(tmp_path: Path) -> None:
     expected = [(100 * (k + 1) + it) / 1e6 for it in numbers if it for k in range(counts[it])]
     assert sorted(journal) == sorted(expected)
     assert min(counts.values()) > 0
+
+
+@pytest.mark.parametrize("breaks", [False, True])
+def test_without_time_to_ask_again_only_a_connection_that_holds_tells_what_is_missing(
+    breaks: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    daemon = Daemon(tmp_path)
+    try:
+        with jostle.connect(daemon.endpoint) as client:
+            session = client._session
+            waited: list[float] = []
+
+            def wait(seconds: float) -> None:
+                waited.append(seconds)
+                if breaks:
+                    daemon.kill()
+                    eventually("the connection is lost", lambda: not session.connected())
+
+            monkeypatch.setattr(_session, "sleep", wait)
+            expected = jostle.Unavailable if breaks else jostle.NotFound
+            with pytest.raises(expected):
+                session.get(session.swarm_key("none", "get/status"), swarm="none", timeout=0.01)
+            assert waited == [_retry.FIRST_DELAY_SECS]
+    finally:
+        daemon.kill()
 
 
 def test_a_command_is_not_sent_again_to_a_daemon_with_other_data(tmp_path: Path) -> None:

@@ -172,6 +172,17 @@ impl Error {
         }
     }
 
+    /// Whether it is derived from a missing reply.
+    pub(crate) fn is_silence(&self) -> bool {
+        matches!(
+            self,
+            Error::Silent { .. }
+                | Error::NoNode { .. }
+                | Error::NoSwarm { .. }
+                | Error::UnknownNode { .. }
+        )
+    }
+
     /// Whether the daemon has executed nothing, and may later.
     pub(crate) fn is_busy(&self) -> bool {
         matches!(self, Error::Rejected(error) if error.code == ErrorCode::Busy)

@@ -9,7 +9,7 @@ use jostle_proto::ErrorCode;
 use crate::error::Error;
 
 /// The delay before the first retry.
-const FIRST_DELAY: Duration = Duration::from_millis(50);
+pub(crate) const FIRST_DELAY: Duration = Duration::from_millis(50);
 /// The factor from each delay to the next.
 const GROWTH: f64 = 2.0;
 /// The longest delay.
@@ -72,6 +72,11 @@ impl RetryPolicy {
         *self = RetryPolicy::new(self.deadline, self.failing);
     }
 
+    /// Whether so many replies are missing that no connection that breaks can be the cause.
+    pub fn is_settled(&self) -> bool {
+        self.silent > MAX_SILENT_RETRIES && !self.was_interrupted
+    }
+
     /// When attempts end, if the next ones fail, too.
     pub fn give_up_at(&self) -> Instant {
         self.give_up_at.unwrap_or(self.deadline)
@@ -101,12 +106,9 @@ impl RetryPolicy {
             }
             // After a lost connection tokens are declared again with a delay, and the loss is
             // noticed after the missing reply.
-            Error::Silent { .. }
-            | Error::NoNode { .. }
-            | Error::NoSwarm { .. }
-            | Error::UnknownNode { .. } => {
+            _ if error.is_silence() => {
                 self.silent += 1;
-                self.was_interrupted || self.silent <= MAX_SILENT_RETRIES
+                !self.is_settled()
             }
             _ => false,
         };
@@ -244,9 +246,12 @@ mod tests {
         let target = "demo".to_owned();
         for error in [Error::Silent { target }, no_swarm()] {
             let mut policy = RetryPolicy::new(now + SECS_5, SECS_5);
-            let mut delay = || policy.delay(&error, false, now);
-            assert!(delay().is_some() && delay().is_some());
-            assert_eq!(delay(), None);
+            for _ in 0..MAX_SILENT_RETRIES {
+                assert!(policy.delay(&error, false, now).is_some());
+                assert!(!policy.is_settled());
+            }
+            assert_eq!(policy.delay(&error, false, now), None);
+            assert!(policy.is_settled());
         }
     }
 

@@ -43,6 +43,11 @@ class Backoff:
         return time.monotonic() - self._began
 
     @property
+    def is_settled(self) -> bool:
+        """Whether so many replies are missing that no connection that breaks can be the cause."""
+        return self._silent > MAX_SILENT_RETRIES and not self._was_interrupted
+
+    @property
     def remaining(self) -> float:
         """Seconds until the deadline."""
         return self._deadline - time.monotonic()
@@ -69,7 +74,7 @@ class Backoff:
             # After an interruption a daemon may be connected before its swarms are. While a
             # connection breaks, a swarm may disappear before its daemon does.
             self._silent += 1
-            if not self._was_interrupted and self._silent > MAX_SILENT_RETRIES:
+            if self.is_settled:
                 raise error
         elif not isinstance(error, Busy):
             raise error

@@ -10,6 +10,7 @@ from typing import Any, SupportsIndex, TypeVar
 import msgspec
 
 from ._arguments import check_label, check_seconds, to_json
+from ._cancel import sleep
 from ._claims import Claim, contested_error, read_claims, unserved_error
 from ._credentials import WhoAmI, denial_reason, restricted_verb
 from ._decode import read_reply
@@ -26,7 +27,7 @@ from ._errors import (
 from ._link import LIVELINESS_TIMEOUT_SECS, POLL_INTERVAL_SECS, Link
 from ._node import Hello
 from ._outage import Outage
-from ._retry import FAILED, FORGOTTEN_COMMANDS, Backoff
+from ._retry import FAILED, FIRST_DELAY_SECS, FORGOTTEN_COMMANDS, Backoff
 
 T = TypeVar("T")
 
@@ -235,6 +236,7 @@ class Session(Link):
 
         Raises:
             JostleError: `error`, if another attempt cannot help or there is no time for it.
+            Unavailable: There is no time for it, and the connection broke without a reply.
         """
         if self.is_over():
             raise error
@@ -242,7 +244,16 @@ class Session(Link):
             outage.begin()
         elif outage is not None and not isinstance(error, Busy):
             outage.may_begin()
-        left = backoff.sleep(error)
+        try:
+            left = backoff.sleep(error)
+        except JostleError:
+            if backoff.is_settled or not error.details.get("is_silence"):
+                raise
+            # zenoh ends the queries of a connection that breaks before it reports the loss.
+            sleep(FIRST_DELAY_SECS)
+            if self.connected():
+                raise
+            raise self.disconnected() from error
         connected = self.connected()
         if not connected:
             if outage is not None:
