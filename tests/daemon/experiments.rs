@@ -337,6 +337,19 @@ async fn what_is_unfinished_goes_on_in_another_daemon_and_what_is_paused_does_no
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn what_is_paused_stays_so_after_a_kill() {
+    let folder = tempfile::tempdir().unwrap();
+    let (mut process, client) = start_daemon(folder.path()).await;
+    submit(&client, &endless("still")).await;
+    wait_for_phase(&client, "still", "running").await;
+    ok(&client, json!({"pause": {"name": "still"}})).await;
+    process.kill();
+    let (mut process, client) = start_daemon(folder.path()).await;
+    assert_eq!(progress(&client, "still").await["phase"], "paused");
+    process.kill();
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn an_experiment_under_the_name_of_a_deleted_one_has_its_own_rows() {
     let folder = tempfile::tempdir().unwrap();
     let (mut process, client) = start_daemon(folder.path()).await;
