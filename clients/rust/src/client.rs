@@ -16,7 +16,7 @@ use zenoh::sample::{Sample, SampleKind};
 use crate::connect::{self, ConnectOptions};
 use crate::error::Error;
 use crate::payload::Payload;
-use crate::retry::{FIRST_DELAY, RetryPolicy};
+use crate::retry::RetryPolicy;
 use crate::wait_numbers::WaitNumbers;
 
 /// How much longer than the daemon the client waits, so that it receives the daemon's timeout error.
@@ -333,21 +333,11 @@ impl Client {
             match policy.delay(&error, is_interrupted, Instant::now()) {
                 Some(delay) => tokio::time::sleep(delay).await,
                 None if error.is_silence() && !policy.is_settled() => {
-                    return Err(self.unsettled(error).await);
+                    return Err(self.explain_unsettled(error).await);
                 }
                 None => return Err(error),
             }
             self.await_connection(policy.give_up_at()).await;
-        }
-    }
-
-    /// The error of a request without a reply for which there is no more time. zenoh ends the queries of
-    /// a connection that breaks before it reports the loss.
-    async fn unsettled(&self, error: Error) -> Error {
-        tokio::time::sleep(FIRST_DELAY).await;
-        match self.is_connected().await {
-            true => error,
-            false => self.no_node().await,
         }
     }
 

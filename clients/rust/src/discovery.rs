@@ -8,7 +8,7 @@ use jostle_proto::{NodeReply, WhoAmI, keys};
 
 use crate::client::{Client, Servers, Target};
 use crate::error::Error;
-use crate::retry::Delays;
+use crate::retry::{Delays, FIRST_DELAY};
 
 /// The timeout of a query for tokens.
 pub(crate) const QUERY_TIMEOUT: Duration = Duration::from_secs(2);
@@ -339,6 +339,16 @@ impl Client {
         }
     }
 
+    /// The error for a missing reply if there is no time to ask again: `error`, unless the connection is
+    /// lost. zenoh ends the queries of a connection that breaks before it reports the loss.
+    pub(crate) async fn explain_unsettled(&self, error: Error) -> Error {
+        tokio::time::sleep(FIRST_DELAY).await;
+        match self.is_connected().await {
+            true => error,
+            false => self.no_node().await,
+        }
+    }
+
     /// The error for a swarm that does not exist; names those that do.
     ///
     /// Cancel safety: a dropped query changes nothing.
@@ -433,7 +443,48 @@ pub(crate) fn node_of(prefix: &str, key: &str) -> Option<String> {
 
 #[cfg(test)]
 mod tests {
+    #![expect(clippy::unwrap_used, reason = "tests")]
+
     use super::*;
+    use crate::connect::ConnectOptions;
+
+    /// A zenoh node that listens, without a daemon.
+    async fn listening() -> (zenoh::Session, String) {
+        let mut config = zenoh::Config::default();
+        for (key, value) in [
+            ("mode", "\"router\""),
+            ("listen/endpoints", "[\"tcp/127.0.0.1:0\"]"),
+            ("scouting/multicast/enabled", "false"),
+            ("scouting/gossip/enabled", "false"),
+        ] {
+            config.insert_json5(key, value).unwrap();
+        }
+        let session = zenoh::open(config).await.unwrap();
+        let endpoint = session.info().locators().await[0].to_string();
+        (session, endpoint)
+    }
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn without_time_to_ask_again_only_a_connection_that_holds_tells_what_is_missing() {
+        let (session, endpoint) = listening().await;
+        let client = Client::connect(ConnectOptions {
+            wait: Duration::ZERO,
+            ..ConnectOptions::to(endpoint)
+        });
+        let client = client.await.unwrap();
+        let silent = || Error::Silent {
+            target: "demo".into(),
+        };
+        let error = client.explain_unsettled(silent()).await;
+        assert!(matches!(error, Error::Silent { .. }), "{error}");
+        session.close().await.unwrap();
+        while client.is_connected().await {
+            tokio::time::sleep(POLL_INTERVAL).await;
+        }
+        let error = client.explain_unsettled(silent()).await;
+        assert!(matches!(error, Error::NoDaemon { .. }), "{error}");
+        client.close().await;
+    }
 
     #[test]
     fn keys_of_tokens_contain_the_node() {
