@@ -140,9 +140,10 @@ async fn times_survive_stops_and_kills_and_change_no_hash() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_command_that_a_crash_took_back_has_the_time_at_which_it_was_applied_again() {
     let folder = tempfile::tempdir().unwrap();
-    // `run` is applied, and the kill comes when `set` has been.
+    // `run` is applied, and the kill comes when `set` has been, before that is on the disk.
     let mut failing = daemon(folder.path());
-    failing.env("FAILPOINTS", "swarm-applied=1*off->return");
+    let points = "swarm-applied=1*off->return;store-begin=sleep(500)";
+    failing.env("FAILPOINTS", points);
     let mut first = DaemonProcess::start(&mut failing).unwrap();
     let client = Client::open(&first.endpoint).await;
     client.create("a", json!({"n": 4})).await;

@@ -332,7 +332,8 @@ impl Client {
                 || self.is_gone(target, &error).await;
             match policy.delay(&error, is_interrupted, Instant::now()) {
                 Some(delay) => tokio::time::sleep(delay).await,
-                None if error.is_silence() && !policy.is_settled() => {
+                // A caller that gives failures no time asks again itself.
+                None if error.is_silence() && !policy.is_settled() && !failing.is_zero() => {
                     return Err(self.explain_unsettled(error).await);
                 }
                 None => return Err(error),

@@ -303,7 +303,10 @@ impl Follower {
                     let outcome = self.query_events(Duration::ZERO).await;
                     self.refresh_later_after(outcome)?;
                 }
-                received = publication(&self.events, self.states.as_ref(), self.order.as_ref()) => {
+                // While it is away they wait for its token: what follows an interruption follows `Back`.
+                received = publication(&self.events, self.states.as_ref(), self.order.as_ref()),
+                    if !self.presence.is_away() =>
+                {
                     match received? {
                         Publication::Event(event) => self.event(event).await?,
                         Publication::State(state) => self.state(state)?,

@@ -72,6 +72,11 @@ impl Presence {
         }
     }
 
+    /// Whether its daemon became unreachable, and its own token has not appeared since.
+    pub fn is_away(&self) -> bool {
+        matches!(self, Presence::Away | Presence::Expected { .. })
+    }
+
     /// When to call [`judge`](Self::judge), unless a token changes the state earlier.
     pub fn deadline(&self) -> Option<Instant> {
         match self {
