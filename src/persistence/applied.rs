@@ -9,6 +9,7 @@ use crate::convert::commands::CommandError;
 use crate::persistence::journal_reader::{
     AppliedInput, AppliedInputs, JournalReader, parse_command,
 };
+use crate::persistence::recoveries::Recoveries;
 use crate::persistence::replay::{first_readable, stored_checkpoints};
 use crate::persistence::steering::Steering;
 use crate::store::Store;
@@ -35,10 +36,17 @@ pub fn changes_since_start(
     for (_, scheduled) in &first.scheduled {
         inputs.wait_for(scheduled.input, scheduled.sender.clone());
     }
+    let mut recoveries = Recoveries::new(store, swarm);
     let mut read = first.lines;
     for line in JournalReader::new(store, swarm, first.lines, present.lines) {
         let (line, _) = line.map_err(|error| CommandError::History(error.to_string()))?;
         read = line.number;
+        if recoveries
+            .took_back(&line)
+            .map_err(|error| CommandError::History(error.to_string()))?
+        {
+            continue;
+        }
         if let Some(input) = inputs.read(line) {
             history.add(&input).map_err(CommandError::History)?;
         }

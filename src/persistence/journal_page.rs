@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use crate::persistence::checkpoints::read_stored;
 use crate::persistence::journal_reader::{AppliedInput, AppliedInputs, parse_line};
+use crate::persistence::recoveries::Recoveries;
 use crate::persistence::writer::COMMAND_KINDS;
 use crate::store::{Row, Store, StoreError};
 use crate::swarm::history::Entry;
@@ -99,6 +100,7 @@ pub fn read_page(
         store,
         swarm,
         inputs: AppliedInputs::default(),
+        recoveries: Recoveries::new(store, swarm),
         scheduled_before: None,
     };
     let oldest = journal.next_seq(first, last)?.map(|(_, seq)| seq);
@@ -149,6 +151,7 @@ struct StoredCommands<'a> {
     swarm: &'a str,
     /// Those that have been read.
     inputs: AppliedInputs,
+    recoveries: Recoveries<'a>,
     /// Those that were scheduled before the first line, once they are needed.
     scheduled_before: Option<BTreeMap<u64, Arc<Sender>>>,
 }
@@ -160,6 +163,9 @@ impl StoredCommands<'_> {
         let Ok(line) = parse_line(row) else {
             return Ok(None);
         };
+        if self.recoveries.took_back(&line)? {
+            return Ok(None);
+        }
         if let Record::Outcome {
             input,
             seq: Some(_),

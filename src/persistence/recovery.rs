@@ -15,6 +15,7 @@ use crate::persistence::checkpoints::read_stored;
 use crate::persistence::journal_reader::{
     self, AppliedInputs, JournalReader, LineError, read_lines,
 };
+use crate::persistence::recoveries::Recoveries;
 use crate::persistence::reply_cache::ReplyCache;
 use crate::persistence::writer::{SwarmMetadata, writes};
 use crate::store::{Store, StoreError, Write};
@@ -305,8 +306,13 @@ fn history_before(
             applied.wait_for(scheduled.input, scheduled.sender);
         }
     }
-    let applied = lines.into_iter().filter_map(|line| applied.read(line));
-    Ok(applied.map(|input| input.entry(dt)).collect())
+    let (mut recoveries, mut entries) = (Recoveries::new(store, swarm), Vec::new());
+    for line in lines {
+        if !recoveries.took_back(&line)? {
+            entries.extend(applied.read(line).map(|input| input.entry(dt)));
+        }
+    }
+    Ok(entries)
 }
 
 /// Receives the reply to a replayed command and puts it into the cache, for retries of the client.

@@ -218,8 +218,9 @@ mod stored_sender {
 #[derive(Serialize, Deserialize)]
 struct StoredRecord(#[serde(with = "Stored")] Record);
 
-const INPUT: u8 = 1;
+pub(super) const INPUT: u8 = 1;
 const OUTCOME: u8 = 2;
+pub(super) const RESUMED: u8 = 5;
 
 /// The kinds of rows that are commands or their outcomes.
 pub const COMMAND_KINDS: [u8; 3] = [INPUT, OUTCOME, store::NOTE];
@@ -232,7 +233,7 @@ pub fn record(record: &Record) -> (u8, Vec<u8>) {
         Record::Outcome { .. } => OUTCOME,
         Record::Fault(_) => 3,
         Record::Hash(_) => 4,
-        Record::Resumed(_) => 5,
+        Record::Resumed(_) => RESUMED,
     };
     (kind, proto::to_cbor(&StoredRecord(record.clone())))
 }
