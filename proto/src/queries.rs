@@ -25,6 +25,10 @@ pub struct Status {
     /// cores that it gets.
     #[serde(default)]
     pub behind_rate: bool,
+    /// How many states a second it publishes at most while it runs: what `rate`, `dt` and
+    /// `publish_every` ask for, or the daemon's `max_hz` if that is less. Left out for a replay.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub published_hz: Option<f64>,
     /// The number of individuals.
     pub n: u64,
     /// How many individuals are informed.

@@ -121,8 +121,13 @@ pub struct Order {
     pub velocity: [f64; 2],
     /// Its mean; `null` before the first step.
     pub mean_velocity: Option<[f64; 2]>,
-    /// The informed individuals' common direction in radians; `null` if there is none.
+    /// The informed individuals' common direction in radians, that of the sum of their directions, each
+    /// times its weight; `null` if none is informed, or `direction_strength` is below 0.1.
     pub direction: Option<f64>,
+    /// How far the informed individuals agree: the length of that sum, divided by the sum of the weights,
+    /// 0 to 1; `null` if none is informed, or in a recording of an earlier version.
+    #[serde(default)]
+    pub direction_strength: Option<f64>,
     /// The velocity along that direction.
     pub drift: Option<f64>,
     /// Its mean over the steps that had such a direction.
@@ -241,6 +246,7 @@ mod tests {
                 velocity: [0.5, 0.0],
                 mean_velocity: None,
                 direction: None,
+                direction_strength: None,
                 drift: None,
                 mean_drift: None,
             },

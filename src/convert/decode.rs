@@ -38,6 +38,7 @@ pub fn decode_state(
         .into_iter()
         .chain(order.mean_order)
         .chain(order.direction)
+        .chain(order.direction_strength)
         .chain(order.drift)
         .chain(order.mean_drift)
         .chain(certificate.worst_gap)
@@ -78,6 +79,7 @@ pub fn decode_state(
             order: order.order,
             velocity: order.velocity,
             direction: order.direction,
+            strength: order.direction_strength,
             drift: order.drift,
         },
         // States contain the means alone: these are the sums of one step with the same means.

@@ -6,7 +6,7 @@ use jostle_physics::simulation::{ChangeOutcome, Spec};
 use jostle_proto as proto;
 use jostle_proto::verbs::{
     AdvanceResult, BatchResult, CreateResult, EmptyResult, JoinResult, ResetResult, RunResult,
-    Scheduled, StepResult, WhenResult,
+    Scheduled, SetResult, StepResult, WhenResult,
 };
 use serde::Serialize;
 
@@ -80,12 +80,23 @@ pub fn outcome(swarm: &str, stamp: &Stamp, outcome: Outcome, frame: Option<u64>)
             let (seed, state_hash) = (seen.seed, hash(&seen));
             json(swarm, stamp, ResetResult { seed, state_hash })
         }
-        Outcome::Changed(ChangeOutcome::Set {
-            before,
-            now,
-            scaled_by,
-        }) => json(swarm, stamp, set_result(&before, &now, scaled_by)),
-        Outcome::Changed(ChangeOutcome::Ids { ids, n }) => json(swarm, stamp, ids_result(ids, n)),
+        Outcome::Changed(
+            ChangeOutcome::Set {
+                before,
+                now,
+                scaled_by,
+            },
+            published_hz,
+        ) => {
+            let result = SetResult {
+                published_hz: Some(published_hz),
+                ..set_result(&before, &now, scaled_by)
+            };
+            json(swarm, stamp, result)
+        }
+        Outcome::Changed(ChangeOutcome::Ids { ids, n }, _) => {
+            json(swarm, stamp, ids_result(ids, n))
+        }
         Outcome::Batch(outcomes) => {
             let results = outcomes.into_iter();
             let results = results

@@ -59,6 +59,7 @@ pub fn status(seen: &Frame, history_from: Option<proto::HistoryFrom>) -> proto::
         rate: seen.rate,
         real_time_factor: seen.real_time_factor,
         behind_rate: seen.is_behind,
+        published_hz: seen.published_hz,
         n: seen.configuration.n() as u64,
         informed: informed(seen),
         seed: seen.seed,
@@ -195,6 +196,7 @@ fn order(seen: &Frame) -> proto::Order {
         velocity: seen.order.velocity,
         mean_velocity: seen.means.mean_velocity(),
         direction: seen.order.direction,
+        direction_strength: seen.order.strength,
         drift: seen.order.drift,
         mean_drift: seen.means.mean_drift(),
     }

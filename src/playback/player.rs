@@ -335,6 +335,7 @@ impl Player {
             rate: self.rate,
             real_time_factor: self.real_time_factor.filter(|_| self.phase.is_moving()),
             is_behind: false,
+            published_hz: None,
             controllers: Vec::new(),
             waits: Vec::new(),
             hash: None,

@@ -66,6 +66,8 @@ pub struct Frame {
     pub real_time_factor: Option<f64>,
     /// Whether it is behind its rate.
     pub is_behind: bool,
+    /// How many states a second are published at most; unknown for a playback.
+    pub published_hz: Option<f64>,
     /// The position in the recording, of a playback.
     pub replay: Option<Replay>,
     /// The controllers that have joined, if requested.

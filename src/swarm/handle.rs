@@ -130,8 +130,8 @@ pub enum Outcome {
     Checkpoint(Box<Checkpoint>),
     /// The swarm is back at its start.
     Reset(Arc<Frame>),
-    /// A change was applied.
-    Changed(ChangeOutcome),
+    /// A change was applied; how many states a second are published at most now.
+    Changed(ChangeOutcome, f64),
     /// The changes of a batch were applied.
     Batch(Vec<(ChangeKind, ChangeOutcome)>),
     /// The command will be executed at this step.

@@ -1,7 +1,7 @@
 //! The effect of commands: informed individuals, the group, parameters and rules.
 
 use jostle_proto::{ErrorCode, EventKind, Events};
-use serde_json::json;
+use serde_json::{Value, json};
 
 use crate::support::{Daemon, until};
 
@@ -284,5 +284,62 @@ async fn informing_with_a_weight_of_0_is_rejected_at_once_and_at_its_step() {
     assert_eq!((&weights[1], &weights[3]), (&json!(2.0), &json!(2.0)));
     let verified = client.get("a", "verify").await["result"].clone();
     assert_eq!(verified["differs_at"], json!(null), "{verified}");
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_status_and_the_reply_of_set_say_how_many_states_a_second_are_published() {
+    let daemon = Daemon::with(&[("max_hz", "50")]).await;
+    let client = &daemon.client;
+    // 500 states a second are asked for.
+    let spec = json!({"n": 3, "dt": 0.02, "rate": 10, "publish_every": 1});
+    client.create("a", spec).await;
+    let status = async || client.get("a", "status").await["result"]["published_hz"].clone();
+    assert_eq!(status().await, 50.0);
+    for (every, hz) in [(20, 25.0), (5, 50.0)] {
+        let reply = client.ok("a", "set", json!({"publish_every": every})).await;
+        assert_eq!(reply["result"]["published_hz"], hz);
+        assert_eq!(status().await, hz);
+    }
+    client
+        .ok("a", "run", json!({"until_step": 10, "rate": null}))
+        .await;
+    client.wait_for_step("a", 10).await;
+    assert_eq!(status().await, 50.0);
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn informed_individuals_that_disagree_have_no_common_direction() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    client.create("a", json!({"n": 4})).await;
+    let inform = async |id: u32, direction: f64| {
+        let args = json!({"select": {"ids": [id]}, "direction": direction});
+        client.ok("a", "inform", args).await;
+    };
+    let order = async || client.get("a", "status").await["result"]["order"].clone();
+    assert_eq!(order().await["direction_strength"], Value::Null);
+    inform(0, 0.25).await;
+    client.ok("a", "step", json!({"steps": 3})).await;
+    let agreed = order().await;
+    assert_eq!(agreed["direction"], 0.25);
+    let strength = agreed["direction_strength"].as_f64().unwrap();
+    assert!((1.0 - 1e-15..=1.0).contains(&strength), "{agreed}");
+    // Opposite, but for a rounding of π.
+    inform(1, 3.3916).await;
+    client.ok("a", "step", json!({"steps": 3})).await;
+    let apart = order().await;
+    for name in ["direction", "drift"] {
+        assert_eq!(apart[name], Value::Null, "{apart}");
+    }
+    let strength = apart["direction_strength"].as_f64().unwrap();
+    assert!(0.0 < strength && strength < 1e-5, "{apart}");
+    // Of the three steps before.
+    assert_eq!(apart["mean_drift"], agreed["mean_drift"]);
+    let measured = client.get("a", "measures?names=drift,front").await;
+    for measure in measured["result"]["measures"].as_array().unwrap() {
+        assert_eq!(measure["value"], Value::Null, "{measured}");
+    }
     daemon.stop().await;
 }

@@ -4,13 +4,16 @@ use comfy_table::presets::NOTHING;
 use comfy_table::{CellAlignment, ColumnConstraint, ContentArrangement, Table};
 use jostle_proto::verbs::SetResult;
 use jostle_proto::{
-    HistoryFrom, ParameterValues, Reply, Status, WaitingAction, WaitingClient, WaitingCondition,
-    contract,
+    HistoryFrom, Order, ParameterValues, Reply, Status, WaitingAction, WaitingClient,
+    WaitingCondition, contract,
 };
 use serde_json::Value;
 
 use crate::format;
 use crate::stdout;
+
+/// The strength of the common direction from which on the informed agree, as far as three decimals show.
+const AGREED: f64 = 0.9995;
 
 /// The name of a column, and its cell in a row.
 pub type Column<T> = (&'static str, fn(&T) -> String);
@@ -126,6 +129,7 @@ pub fn status(reply: &Reply<Status>) -> String {
         rate,
         real_time_factor,
         behind_rate,
+        published_hz,
         n,
         informed,
         seed,
@@ -181,6 +185,14 @@ pub fn status(reply: &Reply<Status>) -> String {
         ("n", format!("{n}, {informed} informed")),
         ("order", with_mean(Some(order.order), order.mean_order)),
     ];
+    let asked = rate.map(|rate| rate / (parameters.publish_every as f64 * dt));
+    if let (Some(hz), Some(asked)) = (published_hz, asked)
+        && asked > *hz
+    {
+        let (hz, asked) = (format::number(*hz), format::number(asked));
+        let text = format!("{hz} states a second, the daemon's max_hz, of {asked}");
+        lines.push(("published", text));
+    }
     if let Some(replay) = replay {
         let (frame, frames, of) = (replay.frame, replay.frames, &replay.of);
         let (position, duration) = (format::time(replay.position), format::time(replay.duration));
@@ -216,13 +228,7 @@ pub fn status(reply: &Reply<Status>) -> String {
         };
         lines.push(("controllers", format!("{joined}{waits}")));
     }
-    if let Some(direction) = order.direction {
-        let drift = with_mean(order.drift, order.mean_drift);
-        lines.push((
-            "drift",
-            format!("{drift}, along {}", format::time(direction)),
-        ));
-    }
+    lines.extend(drift(order).map(|text| ("drift", text)));
     lines.extend([
         (
             "parameters",
@@ -332,6 +338,32 @@ fn fields(values: &ParameterValues) -> Vec<(String, String)> {
     written.chain(others).collect()
 }
 
+/// The drift and its direction; none if no individual is informed.
+fn drift(order: &Order) -> Option<String> {
+    let agreement = |strength| {
+        format!(
+            "the informed disagree: strength {}",
+            format::share(strength)
+        )
+    };
+    let strength = order.direction_strength;
+    match order.direction {
+        Some(direction) => {
+            let drift = with_mean(order.drift, order.mean_drift);
+            let mut text = format!("{drift}, along {} rad", format::time(direction));
+            if strength.is_some_and(|it| it < AGREED) {
+                text += &format!(", {}", agreement(strength));
+            }
+            Some(text)
+        }
+        None if strength.is_some() => Some(format!(
+            "undefined, {}, below 0.1 they have no common direction",
+            agreement(strength)
+        )),
+        None => None,
+    }
+}
+
 fn with_mean(now: Option<f64>, mean: Option<f64>) -> String {
     match mean {
         Some(_) => format!("{}, mean {}", format::share(now), format::share(mean)),
@@ -351,6 +383,37 @@ fn pairs(pairs: &[(&str, String)]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_drift_has_its_direction_and_says_when_the_informed_disagree() {
+        let of = |direction: Option<f64>, direction_strength, drift| {
+            super::drift(&Order {
+                order: 1.0,
+                mean_order: None,
+                velocity: [1.0, 0.0],
+                mean_velocity: None,
+                direction,
+                direction_strength,
+                drift,
+                mean_drift: None,
+            })
+        };
+        let along = "0.500, along 1.25 rad";
+        assert_eq!(of(Some(1.25), Some(1.0), Some(0.5)).as_deref(), Some(along));
+        // An older daemon sends no strength.
+        assert_eq!(of(Some(1.25), None, Some(0.5)).as_deref(), Some(along));
+        assert_eq!(
+            of(Some(1.25), Some(0.5), Some(0.5)),
+            Some(format!("{along}, the informed disagree: strength 0.500"))
+        );
+        assert_eq!(
+            of(None, Some(0.02), None).as_deref(),
+            Some(
+                "undefined, the informed disagree: strength 0.020, below 0.1 they have no common direction"
+            )
+        );
+        assert_eq!(of(None, None, None), None);
+    }
 
     #[test]
     fn a_text_of_a_client_stays_in_its_cell() {

@@ -136,6 +136,7 @@ ADDED = {
 }
 ELSEWHERE = {
     ("step.reply", "state"),  # `Swarm.step(state=True)` returns it.
+    ("batch.reply.results[]", "published_hz"),  # Only the reply of `set` has it.
 }
 # A dictionary, so that the kinds of other daemons can be read; and what `play` sends unchanged.
 LOOSE = (".attraction", ".expanded.spec", ".commands[].args")

@@ -76,6 +76,26 @@ def test_a_zero_has_no_sign(create: Create) -> None:
     assert "<th>drift</th><td>0</td>" in re.sub(r"<(\w+) [^>]*>", r"<\1>", table)
 
 
+def test_the_picture_says_how_far_the_informed_agree(create: Create) -> None:
+    swarm = create(n=4)
+    assert swarm.state().order.direction_strength is None
+    swarm.inform(jostle.ids([0]), 0.5)
+    text = shown(swarm.state())
+    assert " along 0.50 rad" in text
+    assert "disagree" not in text
+    swarm.inform(jostle.ids([1]), 1.5)
+    order = swarm.status().order
+    assert order.direction == pytest.approx(1.0)
+    assert order.direction_strength == pytest.approx(np.cos(0.5))
+    assert " along 1.00 rad, the informed disagree: strength 0.88" in shown(swarm.state())
+    swarm.inform(jostle.ids([1]), 0.5 + 3.1416)
+    order = swarm.status().order
+    assert (order.direction, order.drift) == (None, None)
+    text = shown(swarm.state())
+    assert ", the informed disagree: strength 0.00" in text
+    assert "drift" not in text
+
+
 def test_every_individual_is_in_the_picture(create: Create) -> None:
     for n, pi1 in ((1, 1.0), (2, 32.0), (60, 4.0), (300, 1.0)):
         swarm = create(n=n, pi1=pi1)

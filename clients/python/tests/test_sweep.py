@@ -179,6 +179,30 @@ def test_a_worker_of_another_version_is_an_error(tmp_path: Path) -> None:
     jostle.sweep(SMALL, folder=folder, task_secs=TASK_SECS).wait()
 
 
+def test_parts_under_other_definitions_are_an_error_before_they_are_merged(tmp_path: Path) -> None:
+    older = wrapper(
+        tmp_path / "older",
+        f"""
+        {JOSTLED} "$@" || exit
+        for last; do :; done
+        [ ! -e "$last/runs.jsonl" ] || sed -i '1s/,"definitions":2//' "$last/runs.jsonl"
+        """,
+    )
+    folder = tmp_path / "results"
+    sweep = jostle.sweep(SMALL, folder=folder, task_secs=TASK_SECS, jostled=older)
+    next(iter(sweep))
+    sweep.cancel()
+    parts = sorted((tmp_path / "results.parts").glob("runs-*"))
+    assert parts
+    with pytest.raises(
+        jostle.Conflict, match="a worker has the definitions 2 of measures and other parts 1: "
+    ):
+        jostle.sweep(SMALL, folder=folder, task_secs=TASK_SECS).wait()
+    assert sorted((tmp_path / "results.parts").glob("runs-*")) == parts
+    jostle.sweep(SMALL, folder=folder, task_secs=TASK_SECS, jostled=older).wait()
+    assert len((folder / "results.csv").read_text(encoding="utf-8").splitlines()) == 1 + RUNS
+
+
 class WithoutRuns(ThreadPoolExecutor):
     """An executor whose results lack `runs.jsonl`, as those of another version might."""
 

@@ -31,6 +31,7 @@ function state(step: number, x: number[], origin: [number, number] = [0, 0], epo
     direction: new Float64Array(n),
     order: {
       order: 0,
+      direction: null,
       drift: null,
     },
     certificate: {

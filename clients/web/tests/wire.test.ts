@@ -15,6 +15,7 @@ import {
   momentOfState,
   SERIES,
 } from "../src/panels/history.ts";
+import { directionOf } from "../src/panels/numbers.ts";
 import { rangeOf } from "../src/panels/ranges.ts";
 import { brief, degrees, fixed, rates, short, signed } from "../src/ui/format.ts";
 import { parseRoute } from "../src/ui/router.ts";
@@ -119,6 +120,18 @@ test("a state and the order of the same frame give the same moment", () => {
   assert.equal(moment.drift, state.order.drift);
   const message = json<OrderMessage>("order.json");
   assert.deepEqual(Object.keys(momentOfOrder(message)).sort(), Object.keys(moment).sort());
+});
+
+test("the direction of the informed is shown, and its strength if they disagree", () => {
+  const newest = momentOfOrder(json<OrderMessage>("order.json"));
+  const shown = (direction: number | null, direction_strength: number | null) =>
+    directionOf({ ...newest, direction, direction_strength });
+  assert.equal(shown(-1.5708, 1), "−1.57 rad");
+  assert.equal(shown(-1.5708, null), "−1.57 rad");
+  assert.equal(shown(0.5, 0.996), "0.50 rad");
+  assert.equal(shown(0.5, 0.714), "0.50 rad, strength 0.71");
+  assert.equal(shown(null, 0.02), "none, strength 0.02");
+  assert.equal(shown(null, null), "–");
 });
 
 test("values without neighbours are found", () => {

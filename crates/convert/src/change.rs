@@ -381,6 +381,7 @@ pub fn set_result(before: &SettingValues, now: &SettingValues, scaled_by: f64) -
         before: values(before),
         now: values(now),
         scaled_by,
+        published_hz: None,
     }
 }
 

@@ -97,11 +97,16 @@ pub fn execute(
     folder: &mut Folder,
     control: &ExecutionControl,
 ) -> Result<Outcome, ExecuteError> {
+    // Of a folder that an earlier version began.
+    let mut earlier = None;
+    if folder.definitions() != execution.plan.definitions {
+        let plan = earlier.insert(execution.plan.clone());
+        plan.definitions = folder.definitions();
+    }
+    let plan = earlier.as_ref().unwrap_or(execution.plan);
+    let execution = Execution { plan, ..execution };
     let Execution {
-        plan,
-        subset,
-        threads,
-        ..
+        subset, threads, ..
     } = execution;
     // A process that was killed left them.
     folder.remove_unused();

@@ -24,6 +24,7 @@ use std::io::{BufWriter, Seek as _, SeekFrom, Write as _};
 use std::path::{Path, PathBuf};
 
 use jostle_physics::model::MODEL_VERSION;
+use jostle_physics::observables::Definitions;
 use jostle_results::ResultRow;
 use jostle_results::table::order::ORDER_NAME;
 use jostle_results::table::series::SERIES_NAME;
@@ -103,6 +104,7 @@ impl MissingFiles {
 #[derive(Debug)]
 pub struct Folder {
     path: PathBuf,
+    definitions: Definitions,
     runs: File,
     /// The length of the list of runs, in bytes.
     length: u64,
@@ -128,12 +130,7 @@ impl Folder {
         let file = path.join(RUNS);
         let fail = |source| io_error(&file, source);
         let list = read_runs(path, plan)?;
-        if list.model_version != MODEL_VERSION {
-            return Err(FolderError::OtherModel {
-                folder: path.to_owned(),
-                theirs: list.model_version,
-            });
-        }
+        let definitions = list.definitions(path)?;
         let list = series::settle_all(path, plan, list)?;
         let mut length = list.length;
         let mut runs = OpenOptions::new()
@@ -149,6 +146,7 @@ impl Folder {
             let header = Header {
                 experiment: plan.name.clone(),
                 model_version: MODEL_VERSION,
+                definitions: definitions.number(),
             };
             let line = to_line(&header);
             runs.write_all(&line).map_err(fail)?;
@@ -158,6 +156,7 @@ impl Folder {
         sync_folder(path)?;
         Ok(Self {
             path: path.to_owned(),
+            definitions,
             runs,
             length,
             lacking: lacking(path, plan, &list.finished),
@@ -219,6 +218,12 @@ impl Folder {
     #[must_use]
     pub fn path(&self) -> &Path {
         &self.path
+    }
+
+    /// The definitions of measures under which its runs are executed: those with which it began.
+    #[must_use]
+    pub fn definitions(&self) -> Definitions {
+        self.definitions
     }
 
     /// Returns whether a run is finished and its files exist, by its index in the plan.
@@ -481,3 +486,7 @@ pub fn unfinished(path: &Path, label: &str) -> PathBuf {
 #[cfg(test)]
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests;
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod definitions;

@@ -51,6 +51,18 @@ pub enum MergeError {
         /// The parts that differ from it.
         others: Vec<PathBuf>,
     },
+    /// Parts were executed under different definitions of measures.
+    #[error(
+        "parts with other definitions of drift and front than {}: {}; an earlier version of jostle executed \
+         some of them: execute either again, in a new folder, with this one",
+        first.display(), join(others.iter().map(|it| it.display().to_string()))
+    )]
+    OtherDefinitions {
+        /// The first part.
+        first: PathBuf,
+        /// The parts whose definitions are not those of the first.
+        others: Vec<PathBuf>,
+    },
     /// A part is of another experiment.
     #[error(
         "{} contains another experiment: use the file that its runs were executed with",
@@ -184,12 +196,21 @@ impl Parts {
                 .collect();
             return Err(MergeError::OtherExperiment { first, others });
         }
-        let plan = Plan::stored(all[0].clone()).map_err(|source| MergeError::Plan {
+        let mut plan = Plan::stored(all[0].clone()).map_err(|source| MergeError::Plan {
             folder: first.clone(),
             source,
         })?;
         let parts = folders.iter().map(|folder| Part::read(folder, &plan));
         let parts = parts.collect::<Result<Vec<_>, _>>()?;
+        plan.definitions = parts[0].definitions();
+        let others = parts
+            .iter()
+            .filter(|part| part.definitions() != plan.definitions);
+        let others: Vec<_> = others.map(|part| part.path().to_owned()).collect();
+        if !others.is_empty() {
+            let first = first.clone();
+            return Err(MergeError::OtherDefinitions { first, others });
+        }
         let mut part_of = vec![None; plan.runs().len()];
         for (number, part) in parts.iter().enumerate() {
             let mut duplicates: BTreeMap<usize, Vec<usize>> = BTreeMap::new();

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use jostle_measures::{Measure, check_past};
+use jostle_physics::observables::Definitions;
 use jostle_physics::simulation::{Spec, Start, begin, steps_in};
 use jostle_proto::{LARGEST_WHOLE, keys};
 use toml::Spanned;
@@ -50,6 +51,8 @@ pub struct Plan {
     pub columns: Columns,
     /// Steps between two frames of the trajectories; none if no trajectories are recorded.
     pub record_every: Option<u64>,
+    /// The definitions of its measures: those of the folder in which it began, if there is one.
+    pub definitions: Definitions,
     /// The experiment's files, unchanged.
     pub files: Files,
     /// The state from which every run starts, if the file has `start`.
@@ -229,6 +232,7 @@ impl Plan {
             touch: file.measure.touch,
             columns,
             record_every: (record > 0).then_some(record),
+            definitions: Definitions::default(),
             files: Files::default(),
             base,
             set_points: SetPointTable::of(source, &file, files)?.map(Arc::new),

@@ -131,7 +131,7 @@ pub fn execute_run_from(
 
 impl<'a> CurrentRun<'a> {
     fn start(plan: &'a Plan, run: &'a PlannedRun) -> Result<Self, ChangeError> {
-        let (simulation, informed) = match &plan.base {
+        let (mut simulation, informed) = match &plan.base {
             Some(base) => (base.simulation(&plan.spec(run), reserve())?, 0),
             None => {
                 let mut simulation = Simulation::with_reserve(plan.spec(run), reserve())?;
@@ -139,6 +139,7 @@ impl<'a> CurrentRun<'a> {
                 (simulation, informed)
             }
         };
+        simulation.definitions = plan.definitions;
         let protocol = plan.point(run).protocol.clone();
         let next_draw = INFORMED_BY + u64::from(informed > 0);
         Ok(Self {
@@ -191,6 +192,8 @@ impl<'a> CurrentRun<'a> {
             None => None,
         };
         let past = past::from_proto(plan.lag(run), checkpoint.past).ok()?;
+        let mut simulation = Simulation::from_checkpoint(&restored, reserve());
+        simulation.definitions = plan.definitions;
         is_of_run.then(|| Self {
             plan,
             run,
@@ -199,7 +202,7 @@ impl<'a> CurrentRun<'a> {
             past,
             protocol,
             recorded: None,
-            simulation: Simulation::from_checkpoint(&restored, reserve()),
+            simulation,
         })
     }
 
@@ -230,7 +233,7 @@ impl<'a> CurrentRun<'a> {
             self.past.observe(&self.simulation.state);
         }
         if !is_last {
-            let view = View::new(&self.simulation.state, &self.past);
+            let view = view(&self.simulation, &self.past);
             self.measures.observe(self.plan, &view);
         }
         Ok(Boundary::Continue)
@@ -283,7 +286,7 @@ impl<'a> CurrentRun<'a> {
         };
         // A command may have changed the state, or the size of the group.
         self.past.observe(&self.simulation.state);
-        let view = View::new(&self.simulation.state, &self.past);
+        let view = view(&self.simulation, &self.past);
         self.measures.record_last(self.plan, &view);
         let of = (self.plan, self.run);
         let finished = self
@@ -307,6 +310,11 @@ impl<'a> CurrentRun<'a> {
             files: BTreeMap::new(),
         }
     }
+}
+
+/// Returns the view of the present state of a run.
+fn view<'a>(simulation: &'a Simulation, past: &'a Past) -> View<'a> {
+    View::new(&simulation.state, past).under(simulation.definitions)
 }
 
 /// Returns the callback that limits the size of the group, as the plan limits it at the start.

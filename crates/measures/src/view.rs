@@ -6,7 +6,7 @@ use std::rc::Rc;
 use jostle_physics::model::body::Body;
 use jostle_physics::model::heading::unit_vectors;
 use jostle_physics::model::{State, simd};
-use jostle_physics::observables::{Order, common_direction, order_of};
+use jostle_physics::observables::{Definitions, Order, common_direction, order_of};
 
 use crate::gaps::{NearPair, near_pairs_within, sizes, smallest_gaps};
 use crate::past::{Frame, Past};
@@ -21,6 +21,7 @@ type Values = Vec<(Key, Option<f64>)>;
 /// A state with what its measures share, computed at first use.
 pub struct View<'a> {
     state: &'a State,
+    definitions: Definitions,
     past: Cell<&'a Past>,
     first: Cell<u64>,
     /// The values of measures without a past, and of those with the present one.
@@ -45,6 +46,7 @@ impl<'a> View<'a> {
     pub fn new(state: &'a State, past: &'a Past) -> Self {
         Self {
             state,
+            definitions: Definitions::default(),
             past: Cell::new(past),
             first: Cell::new(0),
             values: RefCell::default(),
@@ -57,6 +59,15 @@ impl<'a> View<'a> {
             positions: OnceCell::new(),
             distances: OnceCell::new(),
             gaps: OnceCell::new(),
+        }
+    }
+
+    /// Returns the view under other definitions than the present ones.
+    #[must_use]
+    pub fn under(self, definitions: Definitions) -> Self {
+        Self {
+            definitions,
+            ..self
         }
     }
 
@@ -130,7 +141,7 @@ impl<'a> View<'a> {
     #[must_use]
     pub fn order(&self) -> &Order {
         self.order.get_or_init(|| {
-            let common = common_direction(&self.state.configuration);
+            let common = common_direction(&self.state.configuration, self.definitions);
             order_of(self.headings().iter().copied(), common)
         })
     }

@@ -75,6 +75,10 @@ pub struct SetResult {
     pub now: ParameterValues,
     /// The factor by which positions were scaled to make room; 1 if they were not.
     pub scaled_by: f64,
+    /// How many states a second it publishes at most while it runs: what `rate`, `dt` and
+    /// `publish_every` ask for, or the daemon's `max_hz` if that is less. Left out in a `batch`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub published_hz: Option<f64>,
 }
 
 /// The individuals that a command changes. A draw is seeded by the swarm's seed and `seq`
@@ -246,6 +250,7 @@ pub struct BatchResult {
 /// The result of a change.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "verb", content = "result", rename_all = "snake_case")]
+#[expect(clippy::large_enum_variant, reason = "there are few, and not for long")]
 pub enum Changed {
     /// The parameters before and now.
     Set(SetResult),

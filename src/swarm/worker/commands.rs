@@ -183,7 +183,9 @@ impl Worker {
             Command::Reset(seed) => self.reset(seed),
             Command::Change(change) => {
                 match self.change(std::slice::from_ref(&change), Draws::Command) {
-                    Ok(mut changed) => Ok(Outcome::Changed(changed.remove(0).1)),
+                    Ok(mut changed) => {
+                        Ok(Outcome::Changed(changed.remove(0).1, self.published_hz()))
+                    }
                     Err(SwarmError::InBatch { error, .. }) => Err(*error),
                     Err(error) => Err(error),
                 }

@@ -82,6 +82,7 @@ impl Worker {
             rate: self.rate,
             real_time_factor: self.real_time_factor(),
             is_behind: self.is_behind(),
+            published_hz: Some(self.published_hz()),
             replay: None,
             controllers: Vec::new(),
             waits: Vec::new(),
@@ -89,6 +90,14 @@ impl Worker {
             gaps: OnceLock::new(),
             values: OnceLock::new(),
         })
+    }
+
+    /// How many states a second are published at most while it runs.
+    pub(super) fn published_hz(&self) -> f64 {
+        // `max_hz` is whole, the interval is rounded to nanoseconds.
+        let most = self.min_frame_interval.as_secs_f64().recip().round();
+        let every = self.simulation.publish_every as f64 * self.simulation.state.parameters.dt;
+        self.rate.map_or(most, |rate| most.min(rate / every))
     }
 
     fn is_behind(&self) -> bool {

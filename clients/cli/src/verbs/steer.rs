@@ -16,7 +16,7 @@ use crate::arguments::{
 };
 use crate::context::Context;
 use crate::failure::Failure;
-use crate::format::{position, standing};
+use crate::format::{self, position, standing};
 use crate::interrupt;
 use crate::output::scheduled;
 use crate::suggest::did_you_mean;
@@ -157,6 +157,12 @@ pub async fn set(context: &Context, arguments: &SetArguments) -> Result<(), Fail
             text.push_str(&format!(
                 "\npositions spread by {scaled_by:.4} to make room"
             ));
+        }
+        if let Some(hz) = reply.result.published_hz
+            && args.contains_key("publish_every")
+        {
+            let hz = format::number(hz);
+            text.push_str(&format!("\npublishes at most {hz} states a second"));
         }
         text
     };

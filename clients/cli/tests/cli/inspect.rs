@@ -19,6 +19,44 @@ fn assert_is_of_now(line: &str) {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn the_status_says_how_many_states_are_published_and_whether_the_informed_disagree() {
+    let daemon = Daemon::with(&[("max_hz", "50")]).await;
+    daemon.said("create demo --n 4 --rate 10 --dt 0.02").await;
+    let line = async |name: &str| {
+        let status = daemon.said("status demo").await;
+        let line = status.lines().find(|it| it.starts_with(name));
+        line.map(|it| it.split_whitespace().skip(1).collect::<Vec<_>>().join(" "))
+    };
+    let set = daemon.said("set demo publish-every=1").await;
+    assert!(
+        set.contains("publishes at most 50 states a second"),
+        "{set}"
+    );
+    let capped = "50 states a second, the daemon's max_hz, of 500";
+    assert_eq!(line("published").await.as_deref(), Some(capped));
+    let set = daemon.said("set demo publish-every=20").await;
+    assert!(
+        set.contains("publishes at most 25 states a second"),
+        "{set}"
+    );
+    assert_eq!(line("published").await, None);
+
+    assert_eq!(line("drift").await, None);
+    daemon.said("inform demo --ids 0 --direction 0.5").await;
+    let drift = line("drift").await.unwrap();
+    assert!(drift.ends_with(", along 0.5 rad"), "{drift}");
+    daemon.said("inform demo --ids 1 --direction 1.5").await;
+    let drift = line("drift").await.unwrap();
+    let apart = ", along 1 rad, the informed disagree: strength 0.878";
+    assert!(drift.ends_with(apart), "{drift}");
+    daemon.said("inform demo --ids 1 --direction 3.6416").await;
+    let none =
+        "undefined, the informed disagree: strength 0.000, below 0.1 they have no common direction";
+    assert_eq!(line("drift").await.as_deref(), Some(none));
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn measures_are_evaluated_and_listed() {
     let daemon = Daemon::start().await;
     daemon.said("create demo --n 10").await;

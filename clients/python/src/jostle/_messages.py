@@ -29,8 +29,11 @@ class Order(HtmlStruct, frozen=True, kw_only=True):
         mean_order: Its time mean, `v` of eq. (8); None before the first step.
         velocity: The mean heading (x, y), the centroid's velocity in free speeds.
         mean_velocity: Its time mean; None before the first step.
-        direction: The common direction of the informed individuals, radians; None if they have
-            several, or there are none.
+        direction: The common direction of the informed individuals, radians: that of the sum of
+            their directions, each times its weight; None if there are none, or they disagree so
+            much that `direction_strength` is below 0.1.
+        direction_strength: How far they agree, the length of that sum divided by the sum of the
+            weights: 0 to 1; None if there are none, and from an earlier version.
         drift: The centroid's velocity along that direction, free speeds; None without one.
         mean_drift: Its mean over the steps with such a direction.
     """
@@ -40,6 +43,7 @@ class Order(HtmlStruct, frozen=True, kw_only=True):
     velocity: tuple[float, float]
     mean_velocity: tuple[float, float] | None = None
     direction: float | None = None
+    direction_strength: float | None = None
     drift: float | None = None
     mean_drift: float | None = None
 
@@ -191,11 +195,13 @@ class SetResult(Reply, frozen=True, kw_only=True):
         before: The values before.
         now: The values now.
         scaled_by: The factor by which `make_room` scaled the positions; 1 is not at all.
+        published_hz: As in `Status`.
     """
 
     before: ParameterValues
     now: ParameterValues
     scaled_by: float
+    published_hz: float | None = None
 
 
 class IdsResult(Reply, frozen=True, kw_only=True):
@@ -328,6 +334,9 @@ class Status(Reply, frozen=True, kw_only=True):
         real_time_factor: The rate that it reached lately; None while it does not run.
         behind_rate: Whether it lately omitted steps that were due, since they take longer than
             `rate` allows.
+        published_hz: How many states a second it publishes at most while it runs: what `rate`, `dt`
+            and `publish_every` ask for, or the daemon's `max_hz` if that is less; None for a
+            playback and from older daemons.
         n: The size of the group.
         informed: Number of informed individuals.
         seed: The seed of all random draws.
@@ -353,6 +362,7 @@ class Status(Reply, frozen=True, kw_only=True):
     rate: float | None = None
     real_time_factor: float | None = None
     behind_rate: bool
+    published_hz: float | None = None
     n: int
     informed: int
     seed: int

@@ -22,7 +22,14 @@ from ._watchdog import with_watchdog
 _ERROR_LINES = 20
 
 
-class _Header(msgspec.Struct, frozen=True):
+class Definitions(msgspec.Struct, frozen=True, kw_only=True):
+    """The number of the definitions of measures, in the first line of a `runs.jsonl`."""
+
+    definitions: int = 1
+    """Earlier versions, which had the first ones, wrote none."""
+
+
+class _Header(Definitions, frozen=True, kw_only=True):
     """The first line of the `runs.jsonl` of a part."""
 
     experiment: str
@@ -170,11 +177,13 @@ def _call(command: list[str], folder: str, processes: Processes | None) -> tuple
         os.close(held)
 
 
-def check_version(part: Path, model_version: int) -> None:
-    """Checks the version of the model with which a part was executed.
+def check_version(part: Path, model_version: int, definitions: int | None) -> None:
+    """Checks the version of the model and the definitions with which a part was executed.
 
     Raises:
-        Conflict: The worker has another one than `model_version`, that of this machine.
+        Conflict: The worker has another version than `model_version`, that of this machine, or
+            other definitions than `definitions`, those of other parts, with which it cannot be
+            merged.
     """
     with (part / RUNS).open("rb") as lines:
         header = msgspec.json.decode(lines.readline(), type=_Header)
@@ -183,4 +192,11 @@ def check_version(part: Path, model_version: int) -> None:
             f"a worker has version {header.model_version} of the model and this machine "
             f"{model_version}: install the same version of jostle on all of them",
             details={"theirs": header.model_version, "ours": model_version},
+        )
+    if definitions not in (None, header.definitions):
+        raise Conflict(
+            f"a worker has the definitions {header.definitions} of measures and other parts "
+            f"{definitions}: finish the sweep with the version of jostle that began it, on all "
+            "machines, or choose another folder",
+            details={"theirs": header.definitions, "ours": definitions},
         )

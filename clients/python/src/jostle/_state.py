@@ -18,6 +18,9 @@ from ._messages import Certificate, Order, OrderSample, Phase, Status, StepResul
 # How often a state is queried again because another command was applied meanwhile.
 _MAX_ATTEMPTS = 10
 
+_AGREED = 0.995
+"""The strength from which on the informed agree, as far as two decimals show."""
+
 ORIGIN_UNIT = 1024.0
 """The unit of an origin, body sizes."""
 
@@ -108,16 +111,26 @@ class State:
         )
 
 
+def _drift(order: Order) -> str:
+    """The drift and its direction, and how far the informed agree unless they do."""
+    text = ""
+    if order.drift is not None and order.direction is not None:
+        text = f", drift {order.drift:+z.2f} along {order.direction:z.2f} rad"
+    strength = order.direction_strength
+    if strength is not None and strength < _AGREED:
+        text += f", the informed disagree: strength {strength:.2f}"
+    return text
+
+
 def draw_state(state: State, camera: Camera | None = None) -> str:
     """A picture of a state as HTML; `camera` follows the group."""
     informed = int(state.informed.sum())
-    drift = state.order.drift
     caption = [
         f"{state.swarm}, {state.phase}",
         f"step {state.step}, t = {state.time:g}",
         f"{state.n} individual{'s' if state.n > 1 else ''}"
         + (f", {informed} informed" if informed else ""),
-        f"order {state.order.order:.2f}" + ("" if drift is None else f", drift {drift:+z.2f}"),
+        f"order {state.order.order:.2f}" + _drift(state.order),
     ]
     columns = (state.position, state.alpha, state.informed, state.direction)
     return draw(*columns, state.pi1, " · ".join(caption), camera)

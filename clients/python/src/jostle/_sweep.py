@@ -32,7 +32,7 @@ from ._errors import (
     invalid,
 )
 from ._experiment import EXPERIMENT, Source, read_files
-from ._part import check_version
+from ._part import Definitions, check_version
 from ._plan import Programs, Task
 from ._progress import Bar
 from ._repr import HtmlList
@@ -156,6 +156,8 @@ class Sweep:
         self._parts = folder.with_name(f"{folder.name}.parts")
         self._rows: HtmlList[ResultRow] = HtmlList()
         self._faults: dict[str, str] = {}
+        # Those of the parts, which can only be merged if they have the same.
+        self._definitions: int | None = None
         self._planned: list[Task] = []
         self._done_secs = 0.0
         self._is_merged = False
@@ -408,7 +410,7 @@ class Sweep:
         part = self._parts / f"runs-{name}"
         try:
             draft = receive(result, self._parts, draft, task.runs, read)
-            check_version(draft, task.model_version)
+            check_version(draft, task.model_version, self._definitions)
             check(draft, task.runs)
             draft.rename(part)
             sync_folder(self._parts)
@@ -423,7 +425,8 @@ class Sweep:
         rows = []
         with _damaged(part), (part / RUNS).open("rb") as lines:
             # The first line is the header.
-            next(lines, None)
+            header = msgspec.json.decode(next(lines, b"{}"), type=Definitions)
+            self._definitions = header.definitions
             runs = [msgspec.json.decode(line, type=_Line) for line in lines]
         # Of several lines of one run, which was executed again, the last is valid.
         for run in {it.run: it for it in runs}.values():

@@ -16,6 +16,8 @@ export interface Moment extends Record<Series, number | null> {
   time: number;
   n: number;
   informed: number;
+  direction: number | null;
+  direction_strength: number | null;
 }
 
 export function momentOfState(state: State, real_time_factor: number | null): Moment {
@@ -25,9 +27,10 @@ export function momentOfState(state: State, real_time_factor: number | null): Mo
 
 export function momentOfOrder(it: OrderMessage): Moment {
   const { epoch, step, time, n, informed, real_time_factor } = it;
-  const { order, drift } = it.order;
+  const { order, direction, direction_strength = null, drift } = it.order;
   const { contacts } = it.certificate;
-  return { epoch, step, time, n, informed, order, drift, contacts, real_time_factor };
+  const numbers = { order, drift, contacts, real_time_factor };
+  return { epoch, step, time, n, informed, direction, direction_strength, ...numbers };
 }
 
 /** The indices of values without a neighbour. */

@@ -6,6 +6,7 @@ import type { Moment } from "./history.ts";
 const NAMES = {
   order: "alignment of the group, from 0 to 1",
   drift: "speed along the common direction of the informed",
+  direction: "common direction of the informed, and its strength if they disagree",
   contacts: "pairs near enough to constrain, of the last step",
   n: "individuals",
   informed: "individuals with a preferred direction",
@@ -15,6 +16,17 @@ const NAMES = {
 } as const;
 
 type Name = keyof typeof NAMES;
+
+/** The strength from which on the informed agree, as far as two decimals show. */
+const AGREED = 0.995;
+
+/** The common direction of the informed, in words if there is none. */
+export function directionOf({ direction, direction_strength: strength }: Moment): string {
+  const agreement = strength !== null && strength < AGREED ? `strength ${fixed(strength, 2)}` : "";
+  if (direction !== null)
+    return [`${fixed(direction, 2)} rad`, agreement].filter(Boolean).join(", ");
+  return agreement === "" ? "–" : `none, ${agreement}`;
+}
 
 export class Numbers {
   readonly element = el("dl", { class: "numbers" });
@@ -31,6 +43,7 @@ export class Numbers {
   show(newest: Moment): void {
     this.put("order", fixed(newest.order, 3));
     this.put("drift", signed(newest.drift, 3));
+    this.put("direction", directionOf(newest));
     this.put("contacts", fixed(newest.contacts, 0));
     this.put("n", String(newest.n));
     this.put("informed", String(newest.informed));

@@ -62,6 +62,9 @@ export interface PlaybackPosition {
 
 export interface OrderNumbers {
   order: number;
+  direction: number | null;
+  /** Absent in states of an earlier version. */
+  direction_strength?: number | null;
   drift: number | null;
 }
 

@@ -76,6 +76,17 @@ pub enum FolderError {
         /// The model version of its runs.
         theirs: u32,
     },
+    /// The runs were measured by the definitions of a later version.
+    #[error(
+        "{} has runs under the definitions {theirs} of measures, of a later version of jostle: execute all \
+         runs of an experiment with the same version", folder.display()
+    )]
+    OtherDefinitions {
+        /// The folder.
+        folder: PathBuf,
+        /// The number of its definitions.
+        theirs: u32,
+    },
     /// A folder contains no results.
     #[error("{} contains no results: use folders that `jostled run` wrote", folder.display())]
     NoResults {

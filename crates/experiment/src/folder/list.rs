@@ -7,6 +7,7 @@ use std::ops::Range;
 use std::path::{Component, Path};
 
 use jostle_physics::model::MODEL_VERSION;
+use jostle_physics::observables::Definitions;
 use jostle_results::ResultRow;
 use jostle_results::contact_statistics::ContactStatistics;
 use serde::de::DeserializeOwned;
@@ -27,6 +28,13 @@ const LONG_LINE: u64 = 1 << 20;
 pub struct Header {
     pub experiment: String,
     pub model_version: u32,
+    /// The number of the definitions of measures. Earlier versions, which had the first ones, wrote none.
+    #[serde(default = "first")]
+    pub definitions: u32,
+}
+
+fn first() -> u32 {
+    Definitions::First.number()
 }
 
 /// A finished run.
@@ -106,6 +114,25 @@ pub struct List {
     pub length: u64,
     /// The version of the model that executed the runs.
     pub model_version: u32,
+    /// The number of the definitions of their measures.
+    pub definitions: u32,
+}
+
+impl List {
+    /// Returns the definitions under which further runs are executed.
+    ///
+    /// # Errors
+    ///
+    /// [`FolderError::OtherModel`] and [`FolderError::OtherDefinitions`]: no run can be added.
+    pub fn definitions(&self, folder: &Path) -> Result<Definitions, FolderError> {
+        let folder = folder.to_owned();
+        if self.model_version != MODEL_VERSION {
+            let theirs = self.model_version;
+            return Err(FolderError::OtherModel { folder, theirs });
+        }
+        let theirs = self.definitions;
+        Definitions::of(theirs).ok_or(FolderError::OtherDefinitions { folder, theirs })
+    }
 }
 
 /// Reads the list of runs of a folder; an empty one if there is none. Of several lines of one run the
@@ -122,6 +149,7 @@ pub fn read_runs(folder: &Path, plan: &Plan) -> Result<List, FolderError> {
         finished: BTreeMap::new(),
         length: 0,
         model_version: MODEL_VERSION,
+        definitions: plan.definitions.number(),
     };
     let mut lines = match Lines::open(&path) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(list),
@@ -137,6 +165,7 @@ pub fn read_runs(folder: &Path, plan: &Plan) -> Result<List, FolderError> {
                 Err(error) => return Err(damaged(number, error.to_string())),
             };
             list.model_version = header.model_version;
+            list.definitions = header.definitions;
         } else {
             let mut record: Record = match lines.parse() {
                 Ok(record) => record,

@@ -6,7 +6,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use blake3::Hash;
-use jostle_physics::model::MODEL_VERSION;
+use jostle_physics::observables::Definitions;
 use jostle_results::table::series::for_each_part;
 use jostle_results::table::trajectory;
 use rustix::fs::{FlockOperation, flock};
@@ -28,6 +28,7 @@ use crate::trajectory::Trajectories;
 /// would exceed the limit of the process.
 pub struct Part {
     path: PathBuf,
+    definitions: Definitions,
     finished: BTreeMap<usize, Entry>,
     lacking: BTreeSet<usize>,
 }
@@ -64,14 +65,9 @@ impl Part {
     pub fn read(folder: &Path, plan: &Plan) -> Result<Self, FolderError> {
         let _lock = lock_shared(folder)?;
         let list = read_runs(folder, plan)?;
-        if list.model_version != MODEL_VERSION {
-            return Err(FolderError::OtherModel {
-                folder: folder.to_owned(),
-                theirs: list.model_version,
-            });
-        }
         Ok(Self {
             path: folder.to_owned(),
+            definitions: list.definitions(folder)?,
             lacking: lacking(folder, plan, &list.finished),
             finished: list.finished,
         })
@@ -80,6 +76,11 @@ impl Part {
     /// Returns the path of the folder.
     pub fn path(&self) -> &Path {
         &self.path
+    }
+
+    /// Returns the definitions of measures of its runs.
+    pub fn definitions(&self) -> Definitions {
+        self.definitions
     }
 
     /// Returns the indices of its finished runs in the plan, in ascending order, without those of which

@@ -274,6 +274,7 @@ pub fn settle_all(folder: &Path, plan: &Plan, list: List) -> Result<List, Folder
     let header = Header {
         experiment: plan.name.clone(),
         model_version: list.model_version,
+        definitions: list.definitions,
     };
     file.write_all(&to_line(&header)).map_err(fail)?;
     let mut entries: Vec<(&usize, &Entry)> = list.finished.iter().collect();

@@ -74,7 +74,7 @@ impl ProtocolRun {
     ) -> Result<Boundary, String> {
         let protocol = self.protocol.clone();
         let (step, dt) = (simulation.state.step, simulation.state.parameters.dt);
-        let view = View::new(&simulation.state, past);
+        let view = View::new(&simulation.state, past).under(simulation.definitions);
         if let Some(trigger) = &protocol.stop
             && trigger.observe(&view, step, dt, &mut self.progress.stop)
         {

@@ -3,8 +3,8 @@
 use jostle_convert::hexadecimal;
 use jostle_measures::View;
 use jostle_physics::model::{ContactRule, State, body};
+use jostle_physics::observables::Order;
 use jostle_physics::observables::intervals::Intervals;
-use jostle_physics::observables::{self, Order};
 use jostle_physics::simulation::{Simulation, steps_in};
 use jostle_physics::stepper::StepReport;
 use jostle_results::table::Series;
@@ -194,7 +194,7 @@ impl Measures {
         } = state;
         let extra = self.extra(plan, run, is_stopped.then(|| state.time()));
         if self.logs[0].is_some() {
-            self.record(plan, *step, &observables::order(configuration));
+            self.record(plan, *step, &simulation.order());
         }
         let series = SeriesKind::ALL.map(|kind| self.series(kind, (plan, run), recorder));
         let last = body::gaps(parameters, configuration);

@@ -4,7 +4,6 @@ use std::fs;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-use jostle_physics::observables;
 use jostle_physics::simulation::Simulation;
 use jostle_results::table::series::read;
 use serde_json::{Value, json};
@@ -105,7 +104,7 @@ fn a_long_series_is_in_a_file_and_a_short_one_in_the_line() {
         let mut swarm = Simulation::new(&plan.spec(&plan.runs()[0])).unwrap();
         let mut orders = Vec::new();
         for step in 0..=steps {
-            orders.push(Some(observables::order(&swarm.state.configuration).order));
+            orders.push(Some(swarm.order().order));
             if step < steps {
                 swarm.step().unwrap();
             }

@@ -6,9 +6,42 @@ pub mod intervals;
 use crate::model::heading::unit_vectors;
 use crate::model::{Configuration, simd};
 
-/// The sum of the informed individuals' weighted unit vectors counts as zero up to this share of
-/// the sum of weights, since its direction would be a rounding error.
+/// The informed individuals have a common direction from this strength on: below it, their number and
+/// the noise of their weights decide where the sum of their directions points.
+pub const MIN_STRENGTH: f64 = 0.1;
+
+/// The strength up to which the sum of directions is a rounding error, and so was the only one without
+/// a common direction in [`Definitions::First`].
 const CANCELLED: f64 = 1e-12;
+
+/// The definitions of measures. An experiment goes on under those with which it began.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Definitions {
+    /// The informed have a common direction unless theirs cancel to rounding.
+    First,
+    /// They have one from [`MIN_STRENGTH`] on.
+    #[default]
+    Second,
+}
+
+impl Definitions {
+    /// Returns the definitions with this number; `None` if there are none, or only in a later version.
+    #[must_use]
+    pub fn of(number: u32) -> Option<Self> {
+        [Self::First, Self::Second]
+            .into_iter()
+            .find(|it| it.number() == number)
+    }
+
+    /// Returns their number.
+    #[must_use]
+    pub fn number(self) -> u32 {
+        match self {
+            Self::First => 1,
+            Self::Second => 2,
+        }
+    }
+}
 
 /// Order and drift of a configuration.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -18,8 +51,9 @@ pub struct Order {
     /// The mean heading. It is also the centroid's velocity in free speeds, since contact forces
     /// cancel, unless a controller scales speeds.
     pub velocity: [f64; 2],
-    /// The informed individuals' common direction, in radians; `None` if no individual is informed
-    /// or their directions cancel.
+    /// How far the informed individuals agree, `|Σ w e| / Σ w`, in [0, 1]; `None` if none is informed.
+    pub strength: Option<f64>,
+    /// Their common direction, in radians; `None` if none is informed or they agree too little.
     pub direction: Option<f64>,
     /// The component of `velocity` along that direction, in free speeds.
     pub drift: Option<f64>,
@@ -30,12 +64,13 @@ pub struct Order {
 /// - Units: free speeds; angles in radians, counter-clockwise from +x.
 /// - Source: paper, the integrands of eq. (8) and of the drift in section 3.2. The common direction
 ///   is that of the sum of the preferred directions' unit vectors, each times its individual's
-///   weight.
+///   weight; [`Definitions`] say from which strength on.
 #[must_use]
-pub fn order(configuration: &Configuration) -> Order {
+pub fn order(configuration: &Configuration, definitions: Definitions) -> Order {
     let mut headings = Vec::new();
     unit_vectors(simd::level(), &configuration.alpha, &mut headings);
-    order_of(headings.into_iter(), common_direction(configuration))
+    let common = common_direction(configuration, definitions);
+    order_of(headings.into_iter(), common)
 }
 
 /// The common direction of the informed individuals: the sum of the unit vectors of their preferred
@@ -43,12 +78,20 @@ pub fn order(configuration: &Configuration) -> Order {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CommonDirection {
     sum: [f64; 2],
+    /// The length of the sum.
+    length: f64,
+    /// Its share of the sum of the weights.
     strength: f64,
+    /// Whether they agree enough to have one.
+    is_defined: bool,
 }
 
-/// Computes the common direction; `None` if no individual is informed or the directions cancel.
+/// Computes the common direction; `None` if no individual is informed.
 #[must_use]
-pub fn common_direction(configuration: &Configuration) -> Option<CommonDirection> {
+pub fn common_direction(
+    configuration: &Configuration,
+    definitions: Definitions,
+) -> Option<CommonDirection> {
     let (mut sum, mut weights) = ([0.0, 0.0], 0.0);
     for (&weight, &direction) in configuration.weight.iter().zip(&configuration.direction) {
         if weight > 0.0 {
@@ -57,8 +100,19 @@ pub fn common_direction(configuration: &Configuration) -> Option<CommonDirection
             weights += weight;
         }
     }
-    let strength = length(sum);
-    (strength > CANCELLED * weights).then_some(CommonDirection { sum, strength })
+    let length = length(sum);
+    // Rounding could make it larger than 1.
+    let strength = (length / weights).min(1.0);
+    let is_defined = match definitions {
+        Definitions::First => length > CANCELLED * weights,
+        Definitions::Second => strength >= MIN_STRENGTH,
+    };
+    (weights > 0.0).then_some(CommonDirection {
+        sum,
+        length,
+        strength,
+        is_defined,
+    })
 }
 
 /// Measures order and drift from n headings, as unit vectors, and the common direction.
@@ -70,13 +124,15 @@ pub fn order_of(
     let share = 1.0 / headings.len().max(1) as f64;
     let sum = headings.fold([0.0, 0.0], |sum, [cos, sin]| [sum[0] + cos, sum[1] + sin]);
     let velocity = sum.map(|sum| sum * share);
+    let defined = common.filter(|it| it.is_defined);
     Order {
         // Rounding could make it larger than 1.
         order: length(velocity).min(1.0),
         velocity,
-        direction: common.map(|CommonDirection { sum, .. }| libm::atan2(sum[1], sum[0])),
-        drift: common.map(|CommonDirection { sum, strength }| {
-            (velocity[0] * sum[0] + velocity[1] * sum[1]) / strength
+        strength: common.map(|it| it.strength),
+        direction: defined.map(|CommonDirection { sum, .. }| libm::atan2(sum[1], sum[0])),
+        drift: defined.map(|CommonDirection { sum, length, .. }| {
+            (velocity[0] * sum[0] + velocity[1] * sum[1]) / length
         }),
     }
 }
@@ -149,6 +205,10 @@ mod tests {
 
     use super::*;
 
+    fn order(configuration: &Configuration) -> Order {
+        super::order(configuration, Definitions::default())
+    }
+
     fn heading(angles: &[f64]) -> Configuration {
         let mut configuration = Configuration::default();
         angles.iter().for_each(|&alpha| {
@@ -186,8 +246,37 @@ mod tests {
         let mut configuration = heading(&[0.0, 0.0]);
         configuration.inform(0, 0.5, 0.7, None);
         configuration.inform(1, 0.5, 0.7 + PI, None);
+        for definitions in [Definitions::First, Definitions::Second] {
+            let now = super::order(&configuration, definitions);
+            assert_eq!((now.direction, now.drift), (None, None));
+            assert!(now.strength.unwrap() < 1e-15);
+        }
+    }
+
+    #[test]
+    fn directions_that_hardly_agree_have_no_common_one() {
+        // What is left of 0 and 3.1416 is a rounding of π.
+        let mut configuration = heading(&[2.1, 2.2]);
+        configuration.inform(0, 0.5, 0.0, None);
+        configuration.inform(1, 0.5, 31_416.0 / 10_000.0, None);
         let now = order(&configuration);
         assert_eq!((now.direction, now.drift), (None, None));
+        assert!((now.strength.unwrap() - 3.673_205e-6).abs() < 1e-11);
+        let before = super::order(&configuration, Definitions::First);
+        assert!(before.direction.is_some() && before.drift.is_some());
+
+        // A sum of 1.1 and -0.9 of a total of 2 is at the limit.
+        for (weight, is_defined) in [(1.1 + 1e-9, true), (1.1 - 1e-9, false)] {
+            configuration.inform(0, weight, 0.0, None);
+            configuration.inform(1, 2.0 - weight, PI, None);
+            let now = order(&configuration);
+            assert_eq!(now.direction.is_some(), is_defined, "{weight}");
+            assert_eq!(now.drift.is_some(), is_defined, "{weight}");
+            assert!((now.strength.unwrap() - 0.1).abs() < 2e-9);
+        }
+        configuration.inform(1, 0.3, 0.0, None);
+        assert!((order(&configuration).strength.unwrap() - 1.0).abs() < 1e-15);
+        assert_eq!(order(&heading(&[0.0])).strength, None);
     }
 
     #[test]

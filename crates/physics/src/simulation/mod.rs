@@ -10,7 +10,7 @@ use crate::model::configuration::Configuration;
 use crate::model::parameters::{ContactRule, Parameters, check_coordinate, check_weight};
 use crate::model::selection::{Candidates, Selection, select};
 use crate::model::{State, injection, reshape, start};
-use crate::observables::{self, Order, RunningMeans};
+use crate::observables::{self, Definitions, Order, RunningMeans};
 use crate::stepper::{StepError, StepReport, Stepper};
 
 pub use change::{
@@ -78,6 +78,8 @@ pub struct Simulation {
     pub exactness: Exactness,
     /// Order and drift of the state before the last step.
     pub order_before: Order,
+    /// The definitions of order and drift; not part of a checkpoint.
+    pub definitions: Definitions,
     reserve: ReserveMemory,
     stepper: Stepper,
 }
@@ -125,6 +127,7 @@ impl Simulation {
             means: RunningMeans::default(),
             exactness: Exactness::default(),
             order_before: Order::default(),
+            definitions: Definitions::default(),
             reserve,
             stepper: Stepper::new(),
         })
@@ -144,6 +147,7 @@ impl Simulation {
             means: checkpoint.means,
             exactness: checkpoint.exactness,
             order_before: Order::default(),
+            definitions: Definitions::default(),
             reserve,
             stepper: Stepper::new(),
         }
@@ -187,7 +191,7 @@ impl Simulation {
     ///
     /// [`StepError`]; the state is then unchanged.
     pub fn step(&mut self) -> Result<StepReport, StepError> {
-        let common = observables::common_direction(&self.state.configuration);
+        let common = observables::common_direction(&self.state.configuration, self.definitions);
         let report = self.stepper.step(&mut self.state)?;
         let headings = self.stepper.headings().iter().copied();
         self.order_before = observables::order_of(headings, common);
@@ -343,7 +347,7 @@ impl Simulation {
 
     /// Measures the present order and drift.
     pub fn order(&self) -> Order {
-        observables::order(&self.state.configuration)
+        observables::order(&self.state.configuration, self.definitions)
     }
 
     fn setting_values(&self) -> SettingValues {

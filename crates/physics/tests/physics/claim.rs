@@ -6,7 +6,7 @@ use std::thread;
 
 use jostle_physics::model::selection::{Candidates, Selection, select};
 use jostle_physics::model::{Parameters, State};
-use jostle_physics::observables::{RunningMeans, order};
+use jostle_physics::observables::{Definitions, RunningMeans, order};
 use jostle_physics::stepper::Stepper;
 
 use crate::drawn;
@@ -49,7 +49,7 @@ fn run(seed: u64, informed: usize) -> Run {
             inform(&mut state, informed);
         }
         if state.step >= (MEASURED_FROM / dt).round() as u64 {
-            means.add(&order(&state.configuration));
+            means.add(&order(&state.configuration, Definitions::default()));
         }
         let report = stepper.step(&mut state).unwrap();
         run.worst_residual = run.worst_residual.max(report.residual);

@@ -39,7 +39,7 @@ struct Difference {
     is_same_hash: Option<bool>,
     /// How their individuals differ; `null` if they are not at one step.
     individuals: Option<Bodies>,
-    /// How fast both drift along one direction; `null` if no individual is informed.
+    /// How fast both drift along one direction; `null` if neither has a common direction of the informed.
     drift: Option<Drift>,
 }
 

@@ -1,7 +1,6 @@
 //! Random protocols, compared with the same commands sent to a simulation.
 
 use jostle_physics::model::selection::Selection;
-use jostle_physics::observables;
 use jostle_physics::simulation::{Change, Placement, Settings, steps_in};
 
 use super::{ByHand, finished, noise};
@@ -158,7 +157,7 @@ fn a_hundred_random_protocols_are_the_commands_of_a_swarm() {
         let (mut above, mut is_done) = (vec![0u64; blocks.len()], vec![false; blocks.len()]);
         let mut rejected = None;
         'run: for step in 0..u64::try_from(steps).unwrap() {
-            let order = observables::order(&by_hand.simulation.state.configuration).order;
+            let order = by_hand.simulation.order().order;
             let mut due = Vec::new();
             for (index, (when, _)) in blocks.iter().enumerate() {
                 if let When::Ordered(limit, lasting) = when {

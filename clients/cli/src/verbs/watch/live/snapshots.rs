@@ -171,7 +171,7 @@ fn m_chooses_the_measure_of_the_second_chart() {
         shown.contains(" contacts_per_body 0 individuals"),
         "{shown}"
     );
-    assert!(!shown.contains("no direction given"));
+    assert!(!shown.contains("no common direction"));
     press(&mut view, KeyCode::Char('m'));
     assert!(text(&view, (120, 40)).contains(" drift "));
     press(&mut view, KeyCode::Char('m'));

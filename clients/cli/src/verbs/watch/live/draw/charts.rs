@@ -72,7 +72,7 @@ pub fn draw(frame: &mut Frame<'_>, [order, second]: [Rect; 2], view: &View, pale
     let chart = Chart {
         name: "drift",
         unit: None,
-        none: "no direction given",
+        none: "no common direction",
         now: now.and_then(|it| it.drift),
         mean: now.and_then(|it| it.mean_drift),
         range: [-1.0, 1.0],

@@ -1,0 +1,134 @@
+//! Tests of the definitions of measures: an experiment goes on under those with which it began.
+
+use std::fs;
+
+use jostle_results::Measure;
+
+use super::*;
+use crate::execute::{Execution, execute};
+use crate::merge::{MergeError, Parts};
+use crate::progress::ExecutionControl;
+
+/// Two individuals that disagree by π, but for a rounding of it.
+const FILE: &str = "name = \"conflict\"\nduration = 1\nreplicates = 4\nspec = { n = 6 }\n\
+                    measure = { columns = [\"front\"], every = 10, order_every = 10 }\n[[at]]\nstep = 0\n\
+                    inform = [{ select = { ids = [0] }, direction = 0 }, { select = { ids = [1] }, \
+                    direction = 3.1416 }]\n[stop]\nwhen = \"drift > -2 for 0.5\"\n";
+
+struct Fixture {
+    directory: tempfile::TempDir,
+    plan: Plan,
+}
+
+impl Fixture {
+    fn new() -> Self {
+        Self {
+            directory: tempfile::tempdir().unwrap(),
+            plan: Plan::parse(FILE).unwrap(),
+        }
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.directory.path().join(name)
+    }
+
+    fn execute(&self, name: &str, runs: &str) -> Folder {
+        let mut folder = Folder::open(&self.path(name), &self.plan).unwrap();
+        let execution = Execution {
+            plan: &self.plan,
+            subset: &Subset::parse(&self.plan, runs).unwrap(),
+            threads: 1,
+            checkpoint_every: None,
+        };
+        execute(execution, &mut folder, &ExecutionControl::new()).unwrap();
+        folder
+    }
+
+    /// Makes the header that of an earlier or later version.
+    fn set_definitions(&self, name: &str, number: Option<u32>) {
+        let path = self.path(name).join(RUNS);
+        let list = fs::read_to_string(&path).unwrap();
+        let theirs = number.map_or_else(String::new, |it| format!(",\"definitions\":{it}"));
+        let edited = list.replacen(",\"definitions\":2", &theirs, 1);
+        assert_ne!(edited, list, "{list}");
+        fs::write(path, edited).unwrap();
+    }
+}
+
+/// Whether the drift of each run was defined: its mean, a measure along the direction, a condition.
+fn is_defined(folder: &Folder) -> Vec<[bool; 3]> {
+    let rows = folder.rows();
+    let defined = rows.iter().map(|row| {
+        [
+            row.optional_number(Measure::V_PD).is_some(),
+            row.extra("front").is_some(),
+            row.extra("stopped_at").is_some(),
+        ]
+    });
+    defined.collect()
+}
+
+#[test]
+fn an_experiment_goes_on_under_the_definitions_with_which_it_began() {
+    let fixture = Fixture::new();
+    let folder = fixture.execute("new", "1");
+    assert_eq!(folder.definitions(), Definitions::Second);
+    assert_eq!(is_defined(&folder), [[false; 3]]);
+    drop(folder);
+
+    fs::create_dir(fixture.path("old")).unwrap();
+    drop(Folder::open(&fixture.path("old"), &fixture.plan).unwrap());
+    fixture.set_definitions("old", None);
+    drop(fixture.execute("old", "1-2"));
+    let folder = fixture.execute("old", "1-4");
+    assert_eq!(folder.definitions(), Definitions::First);
+    assert_eq!(is_defined(&folder), [[true; 3]; 4]);
+    let order = fs::read_to_string(fixture.path("old").join(RUNS)).unwrap();
+    assert!(!order.contains("\"drift\":[null"), "{order}");
+    drop(folder);
+
+    // Of a later version: it is read, and no run is added.
+    fixture.set_definitions("new", Some(3));
+    let error = Folder::open(&fixture.path("new"), &fixture.plan).unwrap_err();
+    assert!(
+        matches!(error, FolderError::OtherDefinitions { theirs: 3, .. }),
+        "{error}"
+    );
+    assert_eq!(
+        Folder::read(&fixture.path("new"), &fixture.plan)
+            .unwrap()
+            .rows
+            .len(),
+        1
+    );
+}
+
+#[test]
+fn parts_of_the_same_definitions_are_merged_and_verified_under_them() {
+    let fixture = Fixture::new();
+    let parts = ["one", "other"].map(|name| fixture.path(name));
+    for (name, runs) in [("one", "1-2"), ("other", "3-4")] {
+        drop(Folder::open(&fixture.path(name), &fixture.plan).unwrap());
+        fixture.set_definitions(name, None);
+        drop(fixture.execute(name, runs));
+    }
+    let read = Parts::read(&parts).unwrap();
+    let all = Subset::parse(&fixture.plan, "1-4").unwrap();
+    read.verify(&all, 1, |_| ()).unwrap();
+    let merged = read.write(&fixture.path("merged")).unwrap();
+    assert_eq!(merged.definitions(), Definitions::First);
+    assert_eq!(is_defined(&merged), [[true; 3]; 4]);
+    drop(merged);
+    let reopened = Folder::open(&fixture.path("merged"), &fixture.plan).unwrap();
+    assert_eq!(reopened.definitions(), Definitions::First);
+
+    fs::remove_dir_all(&parts[1]).unwrap();
+    drop(fixture.execute("other", "3-4"));
+    let Err(error) = Parts::read(&parts) else {
+        panic!("definitions are mixed");
+    };
+    assert!(
+        matches!(&error, MergeError::OtherDefinitions { others, .. } if *others == parts[1..]),
+        "{error}"
+    );
+}
