@@ -142,6 +142,10 @@ fn zenoh(channel: &Channel) -> Value {
             "attachment": "none",
         })
     };
+    let attached = |mut publisher: Value| {
+        publisher["attachment"] = json!(format!("attachment, {CBOR}"));
+        publisher
+    };
     let queryable = |declared: &str, wildcards: &str| {
         let parameters = channel.parameters.iter();
         let parameters: Map<String, Value> = parameters
@@ -180,7 +184,7 @@ fn zenoh(channel: &Channel) -> Value {
         ChannelKind::Published(_) => publisher(JSON),
         ChannelKind::PublishedAndQueried("state") => json!({
             "kind": "publisher and queryable",
-            "publisher": publisher(CBOR),
+            "publisher": attached(publisher(CBOR)),
             "queryable": queryable(channel.key, "welcome"),
         }),
         ChannelKind::PublishedAndQueried(_) => json!({
@@ -310,7 +314,9 @@ fn messages(examples: &Examples) -> Value {
         let encodings = match name {
             "state" => json!([CBOR, JSON]),
             "step.reply" => json!([JSON, CBOR]),
-            "snapshot.reply" | "experiment.order" | "experiment.series" => json!([CBOR]),
+            "attachment" | "snapshot.reply" | "experiment.order" | "experiment.series" => {
+                json!([CBOR])
+            }
             _ => json!([JSON]),
         };
         let message = json!({

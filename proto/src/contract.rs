@@ -19,11 +19,11 @@ use crate::verbs::{
     UninformArgs, WhenArgs, WhenResult,
 };
 use crate::{
-    Audit, ControllerList, Error, Event, Events, ExperimentArgs, ExperimentFile, ExperimentResult,
-    Experiments, Hello, Journal, Measures, Metrics, NodeReply, NodeStatus, OrderPage, OrderSample,
-    Parameter, ParameterKind, Parameters, Progress, RecordArgs, Recording, RecordingPiece,
-    Recordings, ReplayArgs, ReplayResult, Reply, Request, ResultsPage, Schemas, SeekArgs,
-    SeriesPage, Snapshot, Spec, State, Status, Swarms, Verified, WhoAmI,
+    Attachment, Audit, ControllerList, Error, Event, Events, ExperimentArgs, ExperimentFile,
+    ExperimentResult, Experiments, Hello, Journal, Measures, Metrics, NodeReply, NodeStatus,
+    OrderPage, OrderSample, Parameter, ParameterKind, Parameters, Progress, RecordArgs, Recording,
+    RecordingPiece, Recordings, ReplayArgs, ReplayResult, Reply, Request, ResultsPage, Schemas,
+    SeekArgs, SeriesPage, Snapshot, Spec, State, Status, Swarms, Verified, WhoAmI,
 };
 
 pub use channels::{CHANNELS, Channel, ChannelKind};
@@ -35,6 +35,7 @@ pub fn schemas() -> BTreeMap<&'static str, Schema> {
         ("error", sent::<Error>()),
         ("scheduled.reply", sent::<Reply<Scheduled>>()),
         ("state", sent::<State>()),
+        ("attachment", sent::<Attachment>()),
         ("order", sent::<OrderSample>()),
         ("event", sent::<Event>()),
         ("status.reply", sent::<Reply<Status>>()),
@@ -193,7 +194,7 @@ mod tests {
 
     #[test]
     fn every_message_of_a_channel_has_a_schema_and_every_schema_a_channel() {
-        let mut named = BTreeSet::from(["request", "error", "scheduled.reply"]);
+        let mut named = BTreeSet::from(["request", "error", "scheduled.reply", "attachment"]);
         for channel in CHANNELS {
             match channel.kind {
                 ChannelKind::Published(message)

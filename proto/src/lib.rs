@@ -10,6 +10,7 @@
 pub mod keys;
 
 pub mod asyncapi;
+mod attachment;
 mod cell;
 pub mod claim;
 mod column;
@@ -31,6 +32,7 @@ mod state;
 pub mod verbs;
 mod walk;
 
+pub use attachment::{Attachment, unix_nanos};
 pub use cell::{Cell, CellKind, WrongKind};
 pub use claim::{Claim, Claimant, Standing};
 pub use envelope::{MAX_LABEL_LENGTH, NodeReply, Reply, Request, is_plain};

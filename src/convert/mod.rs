@@ -50,4 +50,6 @@ pub(crate) use metrics::metrics;
 pub(crate) use payload::Payload;
 pub(crate) use recordings::{recording, recording_piece, recordings};
 pub(crate) use replies::{created, outcome, reply};
-pub(crate) use states::{limits, order_sample, parameters, replay, state, status, summary};
+pub(crate) use states::{
+    attachment, limits, order_sample, parameters, replay, state, status, summary,
+};

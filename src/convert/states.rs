@@ -1,5 +1,7 @@
 //! States of swarms: what is published, and the replies to queries of a state.
 
+use std::time::SystemTime;
+
 use jostle_convert::hexadecimal;
 use jostle_convert::spec::parameter_values;
 use jostle_proto as proto;
@@ -29,6 +31,16 @@ pub fn state(swarm: &str, seen: &Frame, frame: u64) -> proto::State {
         direction: configuration.direction.clone(),
         order: order(seen),
         certificate: certificate(seen),
+    }
+}
+
+/// Returns what is attached to a state that is published at this time, or recorded without being
+/// published.
+pub fn attachment(seen: &Frame, published: Option<SystemTime>) -> proto::Attachment {
+    proto::Attachment {
+        stepped_unix_nanos: seen.stepped.and_then(proto::unix_nanos),
+        published_unix_nanos: published.and_then(proto::unix_nanos),
+        sequences: seen.sequences.clone(),
     }
 }
 

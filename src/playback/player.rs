@@ -1,6 +1,7 @@
 //! Plays a recording on the thread of a hosted name: publishes its frames and events as a swarm
 //! publishes its own.
 
+use std::collections::BTreeMap;
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
@@ -336,6 +337,9 @@ impl Player {
             real_time_factor: self.real_time_factor.filter(|_| self.phase.is_moving()),
             is_behind: false,
             published_hz: None,
+            // A playback takes no steps.
+            stepped: None,
+            sequences: BTreeMap::new(),
             controllers: Vec::new(),
             waits: Vec::new(),
             hash: None,

@@ -134,6 +134,8 @@ impl RecordingWriter {
             taken,
         };
         let published = state.to_cbor();
+        // It is recorded, whether or not it is published.
+        let attachment = convert::attachment(frame, None).to_cbor();
         self.recorder.frame(&Frame {
             swarm: &state.swarm,
             moment,
@@ -152,6 +154,7 @@ impl RecordingWriter {
             residual: state.certificate.residual,
             contacts: state.certificate.contacts,
             published: &published,
+            attachment: Some(&attachment),
         })?;
         let order = Payload::json(&convert::order_sample(&self.swarm, frame, number));
         self.recorder.order(&moment, &order.bytes)

@@ -86,6 +86,16 @@ impl Controllers {
         self.members.keys().map(String::as_str)
     }
 
+    /// The numbers of the newest set-points that hold, by controller.
+    pub fn sequences(&self) -> BTreeMap<String, u64> {
+        let members = self.members.iter();
+        let sequence = |(name, member): (&String, &Member)| {
+            let sequence = member.sequence_in_force()?;
+            Some((name.clone(), sequence))
+        };
+        members.filter_map(sequence).collect()
+    }
+
     /// Whether the swarm steps only when all have advanced.
     pub fn is_lockstep(&self) -> bool {
         self.targets().next().is_some()
@@ -258,7 +268,10 @@ impl Controllers {
                 member.state.misses = 0;
                 member.since = None;
                 match steered {
-                    Ok(()) => member.puts.applied += 1,
+                    Ok(()) => {
+                        member.puts.applied += 1;
+                        member.applied = Some(*sequence);
+                    }
                     Err(_) => member.puts.rejected += 1,
                 }
                 steered?;
@@ -307,10 +320,12 @@ impl Controllers {
         }
         let before = self.members.remove(name).map(|member| {
             swarm.reject(member.reply_to, SwarmError::Superseded);
-            member.state
+            let is_same = member.state.settings.mode == options.settings.mode;
+            (member.state, member.applied.filter(|_| is_same))
         });
-        let before = before.map(|it| (it.claims, it.steered, it.news, it.sequence));
-        let (claimed, mut steered, news, sequence) = before.unwrap_or_default();
+        let before =
+            before.map(|(it, applied)| (it.claims, it.steered, it.news, it.sequence, applied));
+        let (claimed, mut steered, news, sequence, applied) = before.unwrap_or_default();
         let claims = claims.unwrap_or(claimed);
         steered.retain(|id| claims.contains(id));
         let ids = claims.iter().copied().collect();
@@ -325,7 +340,9 @@ impl Controllers {
             news: News::default(),
             sequence,
         };
-        self.members.insert(name.clone(), Member::new(state, None));
+        let mut member = Member::new(state, None);
+        member.applied = applied;
+        self.members.insert(name.clone(), member);
         Ok(Outcome::Joined { ids, news })
     }
 

@@ -68,6 +68,10 @@ pub struct Frame {
     pub is_behind: bool,
     /// How many states a second are published at most; unknown for a playback.
     pub published_hz: Option<f64>,
+    /// When its step was taken, if that is known.
+    pub stepped: Option<SystemTime>,
+    /// The numbers of the newest set-points that hold, by controller.
+    pub sequences: BTreeMap<String, u64>,
     /// The position in the recording, of a playback.
     pub replay: Option<Replay>,
     /// The controllers that have joined, if requested.

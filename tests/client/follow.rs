@@ -4,10 +4,12 @@ use std::cell::Cell;
 use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime};
 
 use jostle_client::{Client, ConnectOptions, Error, EventsFrom, Follow, FollowOptions, Update};
-use jostle_proto::verbs::{AnnotateArgs, CreateArgs, DeleteArgs, RunArgs, SetArgs};
+use jostle_proto::verbs::{
+    AnnotateArgs, CreateArgs, DeleteArgs, Return, RunArgs, SetArgs, StepArgs,
+};
 use jostle_proto::{EventKind, Spec, keys};
 use tempfile::TempDir;
 use zenoh::Session;
@@ -384,4 +386,45 @@ async fn what_is_received_before_the_token_of_a_swarm_that_is_back_follows_the_n
     assert!(matches!(update, Update::Event(_)), "{update:?}");
     client.close().await;
     session.close().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_published_state_has_its_times_and_one_that_was_queried_has_none() {
+    let (_folder, _daemon, _, client) = daemon_with_a_swarm().await;
+    let options = FollowOptions {
+        states: Some(1),
+        ..FollowOptions::default()
+    };
+    let mut updates = client.follow("demo", options).await.unwrap();
+    let state = |it: &Update| match it {
+        Update::State(state) => Some(state.clone()),
+        _ => None,
+    };
+    let queried = until(&mut updates, state).await;
+    assert!(queried.attachment().is_none() && queried.received_at().is_none());
+    assert_eq!((queried.published_at(), queried.stepped_at()), (None, None));
+    assert_eq!(queried.latency(), None);
+    let began = SystemTime::now();
+    loop {
+        let step = StepArgs {
+            steps: 1,
+            return_: Return::None,
+        };
+        let reached = client.execute("demo", &step).await.unwrap().step;
+        client.status("demo").await.unwrap();
+        let read = SystemTime::now();
+        let state = until(&mut updates, |it| state(it).filter(|it| it.step >= reached)).await;
+        let stepped = state.stepped_at().unwrap();
+        let published = state.published_at().unwrap();
+        let received = state.received_at().unwrap();
+        assert!(began <= stepped && stepped <= published && published <= received);
+        let latency = received.duration_since(published).unwrap().as_secs_f64();
+        assert_eq!(state.latency(), Some(latency));
+        assert!(state.attachment().unwrap().sequences.is_empty());
+        // The time in the queue does not count.
+        if received <= read {
+            break;
+        }
+    }
+    client.close().await;
 }

@@ -135,7 +135,18 @@ async fn every_channel_of_the_document_is_served() {
                 publisher["encoding"],
                 "{key}"
             );
-            assert!(sample.attachment().is_none(), "{key}");
+            let attachment = sample.attachment().map(|it| it.to_bytes());
+            match attachment {
+                None => assert_eq!(publisher["attachment"], "none", "{key}"),
+                Some(bytes) => {
+                    assert_eq!(
+                        publisher["attachment"], "attachment, application/cbor",
+                        "{key}"
+                    );
+                    let read: Value = ciborium::from_reader(&bytes[..]).unwrap();
+                    check_reply("attachment", &read);
+                }
+            }
         }
         if kind == "liveliness" {
             let tokens = tokens(&client.session, &key).await;

@@ -4,6 +4,7 @@
 
 mod abuse;
 mod annotate;
+mod attachments;
 mod audit;
 mod backup;
 mod changes;

@@ -78,6 +78,7 @@ pub async fn record(client: &Client, path: &Path) -> Vec<State> {
                 residual: state.certificate.residual,
                 contacts: state.certificate.contacts,
                 published: &published,
+                attachment: None,
             })
             .unwrap();
         states.push(state);

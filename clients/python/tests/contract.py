@@ -33,6 +33,7 @@ PROTO = Path(__file__).resolve().parents[3] / "proto"
 
 READ: dict[str, type[Any]] = {
     "advance.reply": jostle.Advanced,
+    "attachment": jostle.Attachment,
     "annotate.reply": jostle.Reply,
     "when.reply": WhenReply,
     "batch.reply": jostle.BatchResult,
@@ -126,6 +127,10 @@ ADDED = {
     ("events.reply.events[]", "skipped"),
     ("journal.reply.entries[]", "skipped"),
     ("state", "pi1"),  # From the status.
+    ("state", "attachment"),  # Beside the payload.
+    ("advance.reply.state", "attachment"),
+    ("state", "received_unix_nanos"),  # Of this process.
+    ("advance.reply.state", "received_unix_nanos"),
     ("advance.reply.state", "pi1"),
     ("advance.reply.state", "skipped"),
     ("advance.reply.state", "state_hash"),
@@ -229,8 +234,10 @@ class Checker:
             self.check(at, hints[name], field)
 
     def is_map(self, hint: Any, schema: dict[str, Any]) -> bool:
-        """Whether an object of arbitrary names has numbers or null, as in the type."""
+        """Whether an object of arbitrary names has numbers or null, or counts, as in the type."""
         values = schema.get("additionalProperties", {})
+        if values.get("type") == "integer":
+            return bool(hint == dict[str, int])
         is_number = set(values.get("type", [])) == {"number", "null"}
         return is_number and hint == dict[str, float | None]
 

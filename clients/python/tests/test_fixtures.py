@@ -14,6 +14,7 @@ import pytest
 
 import contract
 import jostle
+from jostle._attachment import read_attachment
 from jostle._controller_messages import read_advanced
 from jostle._decode import (
     read_batch,
@@ -34,8 +35,8 @@ FREE = {"args", "attraction", "choices", "default", "details", "schemas", "value
 READABLE = [
     pytest.param(name, path, id=path.stem)
     for name, path in contract.fixtures("json")
-    # A state is sent as CBOR; its JSON form is for people.
-    if name in contract.READ and name != "state" and path.stem != "advance.reply.state"
+    # A state is sent as CBOR, with what is attached to it; their JSON form is for people.
+    if name in contract.READ.keys() - {"state", "attachment"} and path.stem != "advance.reply.state"
 ]
 
 
@@ -179,6 +180,19 @@ def test_a_state_is_the_same_in_cbor_and_in_json() -> None:
     assert arrived(message, plain(read_state(payload))) == []
     more = add_unknown(cbor2.loads(payload))
     assert plain(read_state(cbor2.dumps(more))) == plain(read_state(payload))
+
+
+def test_what_is_attached_is_the_same_in_cbor_and_in_json() -> None:
+    folder = contract.PROTO / "fixtures"
+    message = json.loads((folder / "attachment.json").read_bytes())
+    payload = (folder / "attachment.cbor").read_bytes()
+    assert msgspec.to_builtins(read_attachment(payload)) == message
+    more = add_unknown(cbor2.loads(payload))
+    # Names of controllers are no fields.
+    more["sequences"] = message["sequences"]
+    assert read_attachment(cbor2.dumps(more)) == read_attachment(payload)
+    for wrong in (payload[:-1], b"", cbor2.dumps([]), cbor2.dumps({"sequences": 3})):
+        assert read_attachment(wrong) is None
 
 
 def test_a_snapshot_is_the_same_after_a_round_trip() -> None:

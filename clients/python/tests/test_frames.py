@@ -18,6 +18,7 @@ Create = Callable[..., jostle.Swarm]
 COLUMNS = [
     *("swarm", "epoch", "frame", "step", "time", "phase", "id", "x", "y", "alpha", "weight"),
     *("direction", "informed", "order", "drift", "worst_gap", "residual", "contacts"),
+    *("stepped_unix_secs", "published_unix_secs"),
 ]
 
 

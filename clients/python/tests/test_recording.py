@@ -30,7 +30,9 @@ NAMES = ("take.parquet", "take.mcap")
 COLUMNS = [
     *("swarm", "epoch", "frame", "step", "time", "phase", "id", "x", "y", "alpha", "weight"),
     *("direction", "informed", "order", "drift", "worst_gap", "residual", "contacts"),
+    *("stepped_unix_secs", "published_unix_secs"),
 ]
+TIMES = ("stepped_unix_secs", "published_unix_secs")
 WORDS = ("swarm", "phase")
 
 Take = tuple[Path, list[jostle.State]]
@@ -129,8 +131,9 @@ def test_a_recorded_table_has_the_columns_and_values_of_a_live_one(take: Take, n
     assert (recorded.dtypes == live.dtypes).all()
     last = states[-1].step
     one, other = (table[table.step == last].reset_index(drop=True) for table in (recorded, live))
-    # A queried state has no frame number.
-    columns = [column for column in COLUMNS if column != "frame"]
+    # A state that a command returned has no frame number, and nothing is attached to it.
+    columns = [column for column in COLUMNS if column not in ("frame", *TIMES)]
+    assert other[list(TIMES)].isna().all(axis=None)
     assert len(one) == 4
     pd.testing.assert_frame_equal(one[columns], other[columns], check_exact=True)
 
@@ -159,7 +162,8 @@ def test_mcaps_own_reader_finds_what_was_published(take: Take) -> None:
         summary = reader.get_summary()
         assert summary is not None
         topics = {channel.topic: channel.message_encoding for channel in summary.channels.values()}
-        assert topics == {"state": "cbor", "order": "json", "event": "json"}
+        json_topics = {"order": "json", "event": "json"}
+        assert topics == {"attachment": "cbor", "state": "cbor", **json_topics}
         assert summary.statistics is not None
         # Simulated time, in nanoseconds.
         assert summary.statistics.message_end_time == round(states[-1].time * 1e9)
@@ -177,16 +181,18 @@ def test_parquet_of_an_older_build_has_no_direction_for_the_uninformed(take: Tak
     uninformed = pc.invert(table["informed"])
     zero = pc.if_else(uninformed, 0.0, table["direction"])
     older = table.set_column(table.schema.get_field_index("direction"), "direction", zero)
-    pq.write_table(older.drop_columns(["swarm", "phase", "informed", "drift"]), path)
+    later = ["swarm", "phase", "informed", "drift", *TIMES]
+    pq.write_table(older.drop_columns(later), path)
     assert (pd.read_parquet(path).direction == 0.0).any()
     rows = jostle.read_recording(path).frame()
     expected = jostle.read_recording(take[0] / "take.mcap").frame()
-    known = [column for column in COLUMNS if column not in ("phase", "drift")]
+    known = [column for column in COLUMNS if column not in ("phase", "drift", *TIMES)]
     pd.testing.assert_frame_equal(rows[known], expected[known], check_exact=True)
     assert rows.phase.isna().all()
-    assert rows.drift.isna().all()
+    assert rows[["drift", *TIMES]].isna().all(axis=None)
     (first, *_) = jostle.read_recording(path)
     assert (first.phase, first.drift) == (None, None)
+    assert (first.stepped_unix_secs, first.published_unix_secs) == (None, None)
     assert list(np.isnan(first.direction)) == [True, False, True]
 
 

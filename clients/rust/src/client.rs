@@ -4,12 +4,12 @@ use std::collections::HashMap;
 use std::fmt;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime};
 
 use jostle_proto::claim::Claimant;
 use jostle_proto::{Credentials, JSON, Request, keys};
 use zenoh::Session;
-use zenoh::handlers::{RingChannel, RingChannelHandler};
+use zenoh::handlers::{IntoHandler, RingChannel, RingChannelHandler};
 use zenoh::pubsub::Subscriber;
 use zenoh::sample::{Sample, SampleKind};
 
@@ -85,16 +85,34 @@ pub enum Target<'a> {
 }
 
 /// A subscription with a bounded queue that drops the oldest samples.
-pub struct Subscription(Subscriber<RingChannelHandler<Sample>>);
+pub struct Subscription {
+    received: RingChannelHandler<Received>,
+    _subscriber: Subscriber<()>,
+}
+
+type Received = (Sample, SystemTime);
+
+/// A queue of samples with the times at which they were received, and what reads it.
+fn queue(capacity: usize) -> (impl Fn(Sample) + Send + Sync, RingChannelHandler<Received>) {
+    let (queue, received) = RingChannel::new(capacity).into_handler();
+    (
+        move |sample| queue.call((sample, SystemTime::now())),
+        received,
+    )
+}
 
 impl Subscription {
     pub(crate) async fn sample(&self) -> Result<Sample, Error> {
-        self.0.recv_async().await.map_err(Error::internal)
+        Ok(self.received().await?.0)
+    }
+
+    async fn received(&self) -> Result<Received, Error> {
+        self.received.recv_async().await.map_err(Error::internal)
     }
 
     pub(crate) fn try_next(&self) -> Option<Payload> {
-        let sample = self.0.try_recv().ok().flatten()?;
-        Some(Payload::from(&sample))
+        let (sample, at) = self.received.try_recv().ok().flatten()?;
+        Some(Payload::received(&sample, at))
     }
 
     /// The next sample.
@@ -105,7 +123,8 @@ impl Subscription {
     ///
     /// [`Error::Internal`] after the session was closed.
     pub async fn next(&self) -> Result<Payload, Error> {
-        Ok(Payload::from(&self.sample().await?))
+        let (sample, at) = self.received().await?;
+        Ok(Payload::received(&sample, at))
     }
 }
 
@@ -236,9 +255,12 @@ impl Client {
     ///
     /// [`Error::Internal`] if the key is invalid or the session closed.
     pub async fn subscribe(&self, key: &str, capacity: usize) -> Result<Subscription, Error> {
-        let subscriber = self.0.session.declare_subscriber(key);
-        let subscriber = subscriber.with(RingChannel::new(capacity)).await;
-        Ok(Subscription(subscriber.map_err(Error::internal)?))
+        let (queue, received) = queue(capacity);
+        let subscriber = self.0.session.declare_subscriber(key).callback(queue).await;
+        Ok(Subscription {
+            received,
+            _subscriber: subscriber.map_err(Error::internal)?,
+        })
     }
 
     /// Subscribes to liveliness tokens, including those that are declared already.
@@ -246,8 +268,12 @@ impl Client {
         /// Tokens of one swarm, or of all daemons in reach.
         const CAPACITY: usize = 64;
         let subscriber = self.0.session.liveliness().declare_subscriber(key);
-        let subscriber = subscriber.history(true).with(RingChannel::new(CAPACITY));
-        Ok(Subscription(subscriber.await.map_err(Error::internal)?))
+        let (queue, received) = queue(CAPACITY);
+        let subscriber = subscriber.history(true).callback(queue).await;
+        Ok(Subscription {
+            received,
+            _subscriber: subscriber.map_err(Error::internal)?,
+        })
     }
 
     /// Sends a query, with retries until the timeout of the client. With a payload, a [`Request`] as

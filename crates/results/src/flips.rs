@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use std::thread;
 use std::time::SystemTime;
 
-use jostle_proto::ResultRow;
+use jostle_proto::{Attachment, ResultRow};
 
 use crate::recording::extent::Extent;
 use crate::recording::{self, About, Frame, Moment, Recorder, RecordingError};
@@ -232,7 +232,21 @@ fn record(path: &Path, frames: u64) {
     let mut recorder = Recorder::to_file(path, false, about.into(), decode).unwrap();
     for number in 0..frames {
         let published: Vec<u8> = number.to_le_bytes().repeat(8);
-        decode(&published, &mut |frame| recorder.frame(frame).unwrap()).unwrap();
+        let attachment = Attachment {
+            stepped_unix_nanos: Some(1_795_531_201_250_000_000 + number),
+            ..Attachment::default()
+        };
+        let attachment = attachment.to_cbor();
+        decode(&published, &mut |frame| {
+            let attachment = Some(&*attachment);
+            recorder
+                .frame(&Frame {
+                    attachment,
+                    ..*frame
+                })
+                .unwrap();
+        })
+        .unwrap();
         recorder
             .event(&moment(number), b"{\"kind\":\"set\"}")
             .unwrap();
@@ -274,6 +288,7 @@ fn decode(published: &[u8], take: &mut dyn FnMut(&Frame<'_>)) -> Result<(), Stri
         residual: 0.0,
         contacts: 3,
         published,
+        attachment: None,
     });
     Ok(())
 }
@@ -294,12 +309,13 @@ fn of_parquet_recordings_are_found() {
 fn of_mcap_recordings_are_found() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("take.mcap");
-    record(&path, 90);
+    record(&path, 60);
     each_flip(&path, 0, |path| {
         let mut messages = Vec::new();
         let about = recording::read(path, |message| {
             let topic = message.topic.to_owned();
-            messages.push((topic, message.offset, message.bytes.to_vec()));
+            let attachment = message.attachment.map(<[u8]>::to_vec);
+            messages.push((topic, message.offset, message.bytes.to_vec(), attachment));
             Ok(())
         });
         let about = about.map_err(named_by_recording)?;

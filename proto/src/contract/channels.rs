@@ -133,7 +133,8 @@ pub const CHANNELS: &[Channel] = &{
             key: "{swarm}/state",
             kind: PublishedAndQueried("state"),
             parameters: &[("format", "`json` or `cbor`, the default")],
-            doc: "The newest state, as a CBOR map of typed arrays.",
+            doc: "The newest state, as a CBOR map of typed arrays. A published one has an \
+                  `attachment`, a reply has none.",
         },
         plain(
             "{swarm}/order",

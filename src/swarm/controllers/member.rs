@@ -37,6 +37,9 @@ pub struct Member {
     pub away_since: Option<Instant>,
     /// Set-points for the next step.
     pub put: Option<Put>,
+    /// The number of the newest set-points that were applied; unknown after a restart, and since its mode
+    /// changed, until the next ones.
+    pub applied: Option<u64>,
     pub puts: Puts,
 }
 
@@ -49,6 +52,7 @@ impl Member {
             silent_since: None,
             away_since: None,
             put: None,
+            applied: None,
             puts: Puts::default(),
         }
     }
@@ -56,6 +60,12 @@ impl Member {
     /// Whether the swarm steps only when it has advanced.
     pub fn is_lockstep(&self) -> bool {
         self.state.settings.mode == Mode::Lockstep
+    }
+
+    /// The number of its newest set-points, if they hold and it is known. An `advance` has none.
+    pub fn sequence_in_force(&self) -> Option<u64> {
+        let holds = !self.is_lockstep() && !self.state.steered.is_empty();
+        self.applied.filter(|_| holds)
     }
 
     /// Whether its deadline or lease runs at `step`. `is_waiting`: a controller has advanced beyond `step`.

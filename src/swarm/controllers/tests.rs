@@ -424,3 +424,43 @@ fn puts_are_counted_and_the_newest_waits_for_the_step() {
     rig.on(Input::Put("ada", None, put(3))).unwrap();
     assert_eq!(rig.status("ada").puts.stale, 3, "the applied one is newer");
 }
+
+#[test]
+fn the_numbers_of_set_points_are_those_that_hold() {
+    let mut rig = Rig::new();
+    let sequence = |rig: &Rig| rig.controllers.sequences().get("ada").copied();
+    let join = |rig: &mut Rig, ids: &[u32], mode| {
+        rig.join("ada", ids, mode, OnTimeout::Free).unwrap();
+    };
+    join(&mut rig, &[0, 1], Mode::FreeRunning);
+    assert_eq!(sequence(&rig), None);
+    rig.control("ada", 4, &[0]).unwrap();
+    assert_eq!(sequence(&rig), Some(4));
+    assert!(rig.control("ada", 5, &[5]).is_err());
+    assert_eq!(sequence(&rig), Some(4), "not those that were rejected");
+    join(&mut rig, &[], Mode::FreeRunning);
+    assert_eq!(sequence(&rig), Some(4), "it has rejoined");
+    rig.command(&Command::Deadline("ada".into())).unwrap();
+    assert_eq!(sequence(&rig), None, "its lease has ended");
+    rig.control("ada", 6, &[0]).unwrap();
+    rig.on(Input::Restarted(Phase::Paused(PauseReason::Reset)))
+        .unwrap();
+    assert_eq!(sequence(&rig), None, "after a reset");
+    rig.control("ada", 7, &[0]).unwrap();
+    // In lock-step its set-points have no number, and their old one is not theirs.
+    join(&mut rig, &[], Mode::Lockstep);
+    assert_eq!(sequence(&rig), None);
+    join(&mut rig, &[], Mode::FreeRunning);
+    assert_eq!(sequence(&rig), None);
+    rig.control("ada", 8, &[0]).unwrap();
+    assert_eq!(sequence(&rig), Some(8));
+    let states = rig.controllers.states();
+    let restored = Controllers::restore(states, |_| ReplyTo::ignored());
+    assert_eq!(
+        restored.sequences().get("ada"),
+        None,
+        "unknown after a restart"
+    );
+    rig.command(&Command::Leave("ada".into())).unwrap();
+    assert_eq!(sequence(&rig), None);
+}

@@ -19,7 +19,7 @@ mod tests;
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime};
 
 use jostle_physics::simulation::{ReserveMemory, Simulation};
 use parking_lot::Mutex;
@@ -92,6 +92,8 @@ pub struct Worker {
     since_checkpoint: SinceCheckpoint,
     /// The wall-clock time in the journal and events of the command that is being executed, if one is.
     applied_at: Option<Option<f64>>,
+    /// Where the last step led that was no replay, and when it was taken.
+    stepped: Option<((u64, u64), SystemTime)>,
 }
 
 /// A `step` command that is being executed.
@@ -160,6 +162,7 @@ impl Worker {
             ),
             since_checkpoint: SinceCheckpoint::new(),
             applied_at: None,
+            stepped: None,
             simulation,
             phase: checkpoint.phase,
             rate: checkpoint.rate,

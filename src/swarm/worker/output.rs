@@ -83,6 +83,10 @@ impl Worker {
             real_time_factor: self.real_time_factor(),
             is_behind: self.is_behind(),
             published_hz: Some(self.published_hz()),
+            stepped: self
+                .stepped
+                .and_then(|(at, time)| (at == self.at()).then_some(time)),
+            sequences: self.controllers.sequences(),
             replay: None,
             controllers: Vec::new(),
             waits: Vec::new(),

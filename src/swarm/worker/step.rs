@@ -1,7 +1,7 @@
 //! One step of a swarm, and what follows it: hashes, faults and checkpoints.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime};
 
 use fail::fail_point;
 use tracing::warn;
@@ -44,6 +44,7 @@ impl Worker {
                 // Replayed steps were counted when they were first taken.
                 if !self.journal.is_replaying() {
                     self.metrics.stepped(took, late, &report);
+                    self.stepped = Some((self.at(), SystemTime::now()));
                 }
                 if !self.hash_step() {
                     return None;

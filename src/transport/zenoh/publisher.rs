@@ -13,7 +13,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, SyncSender, channel};
 use std::thread;
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime};
 
 use jostle_proto::{CBOR, JSON, keys};
 use parking_lot::Mutex;
@@ -246,7 +246,10 @@ impl Publication {
         let is_moving = frame.stamp.phase.is_moving();
         if self.state.is_matched(is_moving) {
             let bytes = convert::state(swarm, frame, number).to_cbor();
-            report(swarm, self.state.publisher.put(bytes).wait());
+            // After the state is encoded, which takes longest.
+            let attachment = convert::attachment(frame, Some(SystemTime::now())).to_cbor();
+            let put = self.state.publisher.put(bytes).attachment(attachment);
+            report(swarm, put.wait());
         }
         if self.order.is_matched(is_moving) {
             let Payload { bytes, .. } = Payload::json(&convert::order_sample(swarm, frame, number));

@@ -53,6 +53,9 @@ fn purpose(message: &str) -> (String, String) {
         ChannelKind::Token | ChannelKind::ClientToken => false,
     };
     let what = match message {
+        "attachment" => {
+            "What a published state brings along: when its step was taken and when it was published."
+        }
         "request" => "The envelope around the arguments of a command.",
         "error" => "The error reply to a request.",
         "scheduled.reply" => "The reply to a scheduled command, one with `at_step`.",

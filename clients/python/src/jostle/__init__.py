@@ -30,6 +30,7 @@ from ._arguments import (
     within,
 )
 from ._at_step import AtStep
+from ._attachment import Attachment
 from ._audit import AuditLine, AuditOutcome
 from ._changes import Change, Inform, Inject, Remove, Set, Uninform
 from ._client import Client, connect, experiment
@@ -120,6 +121,7 @@ __all__ = [
     "AlreadyExists",
     "Arrived",
     "AtStep",
+    "Attachment",
     "AuditLine",
     "AuditOutcome",
     "Awaited",

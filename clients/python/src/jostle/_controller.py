@@ -303,7 +303,7 @@ class Controller:
         weight: ArrayLike | None = None,
         turn: ArrayLike | None = None,
         speed: ArrayLike | None = None,
-    ) -> None:
+    ) -> int:
         """Publishes set-points for a running swarm, if it joined in mode `free_running`.
 
             ada.put(direction=0.5, weight=2.0)
@@ -320,6 +320,10 @@ class Controller:
             turn: Turning rates, see `advance`.
             speed: Factors of the free speed, see `advance`.
 
+        Returns:
+            The number of these set-points. A published state that contains them has it in
+            `State.sequences`, until newer ones are in a state.
+
         Raises:
             IncorrectState: It joined in lock-step, which uses `advance`, has left, or another
                 thread uses it.
@@ -334,6 +338,7 @@ class Controller:
             set_points = self._set_points(ids, direction, weight, turn, speed)
             payload = to_json({"sequence": self._sequence, "set": set_points})
             self._session.put(self._session.swarm_key(self._swarm, f"ctl/{self._name}"), payload)
+            return self._sequence
 
     def sync(self) -> State:
         """Resumes after a `Conflict` or a `NotFound`, and returns the present state.

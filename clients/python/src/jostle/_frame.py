@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ._attachment import Attachment, unix_secs
 from ._errors import invalid
 from ._extras import import_extra
 from ._messages import OrderSample
@@ -33,6 +34,7 @@ OF_EACH: dict[str, type[Any]] = {
 OF_GROUP: dict[str, type[Any]] = {
     **dict.fromkeys(["order", "drift", "worst_gap", "residual"], np.float64),
     "contacts": np.int64,
+    **dict.fromkeys(["stepped_unix_secs", "published_unix_secs"], np.float64),
 }
 KINDS: dict[str, type[Any]] = {**OF_FRAME, **OF_EACH, **OF_GROUP}
 
@@ -45,8 +47,9 @@ def frame(records: State | OrderSample | Iterable[State | OrderSample]) -> panda
     Of states it has a row for each individual in each, with the columns of a recording's table:
     `swarm, epoch, frame, step, time, phase, id, x, y` (absolute), `alpha, weight, direction` (NaN
     for the uninformed), `informed`, and of the group `order, drift` (NaN if there is no common
-    direction), `worst_gap` (NaN if no two bodies are near), `residual, contacts`. Of orders it has
-    a row for each: `swarm, epoch, frame, step, time, phase, n, informed, order, drift, mean_order,
+    direction), `worst_gap` (NaN if no two bodies are near), `residual, contacts`, and in seconds
+    since 1970, NaN if unknown, `stepped_unix_secs, published_unix_secs`. Of orders it has a row for
+    each: `swarm, epoch, frame, step, time, phase, n, informed, order, drift, mean_order,
     mean_drift, velocity_x, velocity_y, worst_gap, residual`, and the measures that the swarm
     publishes. Units are those of `State` and
     `Order`.
@@ -87,6 +90,7 @@ def columns_of(states: Sequence[State]) -> Columns:
 
     positions = [state.position for state in states]
     certificates = [state.certificate for state in states]
+    attachments = [state.attachment or Attachment(sequences={}) for state in states]
     single = {
         **{name: [getattr(state, name) for state in states] for name in OF_FRAME},
         "order": [state.order.order for state in states],
@@ -94,6 +98,8 @@ def columns_of(states: Sequence[State]) -> Columns:
         "worst_gap": [_number(it.worst_gap) for it in certificates],
         "residual": [it.residual for it in certificates],
         "contacts": [it.contacts for it in certificates],
+        "stepped_unix_secs": [unix_secs(it.stepped_unix_nanos) for it in attachments],
+        "published_unix_secs": [unix_secs(it.published_unix_nanos) for it in attachments],
     }
     informed = all_of("informed", [state.informed for state in states])
     direction = all_of("direction", [state.direction for state in states])

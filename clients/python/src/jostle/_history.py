@@ -7,6 +7,7 @@ from typing import TypeVar
 
 import msgspec
 
+from ._attachment import Arrival
 from ._decode import read_event
 from ._errors import Conflict, JostleError
 from ._events import Event, Journal, JournalEntry
@@ -109,7 +110,7 @@ class EventReader:
             )
         return self._follow(events)
 
-    def read(self, payload: bytes) -> list[Event]:
+    def read(self, payload: bytes, _arrival: Arrival | None = None, /) -> list[Event]:
         """The published event, preceded by the missing ones."""
         event = read_event(payload)
         if event.number > self._last + 1:

@@ -9,14 +9,15 @@ import io
 import itertools
 import os
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import IO, TYPE_CHECKING
+from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ._atomic_file import atomic_file
+from ._attachment import read_attachment
 from ._checksums import CHECKSUMS, ParquetChecksums, check_mcap, damaged, reading
 from ._extras import import_extra
 from ._frame import KINDS, OF_EACH, OF_FRAME, OF_GROUP, Columns, columns_of, table_of
@@ -26,7 +27,13 @@ if TYPE_CHECKING:
     import pandas
 
 # Older builds recorded Parquet without these.
-_LATER = ("swarm", "phase", "informed", "drift")
+_LATER = (
+    *("swarm", "phase", "informed", "drift"),
+    *("stepped_unix_secs", "published_unix_secs"),
+)
+
+# The numbers that are None in a frame and NaN in a table if they are unknown.
+_MAY_BE_UNKNOWN = ("drift", "worst_gap", "stepped_unix_secs", "published_unix_secs")
 
 # The first and last bytes of MCAP.
 _MCAP = b"\x89MCAP0\r\n"
@@ -63,6 +70,10 @@ class RecordedFrame:
         worst_gap: The smallest gap between two bodies, body sizes; None if no two are near.
         residual: Residual of the step that led here, body sizes.
         contacts: Number of contacts that constrained the step.
+        stepped_unix_secs: When the step was taken, by the daemon's clock, seconds since 1970, UTC;
+            None if it is not known, as before the first step, and in recordings of older builds.
+        published_unix_secs: When the daemon published the state, which a recording by a client
+            has; None otherwise, and in recordings of older builds.
     """
 
     swarm: str
@@ -83,6 +94,8 @@ class RecordedFrame:
     worst_gap: float | None
     residual: float
     contacts: int
+    stepped_unix_secs: float | None
+    published_unix_secs: float | None
 
     @property
     def n(self) -> int:
@@ -282,11 +295,12 @@ def _completed(columns: Columns, swarm: str) -> Columns:
     """Adds the columns that older builds did not record, as far as they are known."""
     informed = columns["weight"] > 0
     rows = len(informed)
+    unknown = np.full(rows, np.nan)
     return {
         "swarm": np.full(rows, swarm, object),
         "phase": np.full(rows, None, object),
         "informed": informed,
-        "drift": np.full(rows, np.nan),
+        **dict.fromkeys(["drift", "stepped_unix_secs", "published_unix_secs"], unknown),
         **columns,
         # Older builds have 0 for the uninformed.
         "direction": np.where(informed, columns["direction"], np.nan),
@@ -299,19 +313,34 @@ def _tables_of_mcap(part: Path) -> Iterator[Columns]:
     states: list[State] = []
     with part.open("rb") as file:
         messages = reader.make_reader(file, validate_crcs=True).iter_messages(
-            topics=["state"], log_time_order=False
+            topics=["attachment", "state"], log_time_order=False
         )
+        # What is attached to a state precedes it.
+        attached = None
         while True:
             with reading(part, _WHAT):
-                _, _, message = next(messages, (None, None, None))
+                _, channel, message = next(messages, (None, None, None))
+                if channel is not None and channel.topic == "attachment":
+                    attached = message
+                    continue
                 if message is not None:
-                    states.append(read_state(message.data))
+                    states.append(_with_attachment(read_state(message.data), message, attached))
+                    attached = None
             is_enough = sum(state.n for state in states[-1:]) * len(states) >= _TABLE_ROWS
             if states and (message is None or is_enough):
                 yield columns_of(states)
                 states = []
             if message is None:
                 return
+
+
+def _with_attachment(state: State, message: Any, attached: Any | None) -> State:
+    """A state with the message that was attached to it, unless that is of a state that was lost."""
+    if attached is None or attached.sequence != message.sequence:
+        return state
+    if attached.log_time != message.log_time:
+        return state
+    return replace(state, attachment=read_attachment(attached.data))
 
 
 def _frames(columns: Columns) -> Iterator[RecordedFrame]:
@@ -323,7 +352,7 @@ def _frames(columns: Columns) -> Iterator[RecordedFrame]:
         names = (*OF_FRAME, *OF_GROUP)
         one = {name: columns[name][first : first + 1].tolist()[0] for name in names}
         each = {name: columns[name][first:end] for name in OF_EACH}
-        unknown = {name: None for name in ("drift", "worst_gap") if np.isnan(one[name])}
+        unknown = {name: None for name in _MAY_BE_UNKNOWN if np.isnan(one[name])}
         yield RecordedFrame(**{**one, **each, **unknown})
 
 

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from datetime import datetime
 from typing import Any, Generic, TypeVar
 
 import cbor2
 import numpy as np
 from numpy.typing import NDArray
 
+from ._attachment import Arrival, Attachment, read_attachment, time_of
 from ._decode import convert, read_map, read_reply
 from ._draw import Camera, draw
 from ._errors import Conflict, Internal
@@ -62,6 +64,11 @@ class State:
         skipped: In `for state in swarm.states()`: number of published states between the previous
             one and this, which the loop was too slow for or which were lost.
         pi1: Length over width of a body; None if it is not known. Pictures show it.
+        attachment: The times of a state that a stream received, and the set-points in it; None of
+            any other state, and from an older daemon. `stepped_at`, `published_at` and `sequences`
+            are its contents.
+        received_unix_nanos: When this process received it from a stream, nanoseconds since 1970,
+            UTC; None of any other state.
     """
 
     swarm: str
@@ -82,6 +89,44 @@ class State:
     state_hash: str | None = None
     skipped: int = 0
     pi1: float | None = None
+    attachment: Attachment | None = None
+    received_unix_nanos: int | None = None
+
+    @property
+    def stepped_at(self) -> datetime | None:
+        """When the step that led here was taken, by the daemon's clock: an aware datetime, UTC.
+
+        None if that is not known: in a state that was queried or that a command returned, before
+        the first step, after a reset or a restart of the daemon until the next one, and in a
+        playback.
+        """
+        return None if self.attachment is None else time_of(self.attachment.stepped_unix_nanos)
+
+    @property
+    def published_at(self) -> datetime | None:
+        """When the daemon published it, by its clock: an aware datetime, UTC.
+
+        None in a state that was queried or that a command returned, and from an older daemon.
+        """
+        return None if self.attachment is None else time_of(self.attachment.published_unix_nanos)
+
+    @property
+    def latency(self) -> float | None:
+        """Seconds from its publication until this process received it; None as `published_at`.
+
+        It includes the difference of the clocks of two machines, and may then be negative.
+        """
+        published = None if self.attachment is None else self.attachment.published_unix_nanos
+        received = self.received_unix_nanos
+        return None if published is None or received is None else (received - published) / 1e9
+
+    @property
+    def sequences(self) -> Mapping[str, int]:
+        """The numbers of the newest set-points in it, by controller, as `Controller.put` returned.
+
+        Empty of controllers in lock-step, and where `published_at` is None.
+        """
+        return {} if self.attachment is None else self.attachment.sequences
 
     @property
     def n(self) -> int:
@@ -197,7 +242,8 @@ def read_columns(fields: Mapping[str, Any], state_hash: str | None = None) -> St
     Raises:
         Internal: It is not as the contract defines.
     """
-    state = convert({**fields, "state_hash": state_hash, "skipped": 0}, State, _column)
+    own = {"state_hash": state_hash, "skipped": 0, "attachment": None, "received_unix_nanos": None}
+    state = convert({**fields, **own}, State, _column)
     columns = (state.id, state.x, state.y, state.alpha, state.weight, state.direction)
     lengths = {len(column) for column in columns}
     if len(lengths) > 1:
@@ -231,9 +277,9 @@ class FrameReader(Generic[S]):
         frame = self._query_first()
         return [] if frame is None else self._admit(frame)
 
-    def read(self, payload: bytes) -> list[S]:
+    def read(self, payload: bytes, arrival: Arrival | None = None, /) -> list[S]:
         """The frame in `payload`, unless a newer one was read."""
-        return self._admit(self._read(payload))
+        return self._admit(self._read(payload), arrival)
 
     def poll(self) -> list[S]:
         """Nothing: a lost frame counts as skipped."""
@@ -249,7 +295,7 @@ class FrameReader(Generic[S]):
             self._position = None
         return [] if frame is None else self._admit(frame)
 
-    def _admit(self, frame: S) -> list[S]:
+    def _admit(self, frame: S, arrival: Arrival | None = None) -> list[S]:
         position = (frame.epoch, frame.step, frame.frame)
         if self._position is not None and position <= self._position:
             # Published before the first queried state was taken: received, thus not skipped.
@@ -258,5 +304,14 @@ class FrameReader(Generic[S]):
         skipped = 0 if self._position is None else frame.frame - self._position[2] - 1
         self._position = position
         if isinstance(frame, State):
-            return [replace(frame, skipped=max(0, skipped))]
+            received = {} if arrival is None else _of_arrival(arrival)
+            return [replace(frame, skipped=max(0, skipped), **received)]
         return [frame]
+
+
+def _of_arrival(arrival: Arrival) -> dict[str, Any]:
+    """The fields of a state that a stream received."""
+    return {
+        "attachment": read_attachment(arrival.attachment),
+        "received_unix_nanos": arrival.unix_nanos,
+    }

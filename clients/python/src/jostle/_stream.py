@@ -11,6 +11,7 @@ from typing import Generic, NamedTuple, Protocol, Self, TypeVar
 import zenoh
 
 from ._arguments import check_seconds
+from ._attachment import Arrival
 from ._decode import read_event, read_reply
 from ._errors import Busy, DeadlineExceeded, Internal, NotFound, PermissionDenied, Unavailable
 from ._link import LIVELINESS_TIMEOUT_SECS
@@ -36,8 +37,8 @@ class Reader(Protocol[T_co]):
     def first(self) -> Iterable[T_co]:
         """The items before all that are published; called after the stream has subscribed."""
 
-    def read(self, payload: bytes) -> Iterable[T_co]:
-        """The items of a payload."""
+    def read(self, payload: bytes, arrival: Arrival | None = None, /) -> Iterable[T_co]:
+        """The items of a payload that arrived."""
 
     def poll(self) -> Iterable[T_co]:
         """The items that may have been lost since the last message."""
@@ -66,14 +67,14 @@ class _Inbox:
 
     def __init__(self, capacity: int) -> None:
         self.changed = threading.Condition()
-        self.payloads: deque[zenoh.ZBytes] = deque(maxlen=capacity)
+        self.samples: deque[tuple[zenoh.Sample, int]] = deque(maxlen=capacity)
         self.closed = False
         self.deleted = False
         self.tokens: deque[_Token] = deque()
 
     def on_sample(self, sample: zenoh.Sample) -> None:
         with self.changed:
-            self.payloads.append(sample.payload)
+            self.samples.append((sample, time.time_ns()))
             self.changed.notify_all()
 
     def on_end(self, sample: zenoh.Sample) -> None:
@@ -102,7 +103,7 @@ class _Inbox:
 
     def has_news(self) -> bool:
         """Whether there is anything to handle; called with `changed` locked."""
-        return bool(self.payloads or self.tokens) or self.closed or self.deleted
+        return bool(self.samples or self.tokens) or self.closed or self.deleted
 
     def end(self) -> None:
         """The swarm was deleted."""
@@ -221,16 +222,19 @@ class Stream(Generic[T]):
             until = min(it for it in self._deadlines(deadline) if it is not None)
             with inbox.changed:
                 inbox.changed.wait_for(inbox.has_news, until - time.monotonic())
-                if inbox.closed or (inbox.deleted and not inbox.payloads):
+                if inbox.closed or (inbox.deleted and not inbox.samples):
                     return None
-                payload = inbox.payloads.popleft() if inbox.payloads else None
+                received = inbox.samples.popleft() if inbox.samples else None
                 tokens = list(inbox.tokens)
                 inbox.tokens.clear()
             for token in tokens:
                 self._see(token)
-            if payload is not None:
+            if received is not None:
                 self._silent_since = time.monotonic()
-                return self._reader.read(payload.to_bytes())
+                sample, unix_nanos = received
+                attachment = None if sample.attachment is None else sample.attachment.to_bytes()
+                arrival = Arrival(unix_nanos, attachment)
+                return self._reader.read(sample.payload.to_bytes(), arrival)
             if tokens:
                 # Others may follow.
                 continue

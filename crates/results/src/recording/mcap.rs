@@ -13,7 +13,12 @@ use super::temp_file::TempFile;
 use super::{About, Moment, RecordingError};
 
 /// The channels in order: the topic and the encoding of its messages.
-pub const CHANNELS: [(&str, &str); 3] = [("state", "cbor"), ("order", "json"), ("event", "json")];
+pub const CHANNELS: [(&str, &str); 4] = [
+    ("state", "cbor"),
+    ("order", "json"),
+    ("event", "json"),
+    ("attachment", "cbor"),
+];
 
 /// The id that the MCAP writer assigns to the first channel.
 pub const FIRST_CHANNEL: u16 = 1;
@@ -24,6 +29,9 @@ pub const STATE: usize = 0;
 pub const ORDER: usize = 1;
 /// The index of the channel of events, in JSON as published.
 pub const EVENT: usize = 2;
+/// The index of the channel of what is attached to states, in CBOR as published. Each message precedes
+/// its state, and has its header.
+pub const ATTACHMENT: usize = 3;
 
 /// The name of the metadata records of a recording; a later record adds to the earlier ones.
 pub const METADATA: &str = "jostle";
@@ -31,6 +39,9 @@ pub const METADATA: &str = "jostle";
 /// The maximum overhead of a message in bytes: its header, its index entries and, if it fills a
 /// chunk of its own, the overhead of that chunk.
 const MESSAGE_OVERHEAD: u64 = 512;
+
+/// The maximum overhead of an attachment in bytes; its chunk is that of a state.
+const ATTACHMENT_OVERHEAD: u64 = 64;
 
 /// The maximum overhead of a file's beginning and end in bytes, without the recording's metadata.
 const FILE_OVERHEAD: u64 = 64 * 1024;
@@ -101,7 +112,7 @@ impl McapPart {
             log_time,
             publish_time: u64::try_from(taken).unwrap_or(u64::MAX),
         };
-        self.write(temp_file, &header, data)
+        self.write(temp_file, channel, &header, data)
     }
 
     /// Copies a message of another file unchanged, if the disk has space for it.
@@ -117,16 +128,21 @@ impl McapPart {
             channel_id,
             ..*header
         };
-        self.write(temp_file, &header, data)
+        self.write(temp_file, channel, &header, data)
     }
 
     fn write(
         &mut self,
         temp_file: &mut TempFile,
+        channel: usize,
         header: &MessageHeader,
         data: &[u8],
     ) -> Result<(), RecordingError> {
-        let bytes = self.bytes + data.len() as u64 + MESSAGE_OVERHEAD;
+        let overhead = match channel {
+            ATTACHMENT => ATTACHMENT_OVERHEAD,
+            _ => MESSAGE_OVERHEAD,
+        };
+        let bytes = self.bytes + data.len() as u64 + overhead;
         temp_file.reserve(bytes)?;
         self.is_dirty = true;
         self.writer

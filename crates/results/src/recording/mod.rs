@@ -68,7 +68,7 @@ pub struct Moment {
     pub number: u64,
     /// The simulated time, `step · dt`.
     pub time: f64,
-    /// The wall-clock time.
+    /// The wall-clock time: of a published state that of its publication, if that is known.
     pub taken: SystemTime,
 }
 
@@ -109,6 +109,8 @@ pub struct Frame<'a> {
     pub contacts: u64,
     /// The published state in CBOR.
     pub published: &'a [u8],
+    /// The [`Attachment`](jostle_proto::Attachment) of the published state in CBOR, if there is one.
+    pub attachment: Option<&'a [u8]>,
 }
 
 /// The size of a recording so far.

@@ -4,6 +4,7 @@ use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use jostle_proto::Attachment;
 use parquet::basic::Compression;
 use parquet::errors::ParquetError;
 use parquet::file::metadata::KeyValue;
@@ -27,7 +28,7 @@ const ROWS: usize = 64 * 1024;
 
 /// The maximum length of a row on disk, in bytes: its values twice, once in a dictionary that the
 /// writer abandons.
-const MAX_ROW_BYTES: u64 = 280;
+const MAX_ROW_BYTES: u64 = 320;
 
 /// The minimum length of a row on disk, in bytes: positions and headings of moving bodies hardly
 /// compress.
@@ -83,6 +84,8 @@ columns! {
     worst_gap: Option<f64>,
     residual: f64,
     contacts: u64,
+    stepped_unix_secs: Option<f64>,
+    published_unix_secs: Option<f64>,
 }
 
 /// A Parquet file that is being written.
@@ -157,6 +160,12 @@ impl ParquetPart {
         columns.worst_gap.extend(vec![frame.worst_gap; n]);
         columns.residual.extend(vec![frame.residual; n]);
         columns.contacts.extend(vec![frame.contacts; n]);
+        let attachment = frame.attachment.map(Attachment::from_cbor);
+        let attachment = attachment.and_then(Result::ok).unwrap_or_default();
+        let stepped = attachment.stepped_unix_nanos.map(unix_secs);
+        columns.stepped_unix_secs.extend(vec![stepped; n]);
+        let published = attachment.published_unix_nanos.map(unix_secs);
+        columns.published_unix_secs.extend(vec![published; n]);
         let rows = columns.id.len();
         let lengths = [
             columns.x.len(),
@@ -202,6 +211,11 @@ impl ParquetPart {
         self.groups += 1;
         self.columns.write(&mut self.writer, &self.path)
     }
+}
+
+/// Seconds since 1970; a double is exact to a quarter of a microsecond.
+fn unix_secs(nanos: u64) -> f64 {
+    nanos as f64 / 1e9
 }
 
 fn key_values(about: &About) -> Vec<KeyValue> {

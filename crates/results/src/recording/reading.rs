@@ -8,7 +8,7 @@ use std::path::Path;
 use mcap::parse_record;
 use mcap::records::{MessageHeader, Record, op};
 
-use super::mcap::{CHANNELS, FIRST_CHANNEL, METADATA};
+use super::mcap::{ATTACHMENT, CHANNELS, FIRST_CHANNEL, METADATA, STATE};
 use super::{About, RecordingError};
 
 /// The bytes at the beginning and the end of an MCAP file.
@@ -39,6 +39,8 @@ pub struct Message<'a> {
     pub offset: u64,
     /// The published bytes.
     pub bytes: &'a [u8],
+    /// What is attached to a state, if its recorder received that. It is no message of its own.
+    pub attachment: Option<&'a [u8]>,
     /// Its number and its times, as written.
     pub header: MessageHeader,
 }
@@ -137,6 +139,8 @@ struct Reading<F> {
     each: F,
     about: About,
     topics: HashMap<u16, String>,
+    /// The attachment of the next state, with its header.
+    attachment: Option<(MessageHeader, Vec<u8>)>,
     /// Whether damaged chunks are skipped.
     skips_damage: bool,
     damaged: u64,
@@ -154,6 +158,7 @@ impl<E, F: FnMut(Message<'_>) -> Result<(), E>> Reading<F> {
                 true => known_topics(),
                 false => HashMap::new(),
             },
+            attachment: None,
             skips_damage,
             damaged: 0,
             unread: 0,
@@ -281,15 +286,27 @@ impl<E, F: FnMut(Message<'_>) -> Result<(), E>> Reading<F> {
                 self.about.extend(metadata.metadata);
             }
             Record::Message { header, data } => {
-                if let Some(topic) = self.topics.get(&header.channel_id) {
-                    (self.each)(Message {
-                        topic,
-                        offset: from + MESSAGE_HEADER,
-                        bytes: &data,
-                        header,
-                    })
-                    .map_err(Stop::Caller)?;
+                let Some(topic) = self.topics.get(&header.channel_id) else {
+                    return Ok(());
+                };
+                if topic == CHANNELS[ATTACHMENT].0 {
+                    self.attachment = Some((header, data.into_owned()));
+                    return Ok(());
                 }
+                let is_state = topic == CHANNELS[STATE].0;
+                let attachment = self.attachment.take_if(|_| is_state);
+                // The chunk with the state of an attachment may be damaged.
+                let attachment = attachment.filter(|(it, _)| {
+                    (it.sequence, it.log_time) == (header.sequence, header.log_time)
+                });
+                (self.each)(Message {
+                    topic,
+                    offset: from + MESSAGE_HEADER,
+                    bytes: &data,
+                    attachment: attachment.as_ref().map(|(_, bytes)| &**bytes),
+                    header,
+                })
+                .map_err(Stop::Caller)?;
             }
             _ => {}
         }

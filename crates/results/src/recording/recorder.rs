@@ -142,13 +142,11 @@ impl Recorder {
         match self.begin_part()? {
             Part::Parquet(temp_file, part) => part.frame(temp_file, frame)?,
             Part::Mcap(temp_file, part) => {
-                part.message(
-                    temp_file,
-                    mcap::STATE,
-                    &frame.moment,
-                    log_time,
-                    frame.published,
-                )?;
+                let attached = frame.attachment.map(|bytes| (mcap::ATTACHMENT, bytes));
+                let messages = attached.into_iter().chain([(mcap::STATE, frame.published)]);
+                for (channel, bytes) in messages {
+                    part.message(temp_file, channel, &frame.moment, log_time, bytes)?;
+                }
             }
         }
         self.written.frames += 1;

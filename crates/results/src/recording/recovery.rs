@@ -6,9 +6,9 @@ use std::io::{self, Read as _};
 use std::path::{Path, PathBuf};
 
 use super::error::{self, io_error};
-use super::mcap::{CHANNELS, McapPart, STATE};
+use super::mcap::{ATTACHMENT, CHANNELS, McapPart, STATE};
 use super::parquet::ParquetPart;
-use super::reading::{self, Unfinished, read_unfinished};
+use super::reading::{self, Message, Unfinished, read_unfinished};
 use super::temp_file::{self, PARTIAL, TempFile};
 use super::{About, Decode, Format, RecordingError, extent};
 use crate::table::parquet;
@@ -168,7 +168,10 @@ impl Rebuilding<'_> {
                 return Ok(());
             };
             if channel == STATE {
-                self.state(message.bytes, |_| Ok(()))?;
+                self.state(&message, |_| Ok(()))?;
+            }
+            if let Some(attachment) = message.attachment {
+                part.copy(temp_file, ATTACHMENT, &message.header, attachment)?;
             }
             part.copy(temp_file, channel, &message.header, message.bytes)
         })?;
@@ -186,7 +189,7 @@ impl Rebuilding<'_> {
             if message.topic != CHANNELS[STATE].0 {
                 return Ok(());
             }
-            self.state(message.bytes, |frame| part.frame(temp_file, frame))
+            self.state(&message, |frame| part.frame(temp_file, frame))
         })?;
         part.finish(temp_file, &self.closing(&read, about)?)?;
         Ok(read)
@@ -194,15 +197,19 @@ impl Rebuilding<'_> {
 
     fn state(
         &mut self,
-        published: &[u8],
+        message: &Message<'_>,
         mut take: impl FnMut(&super::Frame<'_>) -> Result<(), RecordingError>,
     ) -> Result<(), RecordingError> {
         let mut taken = Ok(());
-        let decoded = (self.decode)(published, &mut |frame| {
+        let attachment = message.attachment;
+        let decoded = (self.decode)(message.bytes, &mut |frame| {
             let (first, _) = self.steps.unwrap_or((frame.step, 0));
             self.steps = Some((first, frame.step));
             self.frames += 1;
-            taken = take(frame);
+            taken = take(&super::Frame {
+                attachment,
+                ..*frame
+            });
         });
         decoded.map_err(|reason| {
             let state = self.frames + 1;

@@ -117,6 +117,8 @@ fn objects(message: &str, value: &Value, place: String) -> Vec<String> {
     let is_open = match place.rsplit('/').next() {
         // A map whose names are measures.
         Some("measures") => message == "order",
+        // A map whose names are controllers.
+        Some("sequences") => message == "attachment",
         Some("args") => message == "request" || !is_request(message),
         Some("details" | "schemas" | "default" | "value" | "choices") => true,
         _ => false,

@@ -8,9 +8,9 @@ use jostle_proto::verbs::{
     UninformArgs, WhenArgs, WhenResult,
 };
 use jostle_proto::{
-    Arguments, Audit, ControllerList, Error, Event, Events, ExperimentArgs, ExperimentFile,
-    ExperimentResult, Experiments, Hello, Journal, Lenient, Measures, Metrics, NodeReply,
-    NodeStatus, OrderPage, OrderSample, Parameters, Progress, RecordArgs, Recording,
+    Arguments, Attachment, Audit, ControllerList, Error, Event, Events, ExperimentArgs,
+    ExperimentFile, ExperimentResult, Experiments, Hello, Journal, Lenient, Measures, Metrics,
+    NodeReply, NodeStatus, OrderPage, OrderSample, Parameters, Progress, RecordArgs, Recording,
     RecordingPiece, Recordings, ReplayArgs, ReplayResult, Reply, Request, ResultsPage, Schemas,
     SeekArgs, SeriesPage, Snapshot, Spec, State, Status, Swarms, Verified, WhoAmI,
 };
@@ -34,6 +34,7 @@ pub fn written_back_as_text(message: &str, text: &str) -> Result<String, String>
         "error" => received::<Error>(text),
         "scheduled.reply" => received::<Reply<Scheduled>>(text),
         "state" => received::<State>(text),
+        "attachment" => received::<Attachment>(text),
         "order" => received::<OrderSample>(text),
         "event" => received::<Event>(text),
         "status.reply" => received::<Reply<Status>>(text),

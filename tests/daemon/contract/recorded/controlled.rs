@@ -1,11 +1,12 @@
 //! Controllers in lock-step, that leave or are late, and the individuals that they steer.
 
-use jostle_proto::keys;
+use jostle_proto::{Attachment, keys};
 use serde_json::{Value, json};
+use zenoh::bytes::Encoding;
 
-use super::documents::Recorded;
+use super::documents::{Document, Recorded};
 use super::recording_client::{RecordingClient, args};
-use crate::support::{Client, PREFIX, until};
+use crate::support::{Client, PREFIX, TIMEOUT, until};
 
 /// A deadline that does not pass.
 const DEADLINE_SECS: f64 = 60.0;
@@ -15,6 +16,7 @@ pub async fn record_fixtures(recorded: &Recorded) {
     waited_for(&recorder).await;
     late(&recorder).await;
     steered(&recorder).await;
+    steered_freely(&recorder).await;
     recorder.stop().await;
 }
 
@@ -146,4 +148,32 @@ async fn steered(recorder: &RecordingClient<'_>) {
     recorder
         .get("experiment.file.reply.setpoints", "crowd", noun)
         .await;
+}
+
+/// What is attached to a state with the set-points of a controller.
+async fn steered_freely(recorder: &RecordingClient<'_>) {
+    let spec = json!({"n": 4, "seed": 1, "rate": 1, "publish_every": 1});
+    recorder.create("herd", spec).await;
+    let states = recorder.subscribe(keys::state(PREFIX, "herd")).await;
+    let mut bob = options("join.args.free_running", DEADLINE_SECS);
+    bob["select"] = json!({"ids": [0]});
+    bob["again"] = json!(false);
+    join(recorder, "", "herd", bob).await;
+    recorder.cmd("", "herd", "run", json!({})).await;
+    let set = json!({"sequence": 41, "set": {"ids": [0], "direction": [1.0], "weight": [1.0]}});
+    let key = keys::ctl(PREFIX, "herd", "bob");
+    let put = recorder.client.session.put(key, set.to_string());
+    put.encoding("application/json").await.unwrap();
+    loop {
+        let sample = tokio::time::timeout(TIMEOUT, states.recv_async()).await;
+        let sample = sample.expect("a state is published").unwrap();
+        let bytes = sample.attachment().unwrap().to_bytes().into_owned();
+        let attachment = Attachment::from_cbor(&bytes).unwrap();
+        if !attachment.sequences.is_empty() {
+            let encoding = Encoding::APPLICATION_CBOR;
+            recorder.record_document("attachment", &Document { encoding, bytes });
+            break;
+        }
+    }
+    recorder.cmd("", "herd", "delete", json!({})).await;
 }

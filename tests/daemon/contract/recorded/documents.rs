@@ -7,7 +7,7 @@ use std::sync::Mutex;
 
 use jostle_proto::contract::schemas;
 use jostle_proto::verbs::{AdvanceResult, StepResult};
-use jostle_proto::{OrderPage, Reply, SeriesPage, Snapshot, State, to_cbor};
+use jostle_proto::{Attachment, OrderPage, Reply, SeriesPage, Snapshot, State, to_cbor};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::Value;
@@ -38,6 +38,8 @@ const FIXED: &[(&str, &str, &str)] = &[
     // States are numbered as they are published, which depends on time.
     ("state", "/frame", "4"),
     ("order", "/frame", "50"),
+    ("attachment", "/stepped_unix_nanos", "1795531201250000000"),
+    ("attachment", "/published_unix_nanos", "1795531201250150000"),
     ("step.reply", "/result/state/frame", "3"),
     ("advance.reply", "/result/state/frame", "3"),
     // How much of the journal is on the disk by then depends on the disk.
@@ -154,7 +156,7 @@ const FIXED: &[(&str, &str, &str)] = &[
 const SCHEMAS: [&str; 3] = ["pause.args", "reset.args", "run.args"];
 
 /// The fixtures that are in CBOR as well, as it was sent.
-const IN_CBOR: [&str; 3] = ["snapshot.reply", "state", "step.reply.state"];
+const IN_CBOR: [&str; 4] = ["attachment", "snapshot.reply", "state", "step.reply.state"];
 
 /// A payload as a daemon sent it.
 pub struct Document {
@@ -187,6 +189,7 @@ impl Recorded {
             let bytes = &document.bytes;
             let (value, bytes) = match message {
                 "state" => in_cbor::<State>(bytes, fix),
+                "attachment" => in_cbor::<Attachment>(bytes, fix),
                 "step.reply" => in_cbor::<Reply<StepResult>>(bytes, fix),
                 "advance.reply" => in_cbor::<Reply<AdvanceResult>>(bytes, fix),
                 "snapshot.reply" => in_cbor::<Reply<Snapshot>>(bytes, fix),

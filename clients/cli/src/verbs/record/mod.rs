@@ -243,7 +243,10 @@ impl<'a> Recording<'a> {
         if !self.filter.accepts(state) {
             return Ok(());
         }
-        let outcome = self.recorder.frame(&frame(state, state.payload.bytes()));
+        let mut frame = frame(state, state.payload.bytes());
+        frame.attachment = state.payload.attachment();
+        frame.moment.taken = state.published_at().unwrap_or(frame.moment.taken);
+        let outcome = self.recorder.frame(&frame);
         outcome.map_err(|error| explain(self.target.out, error))?;
         if let Some(steps) = self.target.arguments.steps {
             self.bar.set_position(self.filter.steps.min(steps));
@@ -363,6 +366,7 @@ fn frame<'a>(state: &'a State, published: &'a [u8]) -> Frame<'a> {
         residual: state.certificate.residual,
         contacts: state.certificate.contacts,
         published,
+        attachment: None,
     }
 }
 

@@ -2,6 +2,7 @@
 
 #![expect(clippy::unwrap_used, reason = "tests")]
 
+mod attachments;
 mod recovery;
 
 use std::fs::{self, File};
@@ -51,6 +52,7 @@ fn frame(number: u64, published: &[u8]) -> Frame<'_> {
         residual: 1e-12,
         contacts: 3,
         published,
+        attachment: None,
     }
 }
 

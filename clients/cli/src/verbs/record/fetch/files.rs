@@ -97,6 +97,7 @@ pub fn copy(
             let state = State::from_cbor(bytes).map_err(|error| error.to_string())?;
             recorder.frame(&Frame {
                 moment: at(state.epoch, state.frame, state.time),
+                attachment: message.attachment,
                 ..frame(&state, bytes)
             })
         }
