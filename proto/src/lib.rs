@@ -29,6 +29,7 @@ mod schema;
 pub mod snapshot;
 mod spec;
 mod state;
+mod units;
 pub mod verbs;
 mod walk;
 
@@ -57,12 +58,13 @@ pub use recording::{
 pub use replay::{OpenArgs, Replay, ReplayArgs, ReplayResult, SeekArgs, UploadArgs};
 pub use result_row::{
     COLUMNS, Column, ExtraValue, FAULT, Measure, OCCASIONAL_COLUMNS, ResultRow, STOPPED_AT,
-    rename_fault,
+    rename_fault, unit_of_column,
 };
 pub use role::{Credentials, Role, WhoAmI};
 pub use snapshot::Snapshot;
 pub use spec::{Attraction, ContactRule, MAX_PUBLISHED_MEASURES, Spec, Start, Stepping};
 pub use state::{Certificate, Order, OrderSample, ParameterValues, Phase, State, to_cbor};
+pub use units::{LENGTH_UNIT, NO_UNIT, SPEED_UNIT, TIME_UNIT};
 pub use walk::{Arguments, Lenient};
 
 /// The version of this contract; it grows when a message changes its meaning.

@@ -13,6 +13,7 @@ use serde::ser::{Serialize, SerializeMap as _, Serializer};
 use serde_json::{Map, Value};
 
 use crate::cell::{Cell, CellKind};
+use crate::units::{LENGTH_UNIT, NO_UNIT, SPEED_UNIT, TIME_UNIT};
 
 /// A column of the table of results.
 #[derive(Clone, Copy, Debug)]
@@ -21,6 +22,8 @@ pub struct Column {
     pub name: &'static str,
     /// The kind of its values.
     pub kind: CellKind,
+    /// The unit of its values; `1` if they have none.
+    pub unit: &'static str,
     /// A description of its values.
     pub description: &'static str,
     get: fn(&ResultRow) -> Cell,
@@ -95,9 +98,14 @@ pub struct ExtraValue {
 /// order of the table: fixed ones, measures, fixed ones.
 macro_rules! result_row {
     (
-        { $($(#[doc = $before_doc:literal])+ $before:ident: $before_type:ident,)* }
-        { $($(#[doc = $measure_doc:literal])+ $constant:ident = $measure:literal: $kind:ident,)* }
-        { $($(#[doc = $after_doc:literal])+ $after:ident: $after_type:ident,)* }
+        { $($(#[doc = $before_doc:literal])+ $before:ident: $before_type:ident in $before_unit:expr,)* }
+        {
+            $(
+                $(#[doc = $measure_doc:literal])+
+                $constant:ident = $measure:literal: $kind:ident in $measure_unit:expr,
+            )*
+        }
+        { $($(#[doc = $after_doc:literal])+ $after:ident: $after_type:ident in $after_unit:expr,)* }
     ) => {
         /// The result of one run of an experiment: a row of `results.parquet` and `results.csv`.
         ///
@@ -122,6 +130,7 @@ macro_rules! result_row {
                 pub const $constant: Self = Self(&Column {
                     name: $measure,
                     kind: CellKind::$kind,
+                    unit: $measure_unit,
                     description: concat!($($measure_doc),+),
                     get: |row| row.value(Self::$constant),
                 });
@@ -136,6 +145,7 @@ macro_rules! result_row {
             $(Column {
                 name: stringify!($before),
                 kind: <$before_type as Field>::KIND,
+                unit: $before_unit,
                 description: concat!($($before_doc),+),
                 get: |row| row.$before.clone().into(),
             },)*
@@ -143,6 +153,7 @@ macro_rules! result_row {
             $(Column {
                 name: stringify!($after),
                 kind: <$after_type as Field>::KIND,
+                unit: $after_unit,
                 description: concat!($($after_doc),+),
                 get: |row| row.$after.clone().into(),
             },)*
@@ -177,59 +188,59 @@ result_row! {
     {
         /// The run's name within its experiment: the varied parameters, then the replicate. The
         /// seed is derived from the name.
-        run: String,
+        run: String in NO_UNIT,
         /// The seed of all random draws.
-        seed: u64,
+        seed: u64 in NO_UNIT,
         /// Number of individuals.
-        n: u64,
+        n: u64 in NO_UNIT,
         /// Length over width of a body.
-        pi1: f64,
+        pi1: f64 in NO_UNIT,
         /// Weight of the informed individuals' own preference.
-        pi2: f64,
+        pi2: f64 in NO_UNIT,
         /// Body size over turning radius.
-        pi3: f64,
+        pi3: f64 in NO_UNIT,
         /// Translational over rotational drag.
-        pi4: f64,
+        pi4: f64 in NO_UNIT,
         /// Number of informed individuals.
-        informed: u64,
+        informed: u64 in NO_UNIT,
         /// The contact rule: `endpoints`, `closest` or `clamped`.
-        contacts: String,
+        contacts: String in NO_UNIT,
         /// The time step.
-        dt: f64,
+        dt: f64 in TIME_UNIT,
         /// Duration of the run; less than that of the experiment if the run faulted.
-        time: f64,
+        time: f64 in TIME_UNIT,
     }
     {
         /// Time mean of the centroid's speed, eq. (8).
-        V = "v": Number,
+        V = "v": Number in SPEED_UNIT,
         /// Mean drift along the informed individuals' direction; `null` without informed
         /// individuals.
-        V_PD = "v_pd": OptionalNumber,
+        V_PD = "v_pd": OptionalNumber in SPEED_UNIT,
         /// Number of intervals with an order of at least 2/3, including those that the run's ends
         /// cut.
-        ORDERED_INTERVALS = "ordered_intervals": Count,
+        ORDERED_INTERVALS = "ordered_intervals": Count in NO_UNIT,
         /// Total time of the ordered intervals.
-        ORDERED_TIME = "ordered_time": Number,
+        ORDERED_TIME = "ordered_time": Number in TIME_UNIT,
         /// Number of intervals with an order below 2/3, including those that the run's ends cut.
-        UNORDERED_INTERVALS = "unordered_intervals": Count,
+        UNORDERED_INTERVALS = "unordered_intervals": Count in NO_UNIT,
         /// Total time of the unordered intervals.
-        UNORDERED_TIME = "unordered_time": Number,
+        UNORDERED_TIME = "unordered_time": Number in TIME_UNIT,
         /// The deepest overlap of any two bodies, 0 or more.
-        WORST_OVERLAP = "worst_overlap": Number,
+        WORST_OVERLAP = "worst_overlap": Number in LENGTH_UNIT,
         /// The share of time in which any two axes crossed.
-        CROSSED_SHARE = "crossed_share": Number,
+        CROSSED_SHARE = "crossed_share": Number in NO_UNIT,
         /// The largest residual of any step.
-        WORST_RESIDUAL = "worst_residual": Number,
+        WORST_RESIDUAL = "worst_residual": Number in LENGTH_UNIT,
         /// Number of degraded steps: less accurate than the target, but acceptable.
-        DEGRADED = "degraded": Count,
+        DEGRADED = "degraded": Count in NO_UNIT,
         /// Number of steps that the fallback solved because the exact solver missed its target.
-        FALLBACKS = "fallbacks": Count,
+        FALLBACKS = "fallbacks": Count in NO_UNIT,
     }
     {
         /// Number of steps.
-        steps: u64,
+        steps: u64 in NO_UNIT,
         /// The hash of the last state, BLAKE3 in hexadecimal.
-        state_hash: String,
+        state_hash: String in NO_UNIT,
     }
 }
 
@@ -404,6 +415,16 @@ impl JsonSchema for ResultRow {
             "properties": properties,
             "required": required,
         })
+    }
+}
+
+/// Returns the unit of a column of every table, or of `stopped_at`; `None` if `name` is another.
+#[must_use]
+pub fn unit_of_column(name: &str) -> Option<&'static str> {
+    let mut columns = COLUMNS.iter();
+    match columns.find(|column| column.name == name) {
+        Some(column) => Some(column.unit),
+        None => (name == STOPPED_AT).then_some(TIME_UNIT),
     }
 }
 

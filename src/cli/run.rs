@@ -137,6 +137,9 @@ fn part(text: &str) -> Result<SelectedRuns, String> {
 pub fn run(options: &Options) -> Result<u8, Box<dyn Error>> {
     let file = options.file.display();
     let files = Files::read(&options.file)?;
+    for warning in files.warnings(&options.file) {
+        note(&format_args!("jostled: warning: {warning}"));
+    }
     let failed = |error| format!("failed to plan {file}: {error}");
     let (plan, accepted) = Plan::new_or_stored(files).map_err(failed)?;
     let selected = options.selected_runs();

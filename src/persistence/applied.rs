@@ -16,8 +16,17 @@ use crate::store::Store;
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::command::Command;
 
-/// Returns the changes that were applied to a swarm from its start, or its last reset, to `present`,
-/// and what controllers did with individuals.
+/// What was done to a swarm since its start.
+pub struct ChangesSinceStart {
+    /// Its first changes, at least as many as the file of an experiment can have.
+    pub changes: Vec<AppliedChange>,
+    /// The number of the changes after these.
+    pub omitted: u64,
+    /// What controllers did with individuals.
+    pub set_points: SetPointLog,
+}
+
+/// Returns what was done to a swarm from its start, or its last reset, to `present`.
 ///
 /// # Errors
 ///
@@ -27,7 +36,7 @@ pub fn changes_since_start(
     store: &Store,
     swarm: &str,
     present: &Checkpoint,
-) -> Result<(Vec<AppliedChange>, SetPointLog), CommandError> {
+) -> Result<ChangesSinceStart, CommandError> {
     let mut checkpoints = stored_checkpoints(store, swarm)?;
     checkpoints.reverse();
     let first = first_readable(store, swarm, checkpoints)?;
@@ -58,13 +67,18 @@ pub fn changes_since_start(
     }
     match history.problem {
         Some(problem) => Err(CommandError::History(problem)),
-        None => Ok((history.changes, history.set_points)),
+        None => Ok(ChangesSinceStart {
+            changes: history.changes,
+            omitted: history.omitted,
+            set_points: history.set_points,
+        }),
     }
 }
 
 /// The changes of the present run, as far as it has been read.
 struct History {
     changes: Vec<AppliedChange>,
+    omitted: u64,
     set_points: SetPointLog,
     controllers: Steering,
     /// How many annotations were applied, which do not count for draws.
@@ -91,6 +105,7 @@ impl History {
         });
         History {
             changes: Vec::new(),
+            omitted: 0,
             set_points: SetPointLog::default(),
             controllers: Steering::of(&first.controllers),
             annotations: first.annotations,
@@ -105,6 +120,7 @@ impl History {
         match parse_command(&input.sender)? {
             Command::Reset(_) => {
                 self.changes.clear();
+                self.omitted = 0;
                 self.set_points.clear();
                 self.controllers.reset();
                 self.protocol_draws = 0;
@@ -185,9 +201,10 @@ impl History {
 
     fn push(&mut self, step: u64, draw: u64, change: Change) {
         self.set_points.changed();
-        // One more than a file can have: it is rejected for that.
-        if self.changes.len() <= MAX_BLOCKS {
-            self.changes.push(AppliedChange { step, draw, change });
+        // One more than a file can have, which is rejected: the others are only counted.
+        match self.changes.len() <= MAX_BLOCKS {
+            true => self.changes.push(AppliedChange { step, draw, change }),
+            false => self.omitted += 1,
         }
     }
 }

@@ -189,3 +189,33 @@ fn a_dry_run_lists_the_runs_and_their_seeds() {
         "{reason}"
     );
 }
+
+#[test]
+fn a_file_outside_the_folder_has_a_warning_and_its_content_is_not_quoted() {
+    let folder = tempfile::tempdir().unwrap();
+    let inner = folder.path().join("inner");
+    fs::create_dir(&inner).unwrap();
+    let (file, table) = (inner.join("a.toml"), folder.path().join("secret.csv"));
+    let toml = "name = \"a\"\nduration = 1\nspec = { n = 5 }\npoints = \"../secret.csv\"\n";
+    fs::write(&file, toml).unwrap();
+    let output = inner.join("out");
+    let results = ["-o", output.to_str().unwrap()];
+    for more in [&["--dry-run"][..], &results] {
+        for (content, code) in [("marmot:x:0\n1\n", 1), ("pi1\n2\n", 0)] {
+            fs::write(&table, content).unwrap();
+            let mut command = jostled(&["run"]);
+            let command = command.arg(&file).args(more);
+            let ended = command.stderr(Stdio::piped()).output().unwrap();
+            let said = String::from_utf8(ended.stderr).unwrap();
+            assert_eq!(ended.status.code(), Some(code), "{said}");
+            let warning = "jostled: warning: points = \"../secret.csv\" is outside the folder";
+            assert!(said.contains(warning), "{said}");
+            assert!(!said.contains("marmot"), "{said}");
+            assert_eq!(
+                said.contains("line 1, column 1: what is wrong"),
+                code == 1,
+                "{said}"
+            );
+        }
+    }
+}

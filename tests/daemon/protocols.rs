@@ -144,6 +144,25 @@ async fn swarms_that_no_file_can_repeat_are_rejected_with_the_reason() {
     let hash = client.hash("later").await;
     assert_eq!(last_hash(&file_of(client, "later").await), hash);
 
+    // More changes than a file has blocks.
+    client.create("busy", json!({"n": 8})).await;
+    client.ok("busy", "step", json!({})).await;
+    let changes = |count: u32| {
+        let change = |k| json!({"verb": "set", "args": {"pi2": 0.5 + 1e-6 * f64::from(k)}});
+        json!({"commands": (0..count).map(change).collect::<Vec<_>>()})
+    };
+    for count in [256, 256, 256, 232] {
+        client.ok("busy", "batch", changes(count)).await;
+    }
+    let file = file_of(client, "busy").await;
+    assert_eq!(file.matches("[[at]]").count(), 1000);
+    client.ok("busy", "batch", changes(234)).await;
+    let busy = reason("busy").await;
+    for part in ["1234 changes", "at most 1000 [[at]]", "`jostle snapshot`"] {
+        assert!(busy.contains(part), "{busy}");
+    }
+    assert!(!busy.contains("line "), "{busy}");
+
     client.create("steered", json!({"n": 8})).await;
     let join = json!({"controller": "ada", "select": {"ids": [0, 1]}});
     client.ok("steered", "join", join).await;

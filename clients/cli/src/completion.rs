@@ -15,7 +15,7 @@ use jostle_proto::{contract, keys};
 
 use crate::failure::Failure;
 use crate::output::{self, Output};
-use crate::values::{self, LAWS};
+use crate::values::{self, FIELDS, LAWS};
 
 /// The variable by which a shell requests completions.
 const VARIABLE: &str = "JOSTLE_COMPLETE";
@@ -144,6 +144,31 @@ pub fn laws(typed: &OsStr) -> Vec<CompletionCandidate> {
         _ => law.to_owned(),
     });
     beginning_with(typed, laws)
+}
+
+/// Completes the last word of a `--where`: a field where one begins a comparison, or a word that a field
+/// can be.
+pub fn selections(typed: &OsStr) -> Vec<CompletionCandidate> {
+    let Some(typed) = typed.to_str() else {
+        return Vec::new();
+    };
+    let start = typed.rfind([' ', '(', '=']).map_or(0, |at| at + 1);
+    let (before, word) = typed.split_at(start);
+    let words: Vec<&str> = before
+        .split([' ', '('])
+        .filter(|it| !it.is_empty())
+        .collect();
+    let (fields, word) = (FIELDS.iter(), OsStr::new(word));
+    let found = match words.as_slice() {
+        [] | [.., "and" | "or"] => beginning_with(word, fields.map(|(field, _)| field)),
+        [.., field, "=" | "!="] => {
+            let words = fields.filter(|(it, _)| it == field);
+            beginning_with(word, words.flat_map(|(_, words)| words.iter()))
+        }
+        _ => Vec::new(),
+    };
+    let found = found.into_iter();
+    found.map(|it| it.add_prefix(before)).collect()
 }
 
 /// The values of an enumerated parameter; empty for any other parameter.
@@ -359,6 +384,38 @@ mod tests {
             LAWS.map(|(law, _)| law),
             "they are those of the contract"
         );
+    }
+
+    #[test]
+    fn fields_and_words_of_a_selection_are_completed() {
+        let completed = |typed: &str| completed(&selections(OsStr::new(typed)));
+        assert_eq!(completed("").len(), FIELDS.len());
+        for (typed, expected) in [
+            ("ph", &["phase"][..]),
+            ("n >= 200 and ph", &["n >= 200 and phase"]),
+            ("(n > 3 or st", &["(n > 3 or step"]),
+            ("(o", &["(order"]),
+            ("phase = r", &["phase = running"]),
+            (
+                "n > 1 and phase != ",
+                &[
+                    "n > 1 and phase != paused",
+                    "n > 1 and phase != running",
+                    "n > 1 and phase != faulted",
+                ],
+            ),
+            ("n ", &[]),
+            ("n = ", &[]),
+            ("phase = running ", &[]),
+        ] {
+            assert_eq!(completed(typed), expected, "{typed}");
+        }
+        // Each is accepted where a comparison is complete.
+        for typed in ["phase = ", "n > 1 or phase != "] {
+            for text in completed(typed) {
+                assert!(values::selection(&text).is_ok(), "{text}");
+            }
+        }
     }
 
     #[test]

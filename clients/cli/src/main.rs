@@ -22,6 +22,7 @@ mod selection;
 mod stdout;
 mod suggest;
 mod table;
+mod units;
 mod values;
 mod verbs;
 

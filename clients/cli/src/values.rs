@@ -96,7 +96,7 @@ pub fn name(text: &str) -> Result<String, String> {
 }
 
 /// What `--where` compares.
-const FIELDS: [Field; 8] = [
+pub const FIELDS: [Field; 8] = [
     ("n", &[]),
     ("informed", &[]),
     ("order", &[]),

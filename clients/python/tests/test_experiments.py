@@ -244,6 +244,27 @@ inform = { select = { count = "$k" }, direction = 0 }
     experiment.delete()
 
 
+def test_files_outside_the_folder_have_a_warning_and_are_not_quoted(
+    client: jostle.Client, tmp_path: Path
+) -> None:
+    text = 'name = "outside"\nduration = 1\nspec = { n = 5 }\npoints = "../secret.csv"\n'
+    secret = tmp_path / "secret.csv"
+    secret.write_text("marmot:x:0:0\n1\n")
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    for points in ("../secret.csv", str(secret)):
+        (folder / "a.toml").write_text(text.replace("../secret.csv", points))
+        warned = pytest.warns(RuntimeWarning, match=r"^points = .* is outside the folder")
+        with (
+            warned as found,
+            pytest.raises(jostle.InvalidArgument, match="copy it there") as caught,
+        ):
+            client.submit(folder / "a.toml")
+        assert found[0].filename == __file__
+        assert "marmot" not in str(caught.value)
+        assert "line 1, column 1" in str(caught.value)
+
+
 def test_the_commands_of_a_block_keep_the_order_of_a_mapping(client: jostle.Client) -> None:
     inform = {"select": {"count": 3}, "direction": np.float64(0.5)}
     remove = [{"select": {"ids": [0]}}, {"select": {"count": 1}}]

@@ -86,3 +86,15 @@ pub enum PlanError {
         bytes: f64,
     },
 }
+
+impl PlanError {
+    /// Returns what is wrong, without the place in a file.
+    pub(crate) fn without_place(&self) -> String {
+        match self {
+            Self::Field { reason, .. }
+            | Self::Points { reason, .. }
+            | Self::SetPoints { reason, .. } => reason.clone(),
+            other => other.to_string(),
+        }
+    }
+}

@@ -9,7 +9,7 @@ use toml::{Table, Value};
 
 use crate::error::PlanError;
 use crate::files::Files;
-use crate::limits::{MAX_RUNS, MAX_SET_POINTS};
+use crate::limits::{MAX_BLOCKS, MAX_RUNS, MAX_SET_POINTS};
 use crate::plan::Plan;
 use crate::set_points::SetPointLog;
 
@@ -38,8 +38,10 @@ pub struct SwarmHistory {
     pub steps: u64,
     /// The hash of its state, in hexadecimal.
     pub state_hash: String,
-    /// All changes that were applied to it, in this order.
+    /// The changes that were applied to it, in this order.
     pub changes: Vec<AppliedChange>,
+    /// The number of later changes that are not in `changes`, which then has more than a file can have.
+    pub omitted: u64,
     /// What controllers did with individuals.
     pub set_points: SetPointLog,
 }
@@ -73,11 +75,17 @@ pub enum ExportError {
         "its controllers steered individuals more than {MAX_SET_POINTS} times: that is the limit of a run"
     )]
     TooManySetPoints,
+    /// It was changed too often.
+    #[error(
+        "it had {0} changes since its start, and a file has at most {MAX_BLOCKS} [[at]]: write its state \
+         with `jostle snapshot`, and name that as start of a file with the later changes"
+    )]
+    TooManyChanges(u64),
     /// The number of runs is invalid.
     #[error("replicates = {0} is outside [1, {MAX_RUNS}]")]
     Replicates(u64),
-    /// The file would not be an experiment.
-    #[error("its commands are no experiment: {0}")]
+    /// The file would not be an experiment. Nobody sees it: the place in it says nothing.
+    #[error("its commands are no experiment: {}", .0.without_place())]
     Plan(#[from] PlanError),
 }
 
@@ -99,11 +107,16 @@ pub fn experiment_file(
         spec,
         steps,
         changes,
+        omitted,
         set_points,
         ..
     } = history;
     if *steps == 0 {
         return Err(ExportError::NoStep);
+    }
+    let count = changes.len() as u64 + omitted;
+    if count > MAX_BLOCKS as u64 {
+        return Err(ExportError::TooManyChanges(count));
     }
     if set_points.is_too_long() {
         return Err(ExportError::TooManySetPoints);
@@ -247,6 +260,7 @@ mod tests {
                     steps: 0,
                     state_hash: String::new(),
                     changes: Vec::new(),
+                    omitted: 0,
                     set_points: SetPointLog::default(),
                 },
             }
@@ -363,17 +377,43 @@ mod tests {
     }
 
     #[test]
+    fn the_error_of_an_export_names_no_line_of_a_file_that_nobody_sees() {
+        let mut swarm = Swarm::new(&json!({"n": 12, "seed": 3}));
+        swarm.step(1);
+        swarm.history.spec.n = 150_000;
+        let error = experiment_file(&swarm.history, &ExportOptions::default()).unwrap_err();
+        assert_eq!(
+            error.to_string(),
+            "its commands are no experiment: n = 150000 is outside [1, 100000]"
+        );
+    }
+
+    #[test]
     fn a_swarm_without_steps_and_one_with_too_many_commands_are_rejected() {
         let mut swarm = Swarm::new(&json!({"n": 12, "seed": 3}));
         let error = experiment_file(&swarm.history, &ExportOptions::default()).unwrap_err();
         assert!(matches!(error, ExportError::NoStep), "{error}");
-        for k in 0..1001 {
+        for k in 0..1000 {
             swarm.apply("set", &json!({"pi2": 0.5 + 1e-6 * f64::from(k)}));
         }
         swarm.step(1);
-        let error = experiment_file(&swarm.history, &ExportOptions::default())
-            .unwrap_err()
-            .to_string();
-        assert!(error.contains("at most 1000 [[at]]"), "{error}");
+        assert_eq!(file_of(&swarm.history).matches("[[at]]").count(), 1000);
+        swarm.apply("set", &json!({"pi2": 0.7}));
+        swarm.step(1);
+        for omitted in [0, 33] {
+            swarm.history.omitted = omitted;
+            let error = experiment_file(&swarm.history, &ExportOptions::default());
+            let error = error.unwrap_err().to_string();
+            let count = format!("it had {} changes since its start", 1001 + omitted);
+            for part in [
+                &count,
+                "at most 1000 [[at]]",
+                "`jostle snapshot`",
+                "start of a file",
+            ] {
+                assert!(error.contains(part), "{part}: {error}");
+            }
+            assert!(!error.contains("line "), "{error}");
+        }
     }
 }

@@ -8,6 +8,7 @@ use serde::Deserialize;
 use toml::{Spanned, Value};
 
 use crate::error::PlanError;
+use crate::files::shown;
 use crate::points::Points;
 
 /// Keys and values, each with its span in the file.
@@ -145,7 +146,7 @@ impl Source<'_> {
                 file: points.file.clone(),
                 line,
                 column,
-                reason,
+                reason: shown(&points.file, reason),
             };
         }
         let (line, column) = self.place(span);
@@ -171,7 +172,7 @@ impl Source<'_> {
             } => PlanError::Field {
                 line: at,
                 column,
-                reason: format!("{reason} ({file}, line {line})"),
+                reason: format!("{} ({file}, line {line})", shown(file, reason)),
             },
             error @ PlanError::Run { .. } => self.reject(row, error.to_string()),
             other => other,

@@ -6,7 +6,7 @@
 use std::borrow::Cow;
 use std::fs;
 use std::io;
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 
 use serde::Deserialize;
 use thiserror::Error;
@@ -63,6 +63,26 @@ impl Named {
     }
 }
 
+/// Says in place of what is wrong within a file outside the folder of the experiment. An experiment that
+/// someone else wrote may name any file that its reader can read: errors, which others may see, do not
+/// repeat its content.
+const HIDDEN: &str = "what is wrong is not shown, because the file is outside the folder of the \
+                      experiment: copy it there, and name the copy";
+
+/// Whether the name of a file is outside the folder of the experiment, as far as the name says.
+fn is_outside(name: &str) -> bool {
+    let path = Path::new(name);
+    path.is_absolute() || path.components().any(|it| it == Component::ParentDir)
+}
+
+/// Returns the reason why the content of a file is rejected, as it may be shown.
+pub fn shown(name: &str, reason: String) -> String {
+    match is_outside(name) {
+        true => HIDDEN.to_owned(),
+        false => reason,
+    }
+}
+
 /// Whether the value of `setpoints` is the text of the CSV, and not the name of one.
 pub fn is_text(setpoints: &str) -> bool {
     setpoints.contains('\n')
@@ -114,6 +134,28 @@ impl Files {
             setpoints: setpoints.transpose()?,
             toml,
         })
+    }
+
+    /// Returns a warning for each file that the TOML names outside its folder; `path` is that of the TOML.
+    #[must_use]
+    pub fn warnings(&self, path: &Path) -> Vec<String> {
+        let folder = path.parent().unwrap_or(Path::new(""));
+        let is_copy = path.file_name().is_some_and(|name| name == EXPERIMENT);
+        let named = Named::of(&self.toml);
+        let files = [
+            ("points", named.points, POINTS),
+            ("start", named.start, START),
+            ("setpoints", named.setpoints, SET_POINTS),
+        ];
+        let is_read = |copy: &str| !(is_copy && folder.join(copy).is_file());
+        let outside = files.into_iter().filter_map(|(field, name, copy)| {
+            let name = name.filter(|name| is_outside(name) && is_read(copy))?;
+            Some(format!(
+                "{field} = {name:?} is outside the folder of the experiment: its content becomes a part \
+                 of the experiment, and another machine may not have it"
+            ))
+        });
+        outside.collect()
     }
 
     /// Reads the copies in a folder of results.

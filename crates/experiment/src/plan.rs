@@ -16,7 +16,6 @@ use crate::grid::{self, AXES, Choice, Grid};
 use crate::limits::{
     MAX_BLOCKS_OF_PLAN, MAX_ENTRIES, MAX_INDIVIDUALS, MAX_RUNS, MAX_STEPS, MAX_TRAJECTORY_BYTES,
 };
-use crate::points::Points;
 use crate::protocol::{Block, Protocol, Setting, Variables, first_span, templates, used};
 use crate::row_grids;
 use crate::set_points::SetPointTable;
@@ -24,9 +23,11 @@ use crate::start::Base;
 use jostle_convert::spec;
 use jostle_convert::value::count;
 
+use self::named::{base, points};
 use self::settings::{check_sizes, columns, seeds};
 
 mod memory;
+mod named;
 mod settings;
 
 /// Bytes of the file of a trajectory, and in addition of each of its frames and rows.
@@ -464,46 +465,6 @@ impl Plan {
         });
         Ok(())
     }
-}
-
-/// Reads the CSV that the file names; none if it names none.
-fn points(source: Source<'_>, file: &File, files: &Files) -> Result<Option<Points>, PlanError> {
-    let reason = match (&file.points, &files.points) {
-        (Some(named), Some(text)) if file.grid.is_empty() => {
-            let name = named.get_ref();
-            return Points::read(name, text, source.toml.len() + 1).map(Some);
-        }
-        (Some(_), _) if !file.grid.is_empty() => {
-            "points and [[grid]] exclude each other: leave out one of them"
-        }
-        (Some(_), _) => {
-            "points: the contents of this file are missing: submit the experiment with a client of \
-             this version"
-        }
-        (None, Some(_)) => "a CSV was sent, but the file names none: give points",
-        (None, None) => return Ok(None),
-    };
-    let span = file.points.as_ref().map_or(0..0, Spanned::span);
-    Err(source.reject(&span, reason))
-}
-
-/// Reads the snapshot that the file names; none if it names none.
-fn base(source: Source<'_>, file: &File, files: &Files) -> Result<Option<Base>, PlanError> {
-    let span = file.start.as_ref().map_or(0..0, Spanned::span);
-    let reason = match (&file.start, &files.start) {
-        (Some(named), Some(bytes)) => match Base::read(bytes) {
-            Ok(base) => return Ok(Some(base)),
-            Err(reason) => format!("{}: {reason}", named.get_ref()),
-        },
-        (Some(_), None) => {
-            "start: the contents of this file are missing: submit the experiment with a \
-             client of this version"
-                .to_owned()
-        }
-        (None, Some(_)) => "a snapshot was sent, but the file names none: give start".to_owned(),
-        (None, None) => return Ok(None),
-    };
-    Err(source.reject(&span, reason))
 }
 
 /// Returns the number of runs of all grids; saturates at `u64::MAX`.

@@ -4,6 +4,7 @@ use std::ops::Range;
 
 use crate::cells::Cells;
 use crate::error::PlanError;
+use crate::files::shown;
 use crate::limits::MAX_RUNS;
 
 /// The cells of a CSV. Each has a span after the end of the TOML, from which errors get its place.
@@ -30,7 +31,7 @@ impl Points {
             file: file.to_owned(),
             line,
             column,
-            reason,
+            reason: shown(file, reason),
         };
         let too_many = format!("more than {MAX_RUNS} conditions: that is the limit of runs");
         let Cells {

@@ -12,6 +12,7 @@ use jostle_physics::simulation::{self, Simulation};
 
 pub use self::log::SetPointLog;
 use crate::error::PlanError;
+use crate::files::shown;
 
 /// The columns of the CSV. `after` is the number of blocks that are executed at this step before.
 const COLUMNS: [&str; 7] = [
@@ -82,7 +83,7 @@ impl Place {
                 file: file.clone(),
                 line,
                 column,
-                reason,
+                reason: shown(file, reason),
             },
             Place::Within(before) => PlanError::Field {
                 line: before + line,

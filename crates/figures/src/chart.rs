@@ -1,9 +1,10 @@
 //! Charts of any column of results over a varied value, and of a measure over time.
 
+use jostle_results::TIME_UNIT;
 use jostle_results::chart::{Chart, Mean, MeanCurve};
 
 use crate::axis::Axis;
-use crate::plot::{Band, CELL, Curve, Mark, Panel, Plot, Point, Sample, Style};
+use crate::plot::{Band, Curve, Mark, Panel, Plot, Point, Sample, Style};
 use crate::svg::{PALETTE, literal};
 
 /// The dashes of the curves: the first is of those that have the first colours, and so on.
@@ -38,8 +39,8 @@ pub struct TooManyCurves {
 pub struct Labels {
     /// The title, such as the name of the experiment.
     pub title: String,
-    /// The unit of the vertical axis; empty if it has none.
-    pub unit: String,
+    /// The units of the vertical axis, and of a horizontal one that is not time; empty if it has none.
+    pub units: (String, String),
 }
 
 /// Draws a chart as SVG.
@@ -81,8 +82,8 @@ pub fn draw_chart(chart: &Chart, labels: &Labels) -> Result<String, TooManyCurve
     };
     let plot = Plot {
         title: literal(&title(chart, labels)),
-        x: x_axis(chart),
-        y: y_axis(chart, &labels.unit, scale),
+        x: x_axis(chart, &labels.units.1),
+        y: y_axis(chart, &labels.units.0, scale),
         panels: vec![panel],
         key: key(chart),
         note: literal(&note(chart)),
@@ -195,21 +196,25 @@ fn scale(chart: &Chart) -> f64 {
 }
 
 fn y_axis(chart: &Chart, unit: &str, scale: f64) -> Axis {
-    let mut label = literal(&chart.y);
     let factor = match scale {
         1.0 => String::new(),
         _ => format!("{scale:e} "),
     };
-    let unit = format!("{factor}{unit}");
-    if !unit.trim().is_empty() {
-        label.push_str(&literal(&format!(" ({})", unit.trim())));
-    }
+    let label = with_unit(&chart.y, &format!("{factor}{unit}"));
     let means = chart.curves.iter().flat_map(|curve| &curve.points);
     let ends = means.flat_map(|mean| {
         let half = mean.half_width().unwrap_or(0.0);
         [-half, half].map(|by| (mean.spread.mean + by) / scale)
     });
     linear(&label, ends)
+}
+
+/// Returns the label of an axis: the name of a quantity, and its unit if it has one.
+fn with_unit(name: &str, unit: &str) -> String {
+    match unit.trim() {
+        "" => literal(name),
+        unit => literal(&format!("{name} ({unit})")),
+    }
 }
 
 /// Creates a linear axis around values, also around a single one.
@@ -231,14 +236,14 @@ fn linear(label: &str, values: impl Iterator<Item = f64>) -> Axis {
     }
 }
 
-fn x_axis(chart: &Chart) -> Axis {
+fn x_axis(chart: &Chart, unit: &str) -> Axis {
     let points = chart.curves.iter().flat_map(|curve| &curve.points);
     let mut values: Vec<f64> = points.map(|mean| mean.x).collect();
     values.sort_by(f64::total_cmp);
     values.dedup();
     if chart.x == "time" {
         let ends = (values[0], values[values.len() - 1]);
-        let mut axis = linear("time (body sizes over free speed)", values.into_iter());
+        let mut axis = linear(&with_unit("time", TIME_UNIT), values.into_iter());
         if ends.0 < ends.1 {
             axis.ends = ends;
         }
@@ -246,7 +251,7 @@ fn x_axis(chart: &Chart) -> Axis {
     }
     let (first, last) = (values[0], values[values.len() - 1]);
     let is_logarithmic = values.len() > 2 && first > 0.0 && last / first >= LOGARITHMIC_FROM;
-    let label = literal(&chart.x);
+    let label = with_unit(&chart.x, unit);
     let mut axis = match is_logarithmic {
         true => Axis::around(
             &format!("{label} (logarithmic)"),
@@ -261,7 +266,10 @@ fn x_axis(chart: &Chart) -> Axis {
     axis
 }
 
-/// Returns the key, in rows that are no wider than a panel; empty for a single curve without a label.
+/// The width of a row of the key, in pixels, unless a single sample is wider.
+const KEY_WIDTH: f64 = 740.0;
+
+/// Returns the key, in rows; empty for a single curve without a label.
 fn key(chart: &Chart) -> Vec<Vec<Sample>> {
     let is_time = chart.x == "time";
     let mut rows: Vec<Vec<Sample>> = Vec::new();
@@ -276,7 +284,7 @@ fn key(chart: &Chart) -> Vec<Vec<Sample>> {
             text: literal(&text),
         };
         let more = sample.width();
-        if width + more > CELL.0 {
+        if width + more > KEY_WIDTH {
             rows.push(Vec::new());
             width = 0.0;
         }
@@ -331,9 +339,19 @@ mod tests {
     fn points_and_bars_are_where_their_values_are_on_the_axes() {
         let points = vec![mean(0.0, 1.0, None, 1), mean(10.0, 3.0, None, 1)];
         let svg_of_two = svg(&chart("share", "v", vec![("", points)]));
-        // The frame is from (152, 102) to (644, 456); the axes are from -0.5 to 10.5 and 0.9 to 3.1.
-        for place in ["cx=\"174.36\" cy=\"439.91\"", "cx=\"621.64\" cy=\"118.09\""] {
-            assert!(svg_of_two.contains(place), "{place}: {svg_of_two}");
+        // The axes are from -0.5 to 10.5 and 0.9 to 3.1.
+        let (left, top, right, bottom) = frame(&svg_of_two);
+        let x = |share: f64| left + share * (right - left);
+        let y = |share: f64| bottom - share * (bottom - top);
+        for (x, y) in [
+            (x(0.5 / 11.0), y(0.1 / 2.2)),
+            (x(10.5 / 11.0), y(2.1 / 2.2)),
+        ] {
+            let near = svg_of_two.lines().any(|line| {
+                let number = |name| attribute(line, name).unwrap_or(f64::NAN);
+                (number("cx") - x).abs() < 0.01 && (number("cy") - y).abs() < 0.01
+            });
+            assert!(near, "{x} {y}: {svg_of_two}");
         }
         assert!(svg_of_two.contains("1 run each"), "{svg_of_two}");
         // t(0.975, 1) = 12.706205: a bar of 2 · 12.706205, and axes of 1.1 times that.
@@ -342,9 +360,80 @@ mod tests {
             "v",
             vec![("", vec![mean(1.0, 5.0, Some(1.0), 2)])],
         ));
-        let (middle, half) = (279.0, 177.0 / 1.1);
-        let bar = format!("398,{:.2} 398,{:.2}", middle + half, middle - half);
-        assert!(one.contains(&bar), "{bar}: {one}");
+        let (left, top, right, bottom) = frame(&one);
+        let (x, middle) = (f64::midpoint(left, right), f64::midpoint(top, bottom));
+        let half = (bottom - top) / 2.0 / 1.1;
+        let bar = format!("{x} {:.2} {x} {:.2}", middle + half, middle - half);
+        let bars: Vec<String> = lines(&one).map(|it| it.join(" ")).collect();
+        let rounded = |it: &String| {
+            let numbers = it.split(' ').map(|it| it.parse::<f64>().unwrap());
+            numbers.map(|it| format!("{it:.2}")).collect::<Vec<_>>()
+        };
+        let bar = rounded(&bar);
+        assert!(bars.iter().any(|it| rounded(it) == bar), "{bar:?}: {one}");
+    }
+
+    fn attribute(line: &str, name: &str) -> Option<f64> {
+        let (_, after) = line.split_once(&format!(" {name}=\""))?;
+        after.split_once('"')?.0.parse().ok()
+    }
+
+    /// The coordinates of each line, x and y by turns.
+    fn lines(svg: &str) -> impl Iterator<Item = Vec<&str>> {
+        let lines = svg.lines().filter(|it| it.starts_with("<polyline"));
+        lines.map(|it| it.split('"').nth(1).unwrap().split([' ', ',']).collect())
+    }
+
+    /// The left, top, right and bottom of the frame: the line with three points that is a corner.
+    fn frame(svg: &str) -> (f64, f64, f64, f64) {
+        let frame = lines(svg).find(|it| it.len() == 6 && it[0] == it[2] && it[3] == it[5]);
+        let numbers = frame.unwrap().into_iter().map(|it| it.parse().unwrap());
+        let numbers: Vec<f64> = numbers.collect();
+        (numbers[0], numbers[1], numbers[4], numbers[3])
+    }
+
+    #[test]
+    fn three_quarters_of_the_width_and_of_the_height_are_the_frame() {
+        let points = || vec![mean(1.0, 1e-7, Some(1e-8), 3), mean(2.0, 3e-7, None, 1)];
+        let plain = chart("dt", "worst_overlap", vec![("", points())]);
+        let mut with_key = chart(
+            "dt",
+            "worst_overlap",
+            vec![("pi1=4", points()), ("pi1=8", points())],
+        );
+        with_key.left_out = 3;
+        let large = vec![mean(0.0, -54_321.5, None, 1), mean(99_999.0, 2.0, None, 1)];
+        let wide = chart("time", "drift", vec![("", large)]);
+        for chart in [plain, with_key, wide] {
+            let svg = svg(&chart);
+            let header = svg.lines().next().unwrap();
+            let [width, height] = ["width", "height"].map(|it| attribute(header, it).unwrap());
+            let (left, top, right, bottom) = frame(&svg);
+            assert!(right - left >= 0.75 * width, "{} of {width}", right - left);
+            assert!(
+                bottom - top >= 0.75 * height,
+                "{} of {height}",
+                bottom - top
+            );
+        }
+    }
+
+    #[test]
+    fn axes_have_units_and_long_titles_several_lines() {
+        let points = vec![mean(0.0, 1.0, None, 1), mean(0.1, 3.0, None, 1)];
+        let labels = Labels {
+            title: "a_name".repeat(10),
+            units: ("v0".to_owned(), "s/v0".to_owned()),
+        };
+        let draw = |x| draw_chart(&chart(x, "v_pd", vec![("", points.clone())]), &labels).unwrap();
+        let over_dt = draw("dt");
+        for text in [">v_pd (v0)<", ">dt (s/v0)<", ">over dt<"] {
+            assert!(over_dt.contains(text), "{text}: {over_dt}");
+        }
+        let title = format!(">{}: v_pd<", labels.title);
+        assert!(over_dt.contains(&title), "{over_dt}");
+        let over_time = draw("time");
+        assert!(over_time.contains(">time (s/v0)<"), "{over_time}");
     }
 
     #[test]
@@ -363,7 +452,7 @@ mod tests {
         (data.left_out, data.ended_early) = (3, 2);
         let labels = Labels {
             title: "my_runs".to_owned(),
-            unit: "body sizes".to_owned(),
+            units: ("body sizes".to_owned(), String::new()),
         };
         let svg = draw_chart(&data, &labels).unwrap();
         for text in [
@@ -386,7 +475,8 @@ mod tests {
         assert!(svg.contains("fill-opacity"), "{svg}");
         assert!(!svg.contains("<circle"), "{svg}");
         // The time axis has no margin.
-        assert!(svg.contains("points=\"152,"), "{svg}");
+        let (left, ..) = frame(&svg);
+        assert!(svg.contains(&format!("<polygon points=\"{left},")), "{svg}");
     }
 
     #[test]

@@ -1,14 +1,31 @@
 //! One panel: its axes, its curves, and the labels at their ends.
 
 use crate::axis::tick_label;
-use crate::plot::{Band, CELL, Curve, Mark, Panel, Plot, Point, Style, draw_mark};
+use crate::plot::{Band, Curve, Mark, Panel, Plot, Point, Style, draw_mark};
 use crate::svg::{Anchor, Canvas, FAINT, GREY, INK, Stroke};
+use crate::text;
 
-/// The left, top, right and bottom margins of the frame within its cell, in pixels.
-const MARGINS: [f64; 4] = [72.0, 58.0, 36.0, 58.0];
+/// The baseline of the vertical axis' label, its distance to the labels of ticks and theirs to the frame,
+/// from left to right in pixels.
+const LEFT: [f64; 3] = [22.0, 8.0, 9.0];
 
-/// The additional right margin for labels, in pixels.
-const LABELS: f64 = 84.0;
+/// The width of a digit in the label of a tick, in pixels.
+const DIGIT: f64 = 7.5;
+
+/// The margin to the right of the frame, and the additional one for labels, in pixels.
+const RIGHT: f64 = 24.0;
+const LABELS: f64 = 96.0;
+
+/// The heights of a panel's title and remark above the frame, in pixels.
+const TITLE: f64 = 23.0;
+const REMARK: f64 = 17.0;
+
+/// The margin below the frame, in pixels: for the labels of ticks and axis.
+const BELOW: f64 = 50.0;
+
+/// The opacity of up to so many bands. More are fainter, so that the curves are seen through all of them.
+const BAND_OPACITY: f64 = 0.18;
+const BANDS: f64 = 3.0;
 
 /// A label within this distance of the end of its curve gets a leader line, in pixels.
 const LEADER: f64 = 60.0;
@@ -19,9 +36,45 @@ const LABEL_DISTANCE: f64 = 25.0;
 /// The length of a body size of the bodies beside labels, in pixels.
 const BODY_SIZE: f64 = 17.0;
 
+/// The margins of the frame of every panel of a figure, in pixels.
+pub struct Margins {
+    left: f64,
+    right: f64,
+    /// That above the frame, with the panel's title and remark.
+    pub top: f64,
+    /// That below it.
+    pub bottom: f64,
+    /// Those of the title and the remark above the frame.
+    above: [f64; 2],
+}
+
+impl Margins {
+    /// Returns the margins that the texts of `plot` need.
+    pub fn of(plot: &Plot) -> Self {
+        let labels = plot.y.ticks().0.into_iter().map(tick_label);
+        let digits = labels.map(|label| label.chars().count()).max();
+        let has = |is: &dyn Fn(&Panel) -> bool| plot.panels.iter().any(is);
+        let needed = |height, is: &dyn Fn(&Panel) -> bool| if has(is) { height } else { 0.0 };
+        let remark = needed(REMARK, &|panel| !panel.remark.is_empty());
+        let title = needed(TITLE, &|panel| !panel.title.is_empty());
+        let is_labelled = |panel: &Panel| panel.curves.iter().any(|it| it.label.is_some());
+        let gap = 8.0;
+        Self {
+            left: LEFT.iter().sum::<f64>() + DIGIT * digits.unwrap_or(0) as f64,
+            right: RIGHT + needed(LABELS, &is_labelled),
+            top: title + remark + gap,
+            bottom: BELOW,
+            above: [gap + remark, gap],
+        }
+    }
+}
+
 /// A panel's rectangle on the canvas, in pixels.
 pub struct Frame<'a> {
     plot: &'a Plot,
+    above: [f64; 2],
+    /// The baseline of the vertical axis' label.
+    label: f64,
     left: f64,
     top: f64,
     right: f64,
@@ -29,20 +82,23 @@ pub struct Frame<'a> {
 }
 
 impl<'a> Frame<'a> {
-    /// Places a panel of `plot` in the cell whose upper left corner is at `left` and `top`.
-    pub fn new(plot: &'a Plot, left: f64, top: f64) -> Self {
-        let mut curves = plot.panels.iter().flat_map(|panel| &panel.curves);
-        let labels = if curves.any(|curve| curve.label.is_some()) {
-            LABELS
-        } else {
-            0.0
-        };
+    /// Places a panel of `plot` in the cell whose upper left corner is at `corner`, with the width of the
+    /// cell and the height of the frame.
+    pub fn new(
+        plot: &'a Plot,
+        margins: &Margins,
+        corner: (f64, f64),
+        (width, height): (f64, f64),
+    ) -> Self {
+        let top = corner.1 + margins.top;
         Self {
             plot,
-            left: left + MARGINS[0],
-            top: top + MARGINS[1],
-            right: left + CELL.0 - MARGINS[2] - labels,
-            bottom: top + CELL.1 - MARGINS[3],
+            above: margins.above,
+            label: corner.0 + LEFT[0],
+            left: corner.0 + margins.left,
+            top,
+            right: corner.0 + width - margins.right,
+            bottom: top + height,
         }
     }
 
@@ -57,17 +113,23 @@ impl<'a> Frame<'a> {
     /// Draws axes, marks, curves and labels.
     pub fn draw(&self, canvas: &mut Canvas, panel: &Panel) {
         let middle = f64::midpoint(self.left, self.right);
-        let above = |up: f64| (middle, self.top - up);
-        canvas.text(above(30.0), Anchor::Middle, 16.0, INK, &panel.title);
-        canvas.text(above(11.0), Anchor::Middle, 12.0, GREY, &panel.remark);
+        let texts = [(16.0, INK, &panel.title), (12.0, GREY, &panel.remark)];
+        for (up, (size, colour, text)) in self.above.into_iter().zip(texts) {
+            if !text.is_empty() {
+                let size = text::fitting_size(text, size, self.right - self.left + RIGHT);
+                let at = (middle, self.top - up);
+                canvas.text(at, Anchor::Middle, size, colour, text);
+            }
+        }
         self.draw_axes(canvas);
         for &(value, colour) in &panel.marks {
             let (x, y) = (self.right, self.y(value));
             let points = [(x + 2.0, y), (x + 12.0, y - 5.0), (x + 12.0, y + 5.0)];
             canvas.polygon(&points, colour);
         }
+        let opacity = BAND_OPACITY / (panel.bands.len() as f64 / BANDS).max(1.0);
         for band in &panel.bands {
-            self.draw_band(canvas, band);
+            self.draw_band(canvas, band, opacity);
         }
         for curve in &panel.curves {
             self.draw_curve(canvas, curve);
@@ -114,18 +176,24 @@ impl<'a> Frame<'a> {
             f64::midpoint(self.left, self.right),
             f64::midpoint(self.top, self.bottom),
         );
-        let at = (x, self.bottom + 44.0);
-        canvas.text(at, Anchor::Middle, 15.0, INK, &self.plot.x.label);
-        canvas.rising_text((self.left - 50.0, y), 15.0, INK, &self.plot.y.label);
+        let (of_x, of_y) = (&self.plot.x.label, &self.plot.y.label);
+        let size = text::fitting_size(of_x, 15.0, self.right - self.left);
+        canvas.text((x, self.bottom + 42.0), Anchor::Middle, size, INK, of_x);
+        let size = text::fitting_size(of_y, 15.0, self.bottom - self.top);
+        canvas.rising_text((self.label, y), size, INK, of_y);
     }
 
-    fn draw_band(&self, canvas: &mut Canvas, band: &Band) {
+    fn draw_band(&self, canvas: &mut Canvas, band: &Band, opacity: f64) {
         let points = band.points.iter();
         let upper = points
             .clone()
             .map(|&(x, _, high)| (self.x(x), self.y(high)));
         let lower = points.rev().map(|&(x, low, _)| (self.x(x), self.y(low)));
-        canvas.band(&upper.chain(lower).collect::<Vec<_>>(), band.colour);
+        canvas.band(
+            &upper.chain(lower).collect::<Vec<_>>(),
+            band.colour,
+            opacity,
+        );
     }
 
     fn draw_curve(&self, canvas: &mut Canvas, curve: &Curve) {

@@ -4,6 +4,7 @@ use crate::axis::Axis;
 use crate::curves::{axis_at, distinct, extents, over_n, panels, runs_each};
 use crate::plot::{Curve, Mark, Plot, Sample, Style};
 use crate::svg::INK;
+use jostle_results::TIME_UNIT;
 use jostle_results::statistics::{Interval, Summary};
 
 /// Builds the figure.
@@ -38,7 +39,7 @@ pub fn plot(summaries: &[Summary]) -> Plot {
             distinct(summaries, |condition| condition.n as f64),
         ),
         y: Axis::around(
-            "mean length of an interval, in s / v_0",
+            &format!("mean length of an interval ({TIME_UNIT})"),
             true,
             extents(&panels),
         ),

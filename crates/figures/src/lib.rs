@@ -15,6 +15,7 @@ mod order;
 mod plot;
 mod snapshot;
 mod svg;
+mod text;
 
 use jostle_results::statistics::summarise;
 use jostle_results::{Measure, ResultRow};

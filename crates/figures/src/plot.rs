@@ -104,9 +104,6 @@ impl Sample {
     }
 }
 
-/// The width and height of a panel with its labels, in pixels.
-pub const CELL: (f64, f64) = (600.0, 470.0);
-
 /// Draws the mark of one point.
 pub fn draw_mark(canvas: &mut Canvas, at: (f64, f64), style: Style) {
     let fill = match style.mark {

@@ -3,12 +3,13 @@
 use std::f64::consts::TAU;
 
 use crate::FigureError;
-use crate::svg::{Anchor, Canvas, GREY, INK, PALETTE, Stroke};
+use crate::svg::{Anchor, Canvas, FAINT, GREY, INK, PALETTE, Stroke, literal};
+use crate::text;
 
 /// A group at one step.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Group {
-    /// The title above it; `_x` and `_{xyz}` are subscripts.
+    /// The title above it.
     pub title: String,
     /// Length over width of its bodies.
     pub pi1: f64,
@@ -31,10 +32,25 @@ pub struct Member {
     pub direction: f64,
 }
 
-/// The width of a group's cell, its margin, and the height of its title, in pixels.
-const SIDE: f64 = 600.0;
-const MARGIN: f64 = 24.0;
-const HEAD: f64 = 40.0;
+/// The width of a picture of several groups, and the largest and the smallest side of the square that
+/// contains a group, in pixels.
+const WIDTH: f64 = 1200.0;
+const SIDES: (f64, f64) = (600.0, 200.0);
+
+/// The margin of a group, in pixels.
+const MARGIN: f64 = 16.0;
+
+/// The distance of the frame around each of several groups from the edge of its cell, in pixels.
+const INSET: f64 = 4.0;
+
+/// The size of titles and the height of one of their lines, in pixels.
+const TITLE: (f64, f64) = (15.0, 20.0);
+
+/// The least width of a picture: that of the longest line below the groups, in pixels.
+const LEAST_WIDTH: f64 = 400.0;
+
+/// The height of a line below the groups, in pixels.
+const ROW: f64 = 22.0;
 
 /// The maximum length of a body size in pixels, so that a few bodies do not fill the picture.
 const MAX_SCALE: f64 = 95.0;
@@ -44,7 +60,7 @@ const REACH: f64 = 1.0;
 
 const INFORMED: &str = PALETTE[0];
 
-/// Draws `groups` side by side, all to the same scale, as SVG.
+/// Draws `groups` in a grid, row by row, all to the same scale, as SVG.
 ///
 /// # Errors
 ///
@@ -75,22 +91,57 @@ pub fn snapshot(groups: &[Group]) -> Result<String, FigureError> {
     let extents: Vec<Extent> = groups.iter().map(Extent::around).collect();
     let most = |pick: fn(&Extent) -> f64| extents.iter().map(pick).fold(0.0, f64::max);
     let (width, height) = (most(|extent| extent.size.0), most(|extent| extent.size.1));
-    let scale = ((SIDE - 2.0 * MARGIN) / width.max(height)).min(MAX_SCALE);
-    // The height is that of the highest group, since groups are often wider than high.
-    let bottom = HEAD + scale * height + 2.0 * MARGIN;
-    let mut canvas = Canvas::new(SIDE * groups.len() as f64, bottom + HEAD);
+    let columns = columns_of(groups.len());
+    let rows = groups.len().div_ceil(columns);
+    let side = (WIDTH / columns as f64).clamp(SIDES.1, SIDES.0);
+    let scale = ((side - 2.0 * MARGIN) / width.max(height)).min(MAX_SCALE);
+    // No wider and higher than the largest group: groups are often wider than high.
+    let least = (LEAST_WIDTH / columns as f64).max(SIDES.1);
+    let cell_width = (scale * width + 2.0 * MARGIN).max(least);
+    let titles = groups.iter().map(|group| {
+        let room = cell_width - MARGIN;
+        text::lines(&group.title, TITLE.0, room)
+    });
+    let titles: Vec<Vec<String>> = titles.collect();
+    let lines = titles.iter().map(Vec::len).max().unwrap_or(0);
+    let head = 8.0 + TITLE.1 * lines as f64;
+    let cell_height = head + scale * height + 2.0 * MARGIN;
+    let (whole, bottom) = (cell_width * columns as f64, cell_height * rows as f64);
+    let has_informed = groups
+        .iter()
+        .flat_map(|group| &group.members)
+        .any(|member| member.weight > 0.0);
+    let below = if has_informed { 2.0 } else { 1.0 };
+    let mut canvas = Canvas::new(whole, bottom + ROW * below);
     for (index, (group, extent)) in groups.iter().zip(&extents).enumerate() {
-        let middle = SIDE * (index as f64 + 0.5);
-        canvas.text((middle, 27.0), Anchor::Middle, 16.0, INK, &group.title);
+        let middle = cell_width * ((index % columns) as f64 + 0.5);
+        let top = cell_height * (index / columns) as f64;
+        if groups.len() > 1 {
+            let (x, y) = (cell_width / 2.0 - INSET, top + cell_height - INSET);
+            let (left, right, top) = (middle - x, middle + x, top + INSET);
+            let corners = [
+                (left, top),
+                (right, top),
+                (right, y),
+                (left, y),
+                (left, top),
+            ];
+            canvas.line(&corners, Stroke::solid(FAINT, 1.0));
+        }
+        for (line, text) in titles[index].iter().enumerate() {
+            let at = (middle, top + 8.0 + TITLE.1 * (line as f64 + 0.75));
+            canvas.text(at, Anchor::Middle, TITLE.0, INK, &literal(text));
+        }
+        let centre = top + f64::midpoint(head, cell_height);
         let place = |x: f64, y: f64| {
             (
                 middle + scale * (x - extent.centre.0),
-                f64::midpoint(HEAD, bottom) - scale * (y - extent.centre.1),
+                centre - scale * (y - extent.centre.1),
             )
         };
         draw_group(&mut canvas, group, scale, place);
     }
-    let bottom = bottom + 14.0;
+    let bottom = bottom + ROW / 4.0;
     let ruler = Stroke::solid(INK, 2.0);
     canvas.line(&[(MARGIN, bottom), (MARGIN + scale, bottom)], ruler);
     for x in [MARGIN, MARGIN + scale] {
@@ -98,13 +149,17 @@ pub fn snapshot(groups: &[Group]) -> Result<String, FigureError> {
     }
     let at = (MARGIN + scale + 10.0, bottom + 4.5);
     canvas.text(at, Anchor::Start, 13.0, INK, "one body size s");
-    let mut members = groups.iter().flat_map(|group| &group.members);
-    if members.any(|member| member.weight > 0.0) {
+    if has_informed {
         let note = "coloured: informed, a line in the direction they prefer";
-        let at = (SIDE * groups.len() as f64 - MARGIN, bottom + 4.5);
-        canvas.text(at, Anchor::End, 13.0, INK, note);
+        let at = (MARGIN, bottom + ROW + 4.5);
+        canvas.text(at, Anchor::Start, 13.0, INK, note);
     }
     Ok(canvas.finish())
+}
+
+/// Returns the number of columns of the grid: it has no more rows than columns.
+fn columns_of(groups: usize) -> usize {
+    (1..=groups).find(|it| it * it >= groups).unwrap_or(1)
 }
 
 /// The bounding rectangle of a group, in body sizes.
@@ -214,6 +269,50 @@ mod tests {
         assert!(picture.contains("informed"), "{picture}");
         assert_eq!(picture, snapshot(&[group(3), group(2)]).unwrap());
         assert!(!snapshot(&[group(1)]).unwrap().contains("informed"));
+    }
+
+    /// The centres of the stars, of which each body has one.
+    fn stars(picture: &str) -> Vec<(f64, f64)> {
+        let polygons = picture.lines().filter(|it| it.starts_with("<polygon"));
+        let corners = polygons.map(|it| it.split('"').nth(1).unwrap());
+        corners
+            .map(|corners| {
+                let (x, y) = corners.split_once(' ').unwrap().0.split_once(',').unwrap();
+                (x.parse().unwrap(), y.parse().unwrap())
+            })
+            .collect()
+    }
+
+    #[test]
+    fn groups_are_in_a_grid_with_no_more_rows_than_columns() {
+        for (groups, columns) in [(1, 1), (2, 2), (3, 2), (4, 2), (5, 3), (9, 3), (10, 4)] {
+            assert_eq!(columns_of(groups), columns, "{groups}");
+        }
+        let picture = snapshot(&vec![group(1); 5]).unwrap();
+        let stars = stars(&picture);
+        let (first, rest) = stars.split_first().unwrap();
+        let cells = rest.iter().map(|it| (it.0 - first.0, it.1 - first.1));
+        let cells: Vec<(f64, f64)> = cells.collect();
+        let (width, height) = (cells[0].0, cells[2].1);
+        assert!(width > 100.0 && height > 100.0, "{cells:?}");
+        let expected = [(1, 0), (2, 0), (0, 1), (1, 1)];
+        for (cell, (column, row)) in cells.iter().zip(expected) {
+            let (x, y) = (f64::from(column) * width, f64::from(row) * height);
+            let distance = (cell.0 - x).abs() + (cell.1 - y).abs();
+            assert!(distance < 0.1, "{cells:?}");
+        }
+        let size = format!("viewBox=\"0 0 {:.0} ", 3.0 * width);
+        assert!(picture.contains(&size), "{size}: {picture}");
+    }
+
+    #[test]
+    fn names_have_no_subscripts_and_long_ones_several_lines() {
+        let mut named = group(2);
+        named.title = format!("my_{}, time 3 s/v0", "a".repeat(60));
+        let picture = snapshot(&vec![named; 4]).unwrap();
+        assert!(!picture.contains("<tspan"), "{picture}");
+        assert_eq!(picture.matches(">my_aaa").count(), 4, "{picture}");
+        assert_eq!(picture.matches("3 s/v0<").count(), 4, "{picture}");
     }
 
     #[test]

@@ -101,8 +101,8 @@ impl Canvas {
     }
 
     /// Draws a polygon through which what is below it is seen.
-    pub fn band(&mut self, points: &[(f64, f64)], fill: &str) {
-        self.filled(points, fill, " fill-opacity=\"0.18\"");
+    pub fn band(&mut self, points: &[(f64, f64)], fill: &str, opacity: f64) {
+        self.filled(points, fill, &format!(" fill-opacity=\"{opacity:.2}\""));
     }
 
     fn filled(&mut self, points: &[(f64, f64)], fill: &str, opacity: &str) {

@@ -17,5 +17,5 @@ pub mod table;
 
 pub use jostle_proto::{
     COLUMNS, Cell, CellKind, Column, ExtraValue, FAULT, Measure, OCCASIONAL_COLUMNS, ResultRow,
-    STOPPED_AT, rename_fault,
+    STOPPED_AT, TIME_UNIT, rename_fault, unit_of_column,
 };

@@ -13,7 +13,7 @@ use crate::api::responder::Responder;
 use crate::convert::commands::{CommandError, DEFAULT_TIMEOUT, selector};
 use crate::convert::{self, Payload};
 use crate::lanes::Lane;
-use crate::persistence::applied::changes_since_start;
+use crate::persistence::applied::{ChangesSinceStart, changes_since_start};
 use crate::store::Store;
 use crate::swarm::error::SwarmError;
 use crate::swarm::handle::{Handle, Message, ReplyTo};
@@ -97,7 +97,11 @@ impl Export {
     /// Reads the journal and replies, unless that fails.
     fn reply(&self) -> Result<(), CommandError> {
         let present = present(&self.handle)?;
-        let (changes, set_points) = changes_since_start(&self.store, &self.swarm, &present)?;
+        let ChangesSinceStart {
+            changes,
+            omitted,
+            set_points,
+        } = changes_since_start(&self.store, &self.swarm, &present)?;
         let state = &present.simulation.state;
         let history = SwarmHistory {
             name: self.swarm.to_string(),
@@ -105,6 +109,7 @@ impl Export {
             steps: state.step,
             state_hash: hexadecimal(&state.hash()),
             changes,
+            omitted,
             set_points,
         };
         let files = experiment_file(&history, &self.options)

@@ -132,7 +132,9 @@ impl Arguments {
         {
             words.swap(1, 2);
         }
-        let matches = command.try_get_matches_from_mut(words).map_err(cut)?;
+        let matches = command
+            .try_get_matches_from_mut(words.iter())
+            .map_err(|error| cut(taken_by_option(&mut command, &words, error)))?;
         let read = Arguments::from_arg_matches(&matches);
         let mut arguments = read.map_err(|error| error.format(&mut command))?;
         let mut given = given(&matches);
@@ -151,6 +153,47 @@ impl Arguments {
         }
         arguments.global.is_timeout_given = given.contains(&"timeout");
         Ok(arguments)
+    }
+}
+
+/// Explains the error of a missing argument if an option with an optional value took the word after it,
+/// as in `when --cancel school`.
+fn taken_by_option(command: &mut Command, words: &[OsString], error: clap::Error) -> clap::Error {
+    let Some(ContextValue::Strings(missing)) = error.get(ContextKind::InvalidArg) else {
+        return error;
+    };
+    let (ErrorKind::MissingRequiredArgument, [missing]) = (error.kind(), missing.as_slice()) else {
+        return error;
+    };
+    let missing = missing.trim_matches(['<', '>']);
+    let mut verb = command;
+    let mut name = String::new();
+    for word in words.iter().skip(1).filter_map(|word| word.to_str()) {
+        if verb.find_subcommand(word).is_some() {
+            name = joined(&name, word);
+            let deeper = verb.find_subcommand_mut(word);
+            verb = deeper.expect("it has just been found");
+        }
+    }
+    let taken = words.windows(2).find_map(|pair| {
+        let [option, value] = [pair[0].to_str()?, pair[1].to_str()?];
+        let mut options = verb.get_arguments().filter(|it| {
+            let values = it.get_num_args().unwrap_or_default();
+            (values.min_values(), values.max_values()) == (0, 1)
+        });
+        let of_word = |it: &&Arg| it.get_long().is_some_and(|long| option == format!("--{long}"));
+        let noun = options.find(of_word)?.get_value_names()?.first()?;
+        (!value.starts_with('-')).then(|| {
+            format!(
+                "{missing} is missing: {value} is the {noun} of {option}; write \
+                 `jostle {name} {missing} {option} {value}`, or `jostle {name} {value} {option}` if it is \
+                 the {missing}"
+            )
+        })
+    });
+    match taken {
+        Some(problem) => verb.error(ErrorKind::MissingRequiredArgument, problem),
+        None => error,
     }
 }
 

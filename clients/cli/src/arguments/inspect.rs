@@ -21,9 +21,9 @@ pub struct TopArguments {
     /// The time between two screens
     #[arg(long, value_name = "SECS", value_parser = values::seconds, default_value = "1", allow_negative_numbers = true)]
     pub interval: f64,
-    /// The order of the swarms
-    #[arg(long, value_enum, default_value_t)]
-    pub sort: Sort,
+    /// The order of the swarms, not with --json [default: cost]
+    #[arg(long, value_enum)]
+    pub sort: Option<Sort>,
 }
 
 /// The orders of `top --sort`.

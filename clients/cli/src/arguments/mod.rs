@@ -224,6 +224,43 @@ mod tests {
     }
 
     #[test]
+    fn a_word_that_an_option_took_is_named() {
+        for (line, expected) in [
+            (
+                "when --cancel 99",
+                "NAME is missing: 99 is the ID of --cancel; write `jostle when NAME --cancel 99`, or \
+                 `jostle when 99 --cancel` if it is the NAME",
+            ),
+            (
+                "--json when --cancel demo",
+                "NAME is missing: demo is the ID of --cancel",
+            ),
+            (
+                "experiment results --series small",
+                "NAME is missing: small is the RUN of --series; write `jostle experiment results NAME \
+                 --series small`",
+            ),
+        ] {
+            let error = read(line).unwrap_err();
+            let text = error.to_string();
+            assert!(text.contains(expected), "{line}: {text}");
+            assert!(text.contains("Usage: jostle "), "{line}: {text}");
+            assert_eq!(error.exit_code(), 2, "{line}");
+        }
+        for line in ["when", "when --cancel", "when --cancel --json", "delete"] {
+            let text = read(line).unwrap_err().to_string();
+            assert!(text.contains("required arguments"), "{line}: {text}");
+        }
+        for line in [
+            "when demo --cancel 99",
+            "when --cancel 99 demo",
+            "when demo --cancel",
+        ] {
+            assert!(read(line).is_ok(), "{line}");
+        }
+    }
+
+    #[test]
     fn contradictions_are_refused() {
         for line in [
             "inform demo --count 3",

@@ -16,7 +16,7 @@ pub struct FilterArguments {
     pub names: Vec<Names>,
     /// Only those for which this holds, such as 'n >= 200 and phase = running': n, informed, order,
     /// step, time, rate, actual, phase
-    #[arg(long = "where", value_name = "CONDITION", value_parser = values::selection)]
+    #[arg(long = "where", value_name = "CONDITION", value_parser = values::selection, add = ArgValueCompleter::new(completion::selections))]
     pub condition: Option<Selection>,
 }
 
@@ -28,7 +28,7 @@ pub struct SwarmsArguments {
     pub names: Vec<Names>,
     /// Those of them, or of all swarms, for which this holds, such as 'n >= 200 and phase = running':
     /// n, informed, order, step, time, rate, actual, phase
-    #[arg(long = "where", value_name = "CONDITION", value_parser = values::selection)]
+    #[arg(long = "where", value_name = "CONDITION", value_parser = values::selection, add = ArgValueCompleter::new(completion::selections))]
     pub condition: Option<Selection>,
     /// Do not ask for confirmation of what a pattern or --where selects
     #[arg(short, long)]

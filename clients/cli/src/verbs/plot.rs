@@ -6,8 +6,7 @@ use jostle_client::Client;
 use jostle_experiment::{Files, Plan, PlannedRun};
 use jostle_figures::snapshot as draw_snapshot;
 use jostle_figures::{FigureError, Group, Kind, Labels, Member, draw, draw_chart, remarks, save};
-use jostle_measures::Measure;
-use jostle_proto::State;
+use jostle_proto::{NO_UNIT, State, TIME_UNIT};
 use jostle_results::chart::{self, Chart, ChartError};
 use jostle_results::table::order::ORDER_NAME;
 use jostle_results::table::series::{self as series_table, SERIES_NAME};
@@ -20,6 +19,7 @@ use crate::failure::Failure;
 use crate::format;
 use crate::output::Output;
 use crate::suggest::did_you_mean;
+use crate::units::unit;
 use crate::values::{self, Figure};
 use crate::verbs::experiment::{rows, series};
 
@@ -69,13 +69,7 @@ pub fn without_daemon(output: Output, arguments: &PlotArguments) -> Result<bool,
                     (chart.map_err(rejected)?, faulted.len())
                 }
             };
-            let name = path.file_stem().unwrap_or(path.as_os_str());
-            write_chart(
-                output,
-                arguments,
-                (&chart, faulted),
-                &name.to_string_lossy(),
-            )?;
+            write_chart(output, arguments, (&chart, faulted), &title(path))?;
         }
         Subject::Swarms(_) | Subject::Chart(Source::Experiment(_), _) => return Ok(false),
     }
@@ -202,16 +196,40 @@ fn note_faulted(output: Output, faulted: usize) {
     }
 }
 
-/// Rejects the results of an experiment with a protocol, as far as its file is beside them.
-fn check_protocol(kind: Kind, results: &Path) -> Result<(), Failure> {
+/// The experiment whose results these are, as far as its file is beside them.
+fn plan_of(results: &Path) -> Option<Plan> {
     let folder = match results.is_dir() {
         true => results,
         false => results.parent().unwrap_or(results),
     };
-    let plan = Files::stored(folder)
-        .ok()
-        .and_then(|it| Plan::stored(it).ok());
-    let Some(plan) = plan else {
+    Plan::stored(Files::stored(folder).ok()?).ok()
+}
+
+/// The names of the tables in a folder of results. A table of another name may be of another experiment.
+const TABLES: [&str; 4] = [
+    table::PARQUET_NAME,
+    table::CSV_NAME,
+    SERIES_NAME,
+    ORDER_NAME,
+];
+
+/// The name of the experiment whose results these are; that of the folder or the file if it is unknown.
+fn title(results: &Path) -> String {
+    let whole = results.canonicalize().unwrap_or(results.to_owned());
+    let is_folder = whole.is_dir();
+    let name = whole.file_name().unwrap_or(whole.as_os_str());
+    if (is_folder || TABLES.iter().any(|table| name == *table))
+        && let Some(plan) = plan_of(&whole)
+    {
+        return plan.name;
+    }
+    let stem = whole.file_stem().filter(|_| !is_folder);
+    stem.unwrap_or(name).to_string_lossy().into_owned()
+}
+
+/// Rejects the results of an experiment with a protocol.
+fn check_protocol(kind: Kind, results: &Path) -> Result<(), Failure> {
+    let Some(plan) = plan_of(results) else {
         return Ok(());
     };
     let has_protocol = |run: &&PlannedRun| plan.point(run).protocol.is_some();
@@ -251,7 +269,7 @@ fn write_chart(
 ) -> Result<(), Failure> {
     let labels = Labels {
         title: title.to_owned(),
-        unit: unit(&chart.y),
+        units: (shown_unit(&chart.y), shown_unit(&chart.x)),
     };
     let svg = draw_chart(chart, &labels).map_err(Failure::results)?;
     save(&svg, &arguments.out).map_err(Failure::results)?;
@@ -271,19 +289,12 @@ fn write_chart(
     output.print(&document, &text)
 }
 
-/// Returns the unit of a column; empty if it has none.
-fn unit(column: &str) -> String {
-    let unit = match column {
-        "v" | "v_pd" => "v0",
-        "time" | "stopped_at" | "ordered_time" | "unordered_time" => "time units",
-        "worst_overlap" | "worst_residual" => "body sizes",
-        _ => match column.parse::<Measure>() {
-            Ok(measure) => measure.definition().unit,
-            Err(_) => "",
-        },
-    };
-    // Measures without a unit have the unit 1.
-    if unit == "1" { "" } else { unit }.to_owned()
+/// The unit that an axis shows; empty if the column has none.
+fn shown_unit(column: &str) -> String {
+    match unit(column) {
+        NO_UNIT => String::new(),
+        unit => unit.to_owned(),
+    }
 }
 
 async fn snapshot(context: &Context, swarms: &[String], out: &Path) -> Result<(), Failure> {
@@ -308,7 +319,7 @@ async fn group(client: &Client, swarm: &str) -> Result<Group, Failure> {
         direction: state.direction[i],
     });
     Ok(Group {
-        title: format!("{swarm}, time {}", format::time(state.time)),
+        title: format!("{swarm}, time {} {TIME_UNIT}", format::time(state.time)),
         pi1: status.result.parameters.pi1,
         members: members.collect(),
     })

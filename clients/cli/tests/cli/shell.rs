@@ -56,6 +56,10 @@ async fn a_shell_completes_the_names_of_swarms_and_parameters() {
         ["position", "velocity"]
     );
     assert_eq!(here(&["create", "new", "--contacts", "e"]), ["endpoints"]);
+    for verb in ["list", "top", "pause", "run", "delete"] {
+        let typed = [verb, "--where", "n > 3 and ph"];
+        assert_eq!(here(&typed), ["n > 3 and phase"], "{verb}");
+    }
     assert_eq!(
         here(&["create", "new", "--contacts=e"]),
         ["--contacts=endpoints"]

@@ -65,6 +65,15 @@ async fn with_json_a_screen_is_a_reply_as_received() {
     assert_eq!(shown["node"], "test");
     assert_eq!(shown["result"]["steps"], 7);
     assert_eq!(shown["result"]["swarms"][0]["swarm"], "demo");
+    for sort in ["cost", "factor", "name"] {
+        let refused = daemon.refusal(&format!("top -n 1 --sort {sort}")).await;
+        assert_eq!(refused["code"], "invalid_argument");
+        let message = refused["message"].as_str().unwrap();
+        assert!(
+            message.contains("--sort") && message.contains("--json"),
+            "{message}"
+        );
+    }
     let lines = daemon.jostle("--json top -n 3 --interval 0.05").await;
     assert_eq!(lines.code, Some(0), "{lines:?}");
     let uptimes: Vec<f64> = lines
@@ -110,7 +119,7 @@ async fn patterns_and_conditions_select_the_swarms_of_list_and_top() {
     ] {
         // The blanks of a condition, which the line would split, may be left out but around words.
         let filter = filter.replace("20and", "20\nand\n");
-        for verb in ["list", "top -n 1 --sort name"] {
+        for verb in ["list", "top -n 1"] {
             let line = format!("{verb} {filter}").trim_end().to_owned();
             let swarms = daemon.reply(&line).await["result"]["swarms"].clone();
             let names = swarms.as_array().unwrap().iter();

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import os
 import time
 import tomllib
+import warnings
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Self
@@ -326,7 +328,8 @@ class Files(msgspec.Struct, frozen=True, omit_defaults=True):
 def read_files(source: Source) -> Files:
     """The contents of an experiment's file and of those that it names.
 
-    Names are relative to the folder of the file, or to the current one if `source` is no file.
+    Names are relative to the folder of the file, or to the current one if `source` is no file. A
+    file outside that folder has a warning.
 
     Raises:
         InvalidArgument: A field of a mapping has a value that TOML does not have.
@@ -342,24 +345,38 @@ def read_files(source: Source) -> Files:
     if not isinstance(source, Mapping) and not (isinstance(source, str) and "\n" in source):
         folder, is_copy = Path(source).parent, Path(source).name == EXPERIMENT
 
+    outside: list[str] = []
+
     def contents(key: str, copy: Path) -> bytes | None:
         named = fields.get(key)
         # A text with line breaks is the set-points themselves.
         if not isinstance(named, str) or "\n" in named:
             return None
-        return (copy if is_copy and copy.is_file() else folder / named).read_bytes()
+        if is_copy and copy.is_file():
+            return copy.read_bytes()
+        if Path(named).is_absolute() or ".." in Path(named).parts:
+            outside.append(f"{key} = {json.dumps(named)}")
+        return (folder / named).read_bytes()
 
     def text(key: str, copy: Path) -> str | None:
         found = contents(key, copy)
         # Line breaks stay as they are.
         return None if found is None else found.decode()
 
-    return Files(
+    files = Files(
         toml,
         text("points", folder / POINTS),
         contents("start", folder / START),
         text("setpoints", folder / SET_POINTS),
     )
+    for named in outside:
+        warnings.warn(
+            f"{named} is outside the folder of the experiment: its content becomes a part of the "
+            "experiment, and another machine may not have it",
+            RuntimeWarning,
+            stacklevel=3,
+        )
+    return files
 
 
 def to_toml(source: Source) -> str:

@@ -44,6 +44,86 @@ fn a_row_is_a_condition_and_its_runs_are_those_of_a_grid() {
     assert_eq!(plan.point(row).variables, same.point(cell).variables);
 }
 
+/// A text that no error may contain.
+const SECRET: &str = "root:x:0:0:root";
+
+#[test]
+fn errors_do_not_repeat_the_content_of_a_file_outside_the_folder() {
+    let grid = TOML.replace("[[at]]", "pi3 = 1\n[[at]]");
+    for name in ["/etc/passwd", "../samples.csv", "a/../samples.csv"] {
+        let toml = grid.replace("samples.csv", name);
+        for csv in [
+            SECRET.to_owned(),
+            format!("k\n{SECRET}\n"),
+            format!("{SECRET},{SECRET}\n1,2\n"),
+            format!("k,contacts\n1,{SECRET}\n"),
+            format!("k,attraction\n1,\"{{ {SECRET} }}\"\n"),
+        ] {
+            let error = plan_of(&toml, &csv).unwrap_err().to_string();
+            assert!(!error.contains("root"), "{name} {csv:?}: {error}");
+            assert!(error.contains("copy it there"), "{name} {csv:?}: {error}");
+            assert!(error.contains(name) && error.contains("line "), "{error}");
+        }
+        let toml =
+            format!("name = \"a\"\nduration = 1\nspec = {{ n = 5 }}\nsetpoints = {name:?}\n");
+        for csv in [
+            SECRET.to_owned(),
+            format!("step,id,direction\n0,{SECRET},1\n"),
+        ] {
+            let files = Files {
+                setpoints: Some(csv),
+                ..Files::from(toml.as_str())
+            };
+            let error = Plan::of(files).unwrap_err().to_string();
+            assert!(!error.contains("root"), "{name}: {error}");
+            assert!(error.contains("copy it there"), "{name}: {error}");
+        }
+        let toml = format!("name = \"a\"\nduration = 1\nstart = {name:?}\n");
+        let files = Files {
+            start: Some(SECRET.into()),
+            ..Files::from(toml.as_str())
+        };
+        let error = Plan::of(files).unwrap_err().to_string();
+        assert!(!error.contains("root"), "{name}: {error}");
+        assert!(error.contains("copy it there"), "{name}: {error}");
+    }
+    // Within the folder the reason says what is wrong.
+    let inside = error(&format!("k,{SECRET}\n1,2\n"));
+    assert!(inside.contains(SECRET), "{inside}");
+}
+
+#[test]
+fn a_file_outside_the_folder_has_a_warning() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.toml");
+    let warnings = |toml: &str| Files::from(toml).warnings(&path);
+    for (field, name) in [
+        ("points", "/etc/hosts"),
+        ("points", "../a.csv"),
+        ("start", "../a.snapshot"),
+        ("setpoints", "a/../../b.csv"),
+    ] {
+        let all = warnings(&format!("name = \"a\"\n{field} = {name:?}\n"));
+        assert_eq!(all.len(), 1, "{all:?}");
+        let expected = format!("{field} = {name:?} is outside the folder of the experiment");
+        assert!(all[0].starts_with(&expected), "{all:?}");
+    }
+    for toml in [
+        "points = \"samples.csv\"",
+        "points = \"data/samples..csv\"",
+        "setpoints = \"\"\"\nstep,id,direction\n../0,0,1\n\"\"\"",
+        "points = 3",
+    ] {
+        assert_eq!(warnings(toml), [""; 0], "{toml}");
+    }
+    // A folder of results has a copy, which is read.
+    let stored = folder.path().join("experiment.toml");
+    let files = Files::from("points = \"/etc/hosts\"");
+    assert_eq!(files.warnings(&stored).len(), 1);
+    fs::write(folder.path().join(crate::POINTS), "k\n1\n").unwrap();
+    assert_eq!(files.warnings(&stored), [""; 0]);
+}
+
 #[test]
 fn a_cell_that_is_wrong_is_named_with_its_place() {
     for (csv, place, part) in [

@@ -1,7 +1,20 @@
 //! Displacements of all individuals: how to apply, bound and check them.
 
 use super::StepError;
-use crate::model::{CELL, Configuration};
+use crate::model::{CELL, Configuration, Parameters, Stepping};
+
+/// Margin of a bound on a distance for rounding, at the largest coordinates and angles.
+pub const ROUNDING: f64 = 1e-6;
+
+/// Returns the largest gap of a contact in the first list.
+pub fn reach(parameters: &Parameters, configuration: &Configuration) -> f64 {
+    match parameters.stepping {
+        Stepping::Position => parameters.reach(configuration.largest_weight()),
+        // Contacts with a gap up to a margin for rounding are found, whatever the overlap; those
+        // with a gap above 0 are then removed.
+        Stepping::Velocity => ROUNDING,
+    }
+}
 
 /// Checks that the sum of coordinates of every individual is finite.
 ///

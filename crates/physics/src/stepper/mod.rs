@@ -24,7 +24,9 @@ use crate::model::simd::Level;
 use crate::model::threads::Pool;
 use crate::model::{Configuration, ContactRule, Parameters, State, Stepping, WarmStart};
 use contact::Contact;
-use displacement::{all_finite, displace, displace_all, furthest_travel, two_largest};
+use displacement::{
+    ROUNDING, all_finite, displace, displace_all, furthest_travel, reach, two_largest,
+};
 use neighbours::Neighbours;
 use qp::Qp;
 pub use report::{StepError, StepReport};
@@ -32,9 +34,6 @@ pub use report::{StepError, StepReport};
 /// Maximum number of contact lists in one program. Each list adds at least one contact to the last,
 /// and hardly any program needs a second list.
 const MAX_LISTS: usize = 20;
-
-/// Margin of a bound on a distance for rounding, at the largest coordinates and angles.
-const ROUNDING: f64 = 1e-6;
 
 /// Advances states. Keeps its buffers between steps.
 #[derive(Debug, Default)]
@@ -133,6 +132,7 @@ impl Stepper {
         self.attraction
             .compute(attraction, &state.configuration, &mut pull);
         let result = self.advance(state, &pull);
+        let result = result.map_err(|error| error.with_cause(state, &pull));
         self.pull = pull;
         result
     }
@@ -476,16 +476,6 @@ impl Stepper {
             }
         }
         Ok(())
-    }
-}
-
-/// Returns the largest gap of a contact in the first list.
-fn reach(parameters: &Parameters, configuration: &Configuration) -> f64 {
-    match parameters.stepping {
-        Stepping::Position => parameters.reach(configuration.largest_weight()),
-        // Contacts with a gap up to a margin for rounding are found, whatever the overlap; those
-        // with a gap above 0 are then removed.
-        Stepping::Velocity => ROUNDING,
     }
 }
 

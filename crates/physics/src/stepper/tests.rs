@@ -1,6 +1,6 @@
 use super::*;
-use crate::model::body;
 use crate::model::random::{Purpose, Stream};
+use crate::model::{Attraction, body};
 
 /// Two touching bodies side by side, and one far away.
 fn touching() -> State {
@@ -131,6 +131,89 @@ fn a_step_after_which_bodies_would_cross_is_rejected() {
         }
     }
     assert!(rejected > 0, "no step would have crossed");
+}
+
+/// Takes so many steps of a group whose attraction grows with the distance.
+fn led_apart(exponent: f64, parameters: Parameters, steps: u64) -> Result<(), StepError> {
+    let attraction = Attraction::Power { exponent };
+    let parameters = Parameters {
+        attraction,
+        ..parameters
+    };
+    let mut stream = Stream::new(1, 0, 0, Purpose::Start);
+    let mut state = State {
+        parameters,
+        ..State::default()
+    };
+    for k in 0..30 {
+        let (row, column) = (f64::from(k / 6), f64::from(k % 6));
+        let alpha = 6.3 * stream.uniform();
+        state.configuration.push(1.7 * column, 1.7 * row, alpha);
+    }
+    let mut stepper = Stepper::new();
+    for _ in 0..steps {
+        stepper.step(&mut state)?;
+    }
+    Ok(())
+}
+
+#[test]
+fn the_cause_of_a_failure_is_the_attraction_if_that_turns_bodies_too_far() {
+    let default = Parameters::default();
+    let dt = |dt| Parameters { dt, ..default };
+    let pi3 = |pi3| Parameters { pi3, ..default };
+    // With a shorter step, or a weaker pull, the same groups take thousands of steps.
+    for (exponent, short, weak) in [(4.0, dt(2e-4), pi3(0.01)), (6.0, dt(2e-6), pi3(1e-4))] {
+        let error = led_apart(exponent, default, 500).unwrap_err();
+        let StepError::Overturned {
+            exponent: named,
+            turn,
+            ..
+        } = error
+        else {
+            panic!("{error}");
+        };
+        assert!(named == exponent && turn > 1.0, "{error}");
+        let text = error.to_string();
+        let start = format!("attraction power={exponent} turns individual ");
+        assert!(text.starts_with(&start), "{text}");
+        assert!(
+            text.ends_with("a smaller exponent, pi3 or dt avoids it"),
+            "{text}"
+        );
+        assert!(!text.contains("pi4"), "{text}");
+        for parameters in [short, weak] {
+            led_apart(exponent, parameters, 1000).unwrap();
+        }
+    }
+    // Discs are turned as far, and nothing is wrong with that.
+    led_apart(
+        8.0,
+        Parameters {
+            pi1: 1.0,
+            ..default
+        },
+        500,
+    )
+    .unwrap();
+}
+
+#[test]
+fn another_cause_is_not_replaced_by_the_attraction() {
+    let mut state = touching();
+    state.parameters.attraction = Attraction::Power { exponent: 8.0 };
+    state.configuration.x[2] = f64::NAN;
+    assert_eq!(error(state), StepError::NotFinite { id: 2 });
+    let mut state = State::default();
+    state.parameters.attraction = Attraction::Power { exponent: 8.0 };
+    for alpha in [0.0, 1.5] {
+        state.configuration.push(0.0, 0.0, alpha);
+    }
+    let crossed = error(state);
+    assert!(
+        matches!(crossed, StepError::CrossedBodies { .. }),
+        "{crossed}"
+    );
 }
 
 #[test]

@@ -3,7 +3,6 @@
 use std::cmp::Ordering;
 use std::collections::BTreeMap;
 
-use jostle_measures::Measure as Observable;
 use jostle_results::chart::{Values, values_of, varied};
 use jostle_results::statistics::{Spread, compare_values, mean_of};
 use jostle_results::{COLUMNS, Cell, ResultRow};
@@ -13,6 +12,7 @@ use crate::failure::Failure;
 use crate::format;
 use crate::suggest::did_you_mean;
 use crate::table;
+use crate::units::unit;
 
 /// The axis whose values are the names of runs.
 const RUN: &str = "run";
@@ -209,19 +209,6 @@ fn number(row: &ResultRow, name: &str) -> Option<f64> {
         None => row.extra(name),
     };
     value.filter(|it| it.is_finite())
-}
-
-/// The unit of a column that is averaged; `1` if it has none.
-fn unit(name: &str) -> String {
-    match name {
-        "v" | "v_pd" => "v0".to_owned(),
-        "stopped_at" => "s/v0".to_owned(),
-        "crossed_share" => "1".to_owned(),
-        name => match name.parse::<Observable>() {
-            Ok(measure) => measure.definition().unit.to_owned(),
-            Err(_) => "1".to_owned(),
-        },
-    }
 }
 
 /// The order of groups: by number, and `endpoints`, the exact rule, before `closest`.

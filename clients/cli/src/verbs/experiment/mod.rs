@@ -80,7 +80,7 @@ async fn run(context: &Context, arguments: &RunExperimentArguments) -> Result<()
         points,
         start,
         setpoints,
-    } = read(&arguments.file).map_err(|problem| {
+    } = read(*output, &arguments.file).map_err(|problem| {
         Failure::argument(
             "FILE",
             format!(
@@ -108,15 +108,21 @@ async fn run(context: &Context, arguments: &RunExperimentArguments) -> Result<()
     attach::attach(context, &reply.result.progress.name).await
 }
 
-/// Reads an experiment's file, or standard input for `-`, and the files that it names.
-fn read(path: &Path) -> Result<Files, String> {
+/// Reads an experiment's file, or standard input for `-`, and the files that it names; warns of those
+/// outside its folder.
+fn read(output: Output, path: &Path) -> Result<Files, String> {
     let toml = file::read(path)?;
-    Files::with_named(toml, path).map_err(|error| error.to_string())
+    let files = Files::with_named(toml, path).map_err(|error| error.to_string())?;
+    for warning in files.warnings(path) {
+        output.note(&format!("warning: {warning}"));
+    }
+    Ok(files)
 }
 
 /// Shows what an experiment would do. Needs no daemon.
 pub fn dry_run(output: Output, arguments: &RunExperimentArguments) -> Result<(), Failure> {
-    let files = read(&arguments.file).map_err(|problem| Failure::argument("FILE", problem))?;
+    let files =
+        read(output, &arguments.file).map_err(|problem| Failure::argument("FILE", problem))?;
     let of_file = |error: PlanError| {
         let mut problem = error.to_string();
         if let Some(question) = instead_of_unknown(&problem) {

@@ -19,8 +19,8 @@ const MAX_RUNS_OF_LIST: usize = 10_000;
 
 /// Prints how an experiment is split.
 pub fn plan(output: Output, arguments: &PlanArguments) -> Result<(), Failure> {
-    let files =
-        super::read(&arguments.file).map_err(|problem| Failure::argument("FILE", problem))?;
+    let files = super::read(output, &arguments.file)
+        .map_err(|problem| Failure::argument("FILE", problem))?;
     let plan = Plan::of(files)
         .map_err(|error| Failure::argument(arguments.file.display(), error.to_string()))?;
     let left = match arguments.missing.as_slice() {

@@ -17,8 +17,8 @@ use crate::suggest::did_you_mean;
 /// Creates the swarm of a run, paused, and schedules its commands.
 pub async fn play(context: &Context, arguments: &PlayArguments) -> Result<(), Failure> {
     let Context { client, output } = context;
-    let files =
-        super::read(&arguments.file).map_err(|problem| Failure::argument("FILE", problem))?;
+    let files = super::read(*output, &arguments.file)
+        .map_err(|problem| Failure::argument("FILE", problem))?;
     let wrong = |error: String| Failure::argument(arguments.file.display(), error);
     let plan = Plan::of(files).map_err(|error| wrong(error.to_string()))?;
     let run = find(&plan, arguments.run.as_deref())?;

@@ -28,6 +28,11 @@ const HEADER: &str = "swarm ";
 /// not reply, the last screen stays.
 pub async fn top(context: &Context, arguments: &TopArguments) -> Result<(), Failure> {
     let output = context.output;
+    if output.json && arguments.sort.is_some() {
+        let problem =
+            "orders lines, and --json prints the reply of the daemon: leave out one of them";
+        return Err(Failure::argument("--sort", problem));
+    }
     let mut shown = LastScreen {
         output,
         screen: (!output.json && stdout::is_terminal()).then(Screen::default),
@@ -184,7 +189,8 @@ async fn sample(
     let header = header(&node, &result, &earlier);
     let mut shown = result.clone();
     shown.swarms.retain(is_listed);
-    let swarms = table(&shown, &earlier, *sort, narrow::terminal_width());
+    let sort = sort.unwrap_or_default();
+    let swarms = table(&shown, &earlier, sort, narrow::terminal_width());
     *before = Some(result);
     Ok(format!("{header}\n\n{swarms}"))
 }

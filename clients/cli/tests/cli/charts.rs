@@ -1,0 +1,185 @@
+//! What `plot` writes into its pictures.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use crate::support::Daemon;
+
+const SMALL: &str = "name = \"my_small\"\nseed = 3\nreplicates = 2\nduration = 4\n\
+                     grid = [{ n = 5, dt = [0.02, 0.04] }]\n\
+                     measure = { series_every = 50, columns = [\"drift\", \"clusters.count\"] }\n\
+                     [[at]]\ntime = 0\ninform = { select = { count = 2 }, direction = 0 }\n";
+
+/// The text of a picture that a line draws.
+async fn drawn(daemon: &Daemon, folder: &Path, line: &str) -> String {
+    let picture = folder.join("drawn.svg");
+    let line = format!("{line} -o {}", picture.display());
+    daemon.said(&line).await;
+    fs::read_to_string(&picture).unwrap()
+}
+
+/// The folder below `folder` that has the experiment's file.
+fn stored(folder: &Path) -> Option<PathBuf> {
+    let entries = fs::read_dir(folder).unwrap().map(|it| it.unwrap().path());
+    let mut entries: Vec<PathBuf> = entries.collect();
+    entries.sort();
+    if entries.iter().any(|it| it.ends_with("experiment.toml")) {
+        return Some(folder.to_owned());
+    }
+    entries
+        .iter()
+        .filter(|it| it.is_dir())
+        .find_map(|it| stored(it))
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_chart_has_the_name_of_the_experiment_and_the_units_of_its_columns() {
+    let folder = tempfile::tempdir().unwrap();
+    let data = folder.path().join("data");
+    let daemon = Daemon::with(&[("data_dir", data.to_str().unwrap())]).await;
+    let file = folder.path().join("my.toml");
+    fs::write(&file, SMALL).unwrap();
+    daemon
+        .jostle(&format!("experiment run {}", file.display()))
+        .await;
+    let results = folder.path().join("a.b");
+    let fetched = format!("experiment results my_small -o {}", results.display());
+    daemon.said(&fetched).await;
+    let drawn = async |line: &str| drawn(&daemon, folder.path(), line).await;
+
+    // A folder without the experiment's file has its own name, whole.
+    let picture = drawn(&format!("plot {} --y v", results.display())).await;
+    assert!(picture.contains(">a.b: v over dt<"), "{picture}");
+    let original = stored(&data).unwrap();
+    fs::copy(
+        original.join("experiment.toml"),
+        results.join("experiment.toml"),
+    )
+    .unwrap();
+    let (whole, table) = (results.display(), results.join("results.csv"));
+    let other = results.join("other.csv");
+    fs::copy(&table, &other).unwrap();
+    for (line, texts) in [
+        (
+            format!("plot {whole} --y v"),
+            [">my_small: v over dt<", ">v (v0)<", ">dt (s/v0)<"],
+        ),
+        (
+            format!("plot {} --y worst_overlap", table.display()),
+            [
+                ">my_small: worst_overlap over dt<",
+                "body sizes)<",
+                ">dt (s/v0)<",
+            ],
+        ),
+        (
+            format!("plot {} --y crossed_share", other.display()),
+            [
+                ">other: crossed_share over dt<",
+                ">crossed_share<",
+                ">dt (s/v0)<",
+            ],
+        ),
+        (
+            format!("plot {whole} --y drift --over-time"),
+            [
+                ">my_small: drift over time<",
+                ">drift (v0)<",
+                ">time (s/v0)<",
+            ],
+        ),
+        (
+            "plot my_small --y clusters.count --over-time".to_owned(),
+            [
+                ">my_small: clusters.count over time<",
+                ">clusters.count (clusters)<",
+                ">time (s/v0)<",
+            ],
+        ),
+        (
+            "plot my_small --y time --x dt".to_owned(),
+            [">my_small: time over dt<", ">time (s/v0)<", ">dt (s/v0)<"],
+        ),
+    ] {
+        let picture = drawn(&line).await;
+        for text in texts {
+            assert!(picture.contains(text), "{line}, {text}: {picture}");
+        }
+        for other in ["time units", "free speed"] {
+            assert!(!picture.contains(other), "{line}, {other}: {picture}");
+        }
+    }
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn several_swarms_are_in_a_grid_with_their_names() {
+    let folder = tempfile::tempdir().unwrap();
+    let daemon = Daemon::start().await;
+    let names = ["one", "my_two", "three", "four", "five"];
+    for name in names {
+        daemon.said(&format!("create {name} --n 9")).await;
+    }
+    let line = format!("plot snapshot {}", names.join(" "));
+    let picture = drawn(&daemon, folder.path(), &line).await;
+    let places: Vec<[&str; 2]> = names
+        .iter()
+        .map(|name| {
+            let title = format!(">{name}, time 0 s/v0<");
+            let line = picture.lines().find(|it| it.contains(&title));
+            let line = line.unwrap_or_else(|| panic!("{title}: {picture}"));
+            let values: Vec<&str> = line.split('"').collect();
+            [values[1], values[3]]
+        })
+        .collect();
+    let [one, two, three, four, five] = places.try_into().unwrap();
+    assert!(one[1] == two[1] && two[1] == three[1], "{picture}");
+    assert!(four[1] == five[1] && four[1] != one[1], "{picture}");
+    assert!(one[0] == four[0] && two[0] == five[0], "{picture}");
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn files_outside_the_folder_of_an_experiment_have_a_warning_and_are_not_quoted() {
+    let folder = tempfile::tempdir().unwrap();
+    let daemon = Daemon::start().await;
+    let experiment = folder.path().join("experiment");
+    fs::create_dir(&experiment).unwrap();
+    let (file, table) = (experiment.join("a.toml"), folder.path().join("secret.csv"));
+    let warning = |name: &str| {
+        format!("warning: points = {name:?} is outside the folder of the experiment: its content")
+    };
+    let absolute = table.to_str().unwrap();
+    for name in ["../secret.csv", absolute] {
+        let toml = format!("name = \"a\"\nduration = 1\nspec = {{ n = 5 }}\npoints = {name:?}\n");
+        fs::write(&file, toml).unwrap();
+        fs::write(&table, "marmot:x:0:0\n1\n").unwrap();
+        let lines = [
+            format!("experiment run {} --dry-run", file.display()),
+            format!("experiment plan {} --parts 2", file.display()),
+            format!("experiment play {}", file.display()),
+            format!("experiment run {} --detach", file.display()),
+        ];
+        for line in &lines {
+            let ended = daemon.jostle(line).await;
+            ended.assert_stderr(2, &warning(name));
+            ended.assert_stderr(2, "line 1, column 1: what is wrong is not shown");
+            let said = format!("{}{}", ended.stdout, ended.stderr);
+            assert!(!said.contains("marmot"), "{line}: {said}");
+        }
+        // It is read nevertheless.
+        fs::write(&table, "pi1\n2\n3\n").unwrap();
+        for line in [&lines[0], &lines[1], &lines[3]] {
+            let ended = daemon.jostle(line).await;
+            ended.assert_stderr(0, &warning(name));
+        }
+        let noted = daemon.jostle(&format!("--json {}", lines[0])).await;
+        assert!(
+            noted.stderr.contains("{\"note\":\"warning: points"),
+            "{noted:?}"
+        );
+        daemon.jostle("experiment cancel a").await;
+        daemon.said("experiment delete a").await;
+    }
+    daemon.stop().await;
+}
