@@ -212,6 +212,21 @@ pub struct ResultsPage {
     pub next: Option<u64>,
     /// How many runs are over by now.
     pub finished: u64,
+    /// The columns that only some experiments have, so that a table without rows has them, too. Left out by
+    /// earlier versions.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub columns: Option<OccasionalColumns>,
+}
+
+/// The columns that only the tables of some experiments have, in their order.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct OccasionalColumns {
+    /// The values that vary in the names of the runs, such as `pi1`.
+    pub varied: Vec<String>,
+    /// Those of the table of results, as `extra` of a row: variables, `stopped_at`, and means of measures.
+    pub extra: Vec<String>,
+    /// The measures over time.
+    pub series: Vec<String>,
 }
 
 /// A run's order over time, if the experiment measures it.
@@ -238,6 +253,9 @@ pub struct OrderPage {
     pub drift: Vec<f64>,
     /// Where to ask on, as `after`; `null` if there is no more.
     pub next: Option<u64>,
+    /// How many entries the run has. Left out by earlier versions.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub total: Option<u64>,
 }
 
 /// The chosen measures of a run over time, if the experiment has `series_every`; or with
@@ -269,6 +287,9 @@ pub struct SeriesPage {
     pub about: Option<Vec<Metadata>>,
     /// Where to ask on, as `after`; `null` if there is no more.
     pub next: Option<u64>,
+    /// How many entries the run has. Left out by earlier versions.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub total: Option<u64>,
 }
 
 /// A value of the metadata of a trajectory.

@@ -41,8 +41,8 @@ pub use error::{Error, ErrorCode, RequestError};
 pub use event::{Event, EventKind};
 pub use experiment::{
     ExpandArgs, ExpandedRun, ExperimentArgs, ExperimentName, ExperimentPhase, ExperimentResult,
-    Experiments, MeasureSeries, Metadata, OrderPage, Progress, ResultsPage, RunCommand,
-    RunUnderWay, SeriesPage, SubmitArgs,
+    Experiments, MeasureSeries, Metadata, OccasionalColumns, OrderPage, Progress, ResultsPage,
+    RunCommand, RunUnderWay, SeriesPage, SubmitArgs,
 };
 pub use metrics::{Metrics, RecordingMetrics, StoreMetrics, SwarmMetrics};
 pub use queries::{

@@ -79,6 +79,7 @@ fn run_command(at_step: Option<u64>, verb: &str, args: &impl Serialize) -> proto
 /// Returns the first of the numbered `rows`: at most `limit`, and about `max_bytes` of JSON.
 pub fn results_page(
     name: String,
+    columns: &proto::OccasionalColumns,
     rows: &[(u64, proto::ResultRow)],
     limit: usize,
     max_bytes: usize,
@@ -101,6 +102,7 @@ pub fn results_page(
             _ => None,
         },
         finished,
+        columns: Some(columns.clone()),
     }
 }
 
@@ -108,7 +110,9 @@ pub fn results_page(
 pub fn order_page(name: String, after: u64, part: SeriesPart) -> proto::OrderPage {
     let next = next(&part, after);
     let SeriesPart {
-        rows, is_defined, ..
+        rows,
+        is_defined,
+        total,
     } = part;
     // A drift that is undefined everywhere is left out.
     let mut measures = rows.measures.iter().zip(is_defined);
@@ -123,6 +127,7 @@ pub fn order_page(name: String, after: u64, part: SeriesPart) -> proto::OrderPag
         order: column(),
         drift: column(),
         next,
+        total: Some(total),
     }
 }
 
@@ -142,6 +147,7 @@ pub fn series_page(name: String, after: u64, part: SeriesPart) -> proto::SeriesP
         time: rows.times,
         about: None,
         next,
+        total: Some(part.total),
     }
 }
 
@@ -191,6 +197,7 @@ pub fn trajectory_page(
                 .collect()
         }),
         next: (next < total).then_some(next),
+        total: Some(total),
     }
 }
 
@@ -215,7 +222,8 @@ mod tests {
         for (limit, max_bytes) in [(3, usize::MAX), (20, 5000), (1000, 5000), (3, 5000), (7, 0)] {
             let (mut seen, mut left) = (Vec::new(), &rows[..]);
             loop {
-                let page = results_page("order".to_owned(), left, limit, max_bytes, 20);
+                let columns = proto::OccasionalColumns::default();
+                let page = results_page("order".to_owned(), &columns, left, limit, max_bytes, 20);
                 assert!(!page.rows.is_empty() && page.rows.len() <= limit);
                 seen.extend(page.rows.iter().map(|row| row.seed));
                 let Some(next) = page.next else { break };

@@ -19,7 +19,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use jostle_experiment::{Files, Folder, Plan};
-use jostle_proto::{ExperimentPhase as Phase, keys};
+use jostle_proto::{ExperimentPhase as Phase, OccasionalColumns, keys};
 use jostle_results::table::trajectory::{self, About};
 use jostle_results::table::{TableError, Trajectory};
 use parking_lot::{Condvar, Mutex, MutexGuard};
@@ -252,10 +252,12 @@ impl ExperimentManager {
         entries.map(|(name, entry)| entry.report(name)).collect()
     }
 
-    /// The rows of an experiment's finished runs, each with the number of its run in the plan.
-    pub fn rows(&self, name: &str) -> Result<Rows, ExperimentError> {
+    /// The rows of an experiment's finished runs, each with the number of its run in the plan, and the columns
+    /// of its tables.
+    pub fn rows(&self, name: &str) -> Result<(Arc<OccasionalColumns>, Rows), ExperimentError> {
         let plan = self.plan(name)?;
-        Ok(self.results(name, &plan)?.rows)
+        let Results { columns, rows, .. } = self.results(name, &plan)?;
+        Ok((columns, rows))
     }
 
     fn results(&self, name: &str, plan: &Arc<Plan>) -> Result<Results, ExperimentError> {

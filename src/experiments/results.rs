@@ -5,6 +5,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use jostle_experiment::{FinishedRuns, Folder, FolderError, Plan, SeriesKind};
+use jostle_proto::OccasionalColumns;
 use jostle_results::ResultRow;
 use jostle_results::table::{Series, SeriesPart};
 use parking_lot::Mutex;
@@ -19,6 +20,7 @@ pub type Rows = Arc<Vec<(u64, ResultRow)>>;
 #[derive(Clone, Debug)]
 pub struct Results {
     pub rows: Rows,
+    pub columns: Arc<OccasionalColumns>,
     /// The same runs, from which their time series are read.
     pub finished: Arc<FinishedRuns>,
 }
@@ -41,16 +43,20 @@ impl ResultsCache {
     pub fn read(&self, folder: &Path, plan: &Arc<Plan>) -> Result<Results, ExperimentError> {
         let list = fs::metadata(folder.join("runs.jsonl"));
         let length = list.map_or(0, |list| list.len());
+        let mut columns = None;
         if let Some(cached) = &*self.0.lock()
             && Arc::ptr_eq(&cached.plan, plan)
-            && cached.length == length
         {
-            return Ok(cached.results.clone());
+            if cached.length == length {
+                return Ok(cached.results.clone());
+            }
+            columns = Some(cached.results.columns.clone());
         }
         let mut finished = Folder::read(folder, plan).map_err(ExperimentError::unreadable)?;
         let rows = numbered(plan, std::mem::take(&mut finished.rows));
         let results = Results {
             rows: Arc::new(rows),
+            columns: columns.unwrap_or_else(|| Arc::new(plan.occasional_columns())),
             finished: Arc::new(finished),
         };
         *self.0.lock() = Some(Cached {

@@ -2,11 +2,11 @@
 
 use std::time::Duration;
 
-use jostle_physics::plural::counted;
 use thiserror::Error;
 
 use crate::lanes;
 use crate::swarm::frame::Summary;
+use crate::swarm::recovery_progress::still_left;
 
 /// Why the daemon is unhealthy.
 #[derive(Clone, Debug, Error, PartialEq)]
@@ -28,7 +28,7 @@ pub enum Reason {
         secs: f64,
     },
     /// The swarms of the previous run are being recovered.
-    #[error("recovering the swarms, {} left: they can be reached once that is done", counted(*.swarms_left, "swarm"))]
+    #[error("recovering the swarms{}: they can be reached once that is done", still_left(*.swarms_left))]
     Recovering {
         /// How many are not recovered yet.
         swarms_left: usize,

@@ -23,7 +23,7 @@ impl Player {
                 self.waiters.add(waiter);
                 self.reply_to_waiters();
             }
-            Message::WaitFor(wait) => self.reject(wait.reply_to, SwarmError::Recorded),
+            Message::WaitFor(wait) => self.reject(wait.reply_to, SwarmError::NoConditions),
             Message::TakeCheckpoint(answer) => self.reject(answer, SwarmError::Recorded),
             Message::Seek(seek, sender, answer) => match self.find(seek) {
                 Ok(frame) => {

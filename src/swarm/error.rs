@@ -149,6 +149,12 @@ pub enum SwarmError {
          or restore a swarm to change what happens"
     )]
     Recorded,
+    /// A playback has no conditions.
+    #[error(
+        "this is a replay of a recording: one waits in it for a step or a phase, not for a condition; \
+         create or restore a swarm for that"
+    )]
+    NoConditions,
     /// Only a playback can seek.
     #[error("this swarm is no replay: fork it at a step it has passed, or replay a recording")]
     NotRecorded,

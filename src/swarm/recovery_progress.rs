@@ -3,6 +3,7 @@
 use std::collections::BTreeSet;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
+use jostle_physics::plural::counted;
 use parking_lot::Mutex;
 
 /// The progress of the recovery after a start of the daemon. Until [`end`](Self::end) replies about swarms
@@ -62,9 +63,24 @@ impl RecoveryProgress {
     }
 }
 
+/// Returns how many swarms are left, as a part of a sentence; empty if it is 0: at the begin, when their number is
+/// not known, and at the end.
+pub fn still_left(count: usize) -> String {
+    match count {
+        0 => String::new(),
+        count => format!(", {} left", counted(count, "swarm")),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn nothing_is_said_of_0_swarms_that_are_left() {
+        let left = [0, 1, 4].map(still_left);
+        assert_eq!(left, ["", ", 1 swarm left", ", 4 swarms left"]);
+    }
 
     #[test]
     fn a_swarm_is_pending_until_it_is_recovered_or_the_recovery_ends() {

@@ -100,6 +100,10 @@ async fn a_recording_is_shown_to_the_bit_and_goes_wherever_it_is_sought() {
         let after = client.get("tape", "status").await;
         assert_eq!(after, before, "{beyond}: it stays where it is");
     }
+    let wait = keys::get(PREFIX, "tape", "wait?condition=order > 0.5;id=a");
+    let error = client.query(&wait, None).await.unwrap_err();
+    let expected = "one waits in it for a step or a phase, not for a condition";
+    assert!(error.message.contains(expected), "{error:?}");
     client.ok("tape", "seek", json!({"fraction": 0})).await;
     // The last frame is not beyond the end, also by a rounded time.
     for last in [

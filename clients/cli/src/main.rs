@@ -4,6 +4,7 @@
 #![allow(missing_docs, clippy::missing_errors_doc)]
 
 mod arguments;
+mod bound;
 mod completion;
 mod connect;
 mod context;

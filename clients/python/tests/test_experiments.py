@@ -265,6 +265,29 @@ def test_files_outside_the_folder_have_a_warning_and_are_not_quoted(
         assert "line 1, column 1" in str(caught.value)
 
 
+def test_a_table_before_the_first_result_has_all_columns(client: jostle.Client) -> None:
+    fields: dict[str, Any] = {
+        "seed": 3,
+        "replicates": 2,
+        "grid": [{"n": 8, "k": [1, 2]}],
+        "measure": {"columns": ["drift", "milling"], "series_every": 5},
+        "stop": {"when": "order > 0.9999 for 1e5"},
+        "at": [{"time": 0, "inform": {"select": {"count": "$k"}, "direction": 0}}],
+    }
+    short = client.submit({"name": "short", "duration": 0.2, **fields}).wait(60.0)
+    endless = client.submit({"name": "without_rows", "duration": 1e6, **fields})
+    assert endless.rows() == []
+    for whole, empty in [(short.frame(), endless.frame()), (short.series(), endless.series())]:
+        assert len(empty) == 0 < len(whole)
+        assert list(empty.columns) == list(whole.columns)
+        for column in ("drift", "time"):
+            assert empty[column].dtype == whole[column].dtype == np.float64
+    assert list(short.frame().columns[-4:]) == ["k", "stopped_at", "drift", "milling"]
+    assert list(short.series().columns) == ["run", "n", "k", "step", "time", "drift", "milling"]
+    endless.cancel()
+    endless.delete()
+
+
 def test_the_commands_of_a_block_keep_the_order_of_a_mapping(client: jostle.Client) -> None:
     inform = {"select": {"count": 3}, "direction": np.float64(0.5)}
     remove = [{"select": {"ids": [0]}}, {"select": {"count": 1}}]

@@ -28,6 +28,10 @@ const DESCRIPTIONS: &[(&str, &str)] = &[
         "rate",
         "a number above 0, at most 1e6, or null for as fast as possible",
     ),
+    (
+        "max_idle_secs",
+        "0 for no limit, or a number from 0.1 to 1e6",
+    ),
     ("bytes", "base64 of a piece of the file"),
     ("offset", "a whole number of bytes"),
     ("length", "a whole number of bytes"),

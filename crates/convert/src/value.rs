@@ -13,6 +13,10 @@ const MAX_RATE: f64 = 1e6;
 /// Maximum number of steps between two published states.
 const MAX_PUBLISH_EVERY: u64 = 1_000_000_000;
 
+/// Minimum time for which a swarm waits for a silent controller, in seconds: a reply takes this long over a
+/// slow network.
+const MIN_IDLE_SECS: f64 = 0.1;
+
 /// Maximum time for which a swarm waits for a silent controller, in seconds: eleven days.
 const MAX_IDLE_SECS: f64 = 1e6;
 
@@ -104,6 +108,19 @@ pub fn max_idle_secs(secs: f64) -> Result<Option<f64>, WireError> {
     match (0.0..=MAX_IDLE_SECS).contains(&secs) {
         true => Ok((secs > 0.0).then_some(secs)),
         false => Err(WireError::out_of_range("max_idle_secs", secs)),
+    }
+}
+
+/// Checks a time that [`max_idle_secs`] returned of a new command. Earlier versions accepted less, and journals
+/// and snapshots may have it.
+///
+/// # Errors
+///
+/// [`WireError::OutOfRange`].
+pub fn new_max_idle_secs(secs: Option<f64>) -> Result<(), WireError> {
+    match secs.filter(|secs| *secs < MIN_IDLE_SECS) {
+        Some(secs) => Err(WireError::out_of_range("max_idle_secs", secs)),
+        None => Ok(()),
     }
 }
 

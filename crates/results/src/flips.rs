@@ -96,7 +96,7 @@ fn of_results_are_found() {
             ..row
         })
         .collect();
-    table::write_parquet(&path, &rows).unwrap();
+    table::write_parquet(&path, &rows, &[]).unwrap();
     each_flip(&path, 0, |path| table::read(path).map_err(named));
 }
 
@@ -214,7 +214,7 @@ fn a_page_is_read_without_the_other_row_groups() {
 fn a_file_that_another_program_wrote_with_the_same_metadata_is_read() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join(table::PARQUET_NAME);
-    table::write_parquet(&path, &samples()).unwrap();
+    table::write_parquet(&path, &samples(), &[]).unwrap();
     let mut bytes = fs::read(&path).unwrap();
     // Of the same length, so that the footer still parses; the hash of the footer is not its own then.
     let writer = b"parquet-rs version";

@@ -52,7 +52,7 @@ pub struct SetArgs {
     #[schemars(range(min = 1, max = 1_000_000_000))]
     pub publish_every: Option<u64>,
     /// Remove a controller in lock-step for which the swarm has waited so many seconds, and which has
-    /// sent nothing meanwhile; 0 is no limit.
+    /// sent nothing meanwhile: 0.1 or more; 0 is no limit.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(range(min = 0.0, max = 1e6))]
     pub max_idle_secs: Option<f64>,

@@ -66,6 +66,7 @@ impl Context {
                 commands::check_name("event", event)?;
             }
         }
+        commands::check_new(message.command.changes())?;
         message.user = self.rights.current().owner(&incoming.token).cloned();
         let timeout = commands::timeout(&request)?;
         if let Some(controller) = message.command.controller()

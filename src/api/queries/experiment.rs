@@ -107,11 +107,18 @@ impl Context {
                 let read = experiments
                     .report(&name)
                     .and_then(|report| Ok((report, experiments.rows(&name)?)));
-                responder.finish(read, move |(report, rows)| {
+                responder.finish(read, move |(report, (columns, rows))| {
                     let finished = report.progress.finished as u64;
                     let begin = rows.partition_point(|(number, _)| *number <= after);
                     let rows = &rows[begin..];
-                    let page = convert::results_page(name, rows, limit, MAX_PAGE_BYTES, finished);
+                    let page = convert::results_page(
+                        name,
+                        &columns,
+                        rows,
+                        limit,
+                        MAX_PAGE_BYTES,
+                        finished,
+                    );
                     Payload::json(&page)
                 });
             },

@@ -5,8 +5,9 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use jostle_convert::value::whole;
+use jostle_convert::value::{new_max_idle_secs, whole};
 use jostle_convert::{WireError, change};
+use jostle_physics::simulation::Change;
 use jostle_proto::verbs::{
     AdvanceArgs, AnnotateArgs, DeleteArgs, LeaveArgs, PauseArgs, ResetArgs, Return, StepArgs,
 };
@@ -101,6 +102,22 @@ pub fn read(verb: &str, request: &Request) -> Result<(CommandMessage, bool), Com
         reply_to: ReplyTo::ignored(),
     };
     Ok((message, returns_state))
+}
+
+/// Checks what the changes of a new command have in ranges that were larger in earlier versions.
+///
+/// # Errors
+///
+/// [`WireError::OutOfRange`].
+pub fn check_new(changes: &[Change]) -> Result<(), CommandError> {
+    for change in changes {
+        if let Change::Set(settings) = change
+            && let Some(secs) = settings.max_idle_secs
+        {
+            new_max_idle_secs(secs)?;
+        }
+    }
+    Ok(())
 }
 
 /// Parses a command from the journal: one of a client, or one that the swarm gave itself.
@@ -245,6 +262,19 @@ mod tests {
     #![expect(clippy::unwrap_used, reason = "tests")]
 
     use super::*;
+
+    #[test]
+    fn a_journal_may_have_times_that_are_no_longer_accepted() {
+        let request = |secs: f64| {
+            let args = serde_json::json!({"args": {"max_idle_secs": secs}}).to_string();
+            Request::from_json(args.as_bytes()).unwrap()
+        };
+        for (secs, is_accepted) in [(1e-300, false), (0.099, false), (0.1, true), (0.0, true)] {
+            let (command, _) = read_journaled("set", &request(secs)).unwrap();
+            let checked = check_new(command.changes());
+            assert_eq!(checked.is_ok(), is_accepted, "{secs}: {checked:?}");
+        }
+    }
 
     #[test]
     fn a_journal_may_have_notes_that_are_no_longer_accepted() {

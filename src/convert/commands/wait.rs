@@ -58,10 +58,7 @@ pub fn read<'a>(
                 check_name("id", value)?;
                 id = Some(value.to_owned());
             }
-            _ => {
-                let wrong = |_| CommandError::field("timeout_secs", "is not a number");
-                timeout = check_timeout(value.parse().map_err(wrong)?)?;
-            }
+            _ => timeout = read_timeout(value)?,
         }
     }
     match (awaited.pop(), awaited.pop(), id) {
@@ -74,17 +71,17 @@ pub fn read<'a>(
         }
         (Some(of), None, None) => Ok((of, timeout)),
         _ => {
-            let problem =
-                "phase, condition or event is required, and only one of them: wait?step=100";
+            let problem = "or one of phase, condition and event is required, and only one of them: \
+                           wait?step=100";
             Err(CommandError::field("step", problem))
         }
     }
 }
 
-fn check_timeout(secs: f64) -> Result<Duration, CommandError> {
-    if secs > 0.0 && secs <= MAX_WAIT.as_secs_f64() {
-        return Ok(super::duration(secs));
-    }
-    let problem = "of a wait must be above 0 and at most 30: repeat it to wait longer";
-    Err(CommandError::field("timeout_secs", problem))
+fn read_timeout(value: &str) -> Result<Duration, CommandError> {
+    let secs = value.parse::<f64>().ok();
+    let secs = secs.filter(|secs| *secs > 0.0 && *secs <= MAX_WAIT.as_secs_f64());
+    secs.map(super::duration).ok_or(CommandError::WaitTimeout {
+        max: MAX_WAIT.as_secs(),
+    })
 }

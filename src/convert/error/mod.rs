@@ -7,7 +7,6 @@ use jostle_conditions::ConditionError;
 use jostle_convert::error::{named, object};
 use jostle_convert::range::range_of;
 use jostle_convert::{ArgsError, MeasuresError, WireCode, WireError};
-use jostle_physics::plural::counted;
 use jostle_physics::simulation::ChangeError;
 use jostle_proto::role::rejection;
 use jostle_proto::{Claimant, Error, ErrorCode, RequestError, claim, keys};
@@ -21,6 +20,7 @@ use crate::playback::ReplayError;
 use crate::recording::RecordError;
 use crate::store::StoreError;
 use crate::swarm::error::SwarmError;
+use crate::swarm::recovery_progress::still_left;
 use crate::swarm::registry::RegistryError;
 
 /// Why a request is rejected.
@@ -38,6 +38,10 @@ pub enum CommandError {
     },
     #[error("limit is not a whole number from 1 to {max}; separate parameters with `;`")]
     PageLimit { max: usize },
+    #[error(
+        "timeout_secs of a wait is not a number above 0 and at most {max}: repeat the wait to wait longer"
+    )]
+    WaitTimeout { max: u64 },
     #[error("condition: {0}")]
     Condition(#[from] ConditionError),
     #[error("condition: {0}")]
@@ -155,9 +159,9 @@ pub enum CommandError {
     HandingOver,
     /// Its reply could be wrong before every swarm of the previous run is recovered.
     #[error(
-        "this daemon has started and recovers its swarms, {} left, so it executes nothing that depends on \
+        "this daemon has started and recovers its swarms{}, so it executes nothing that depends on \
          them: try again in a moment",
-        counted(*.swarms_left, "swarm")
+        still_left(*.swarms_left)
     )]
     Recovering { swarms_left: usize },
     #[error("not done within {after_secs} s: {remedy}")]
@@ -303,6 +307,7 @@ impl WireCode for CommandError {
             CommandError::Measures(error) => error.code(),
             CommandError::Field { .. }
             | CommandError::PageLimit { .. }
+            | CommandError::WaitTimeout { .. }
             | CommandError::Condition(_)
             | CommandError::NeverHolds(_)
             | CommandError::Name { .. }
@@ -353,6 +358,10 @@ impl WireCode for CommandError {
             CommandError::PageLimit { max } => object(
                 json!({"field": "limit", "range": format!("a whole number from 1 to {max}")}),
             ),
+            CommandError::WaitTimeout { max } => {
+                let range = format!("a number above 0, at most {max}");
+                object(json!({"field": "timeout_secs", "range": range}))
+            }
             CommandError::Condition(error) => {
                 object(json!({"field": "condition", "column": error.column}))
             }

@@ -46,6 +46,7 @@ impl WireCode for SwarmError {
             SwarmError::Phase(_)
             | SwarmError::Lockstep { .. }
             | SwarmError::Recorded
+            | SwarmError::NoConditions
             | SwarmError::NotRecorded
             | SwarmError::NotHeld(_)
             | SwarmError::RunsFreely(_) => ErrorCode::IncorrectState,

@@ -118,12 +118,24 @@ async fn a_controller_that_sends_something_in_time_stays() {
     client.ok("a", "set", json!({"max_idle_secs": 0})).await;
     sleep(Duration::from_millis(2500)).await;
     assert_eq!(client.get("a", "status").await["result"]["controllers"], 1);
-    for invalid in [-1.0, 1.1e6] {
-        let (code, message) = client
-            .err("a", "set", json!({"max_idle_secs": invalid}))
-            .await;
-        assert_eq!(code, ErrorCode::InvalidArgument);
-        assert!(message.contains("max_idle_secs"), "{message}");
+    for invalid in [-1.0, 1.1e6, 1e-300, 0.099] {
+        let set = json!({"verb": "set", "args": {"max_idle_secs": invalid}});
+        let when = json!({"condition": "order > 0.5", "commands": [set.clone()]});
+        for (verb, args) in [
+            ("set", set["args"].clone()),
+            ("batch", json!({"commands": [set]})),
+            ("when", when),
+        ] {
+            let error = client.cmd("a", verb, args).await.unwrap_err();
+            assert_eq!(error.code, ErrorCode::InvalidArgument, "{verb}: {error:?}");
+            assert!(error.message.contains("max_idle_secs"), "{verb}: {error:?}");
+            let range = "0 for no limit, or a number from 0.1 to 1e6";
+            assert_eq!(error.details["range"], range, "{verb}: {error:?}");
+        }
+    }
+    for accepted in [0.1, 0.0] {
+        let set = json!({"max_idle_secs": accepted});
+        client.ok("a", "set", set).await;
     }
     daemon.stop().await;
 }

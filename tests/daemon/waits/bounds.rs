@@ -311,3 +311,29 @@ async fn one_condition_is_removed_by_its_id_and_shows_its_owner() {
     assert_eq!(verified["differs_at"], json!(null), "{verified}");
     daemon.stop().await;
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_error_of_a_wait_has_the_range_of_its_time_and_what_it_can_be_for() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    client.create("a", json!({"n": 4})).await;
+    let error = async |noun: &str| {
+        let key = jostle_proto::keys::get(super::PREFIX, "a", noun);
+        client.query(&key, None).await.unwrap_err()
+    };
+    for secs in ["0", "-1", "31", "NaN", "soon"] {
+        let error = error(&format!("wait?step=9;timeout_secs={secs}")).await;
+        assert_eq!(error.code, ErrorCode::InvalidArgument, "{error:?}");
+        assert_eq!(error.details["field"], "timeout_secs", "{error:?}");
+        let range = "a number above 0, at most 30";
+        assert_eq!(error.details["range"], range, "{error:?}");
+        let message = "timeout_secs of a wait is not a number above 0 and at most 30: repeat";
+        assert!(error.message.starts_with(message), "{error:?}");
+    }
+    for noun in ["wait", "wait?step=3;event=a"] {
+        let error = error(noun).await;
+        let message = "step or one of phase, condition and event is required, and only one of them";
+        assert!(error.message.starts_with(message), "{error:?}");
+    }
+    daemon.stop().await;
+}

@@ -148,8 +148,11 @@ pub struct ResultsArguments {
     #[arg(long, value_name = "AXES", value_delimiter = ',', conflicts_with_all = ["out", "csv", "order", "series", "trajectory"])]
     pub by: Option<Vec<String>>,
     /// Print only so many lines [default: all, with --json 1000]
-    #[arg(long, value_name = "COUNT", value_parser = values::count, allow_negative_numbers = true, conflicts_with_all = ["out", "csv", "order", "series", "trajectory"])]
+    #[arg(long, value_name = "COUNT", value_parser = values::count, allow_negative_numbers = true, conflicts_with_all = ["out", "csv"])]
     pub limit: Option<usize>,
+    /// Print all lines with --json, too
+    #[arg(long, conflicts_with_all = ["out", "csv", "limit"])]
+    pub all: bool,
     /// Print the order of this run over time as CSV, if the experiment measures it
     #[arg(long, value_name = "RUN", conflicts_with_all = ["out", "csv"])]
     pub order: Option<String>,

@@ -80,11 +80,14 @@ pub struct JournalArguments {
     /// Only commands of this client, or of all clients of this user
     #[arg(long, value_parser = values::parameter)]
     pub client: Option<String>,
-    /// Only the newest ones, up to this many
+    /// Only the newest ones, up to this many [default: all, with --json 1000]
     #[arg(long, value_name = "COUNT", value_parser = values::count, allow_negative_numbers = true)]
     pub limit: Option<usize>,
+    /// All commands with --json, too
+    #[arg(long, conflicts_with = "limit")]
+    pub all: bool,
     /// Print the file of an experiment, TOML, whose run repeats the commands since the swarm's start
-    #[arg(long, conflicts_with_all = ["after", "from_step", "to_step", "verb", "client", "limit"])]
+    #[arg(long, conflicts_with_all = ["after", "from_step", "to_step", "verb", "client", "limit", "all"])]
     pub as_experiment: bool,
     /// Give the experiment so many runs, with other seeds than the swarm
     #[arg(long, value_name = "COUNT", value_parser = values::positive, requires = "as_experiment", allow_negative_numbers = true)]

@@ -82,7 +82,7 @@ pub async fn of_daemon(context: &Context, arguments: &PlotArguments) -> Result<(
     match subject(arguments)? {
         Subject::Swarms(swarms) => snapshot(context, swarms, &arguments.out).await,
         Subject::Chart(Source::Experiment(name), y) => {
-            let mut rows = rows::fetch(client, name).await?;
+            let mut rows = rows::fetch(client, name).await?.rows;
             rows::note_missing(context, name, rows.len()).await?;
             let faulted = chart::remove_faulted(&mut rows).map_err(rejected)?;
             note_faulted(*output, faulted.len());

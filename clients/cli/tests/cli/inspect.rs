@@ -233,19 +233,32 @@ async fn a_journal_of_many_pages_is_fetched_completely_or_from_its_end() {
     let ended = daemon.jostle_with("batch demo -", &changes).await;
     assert_eq!(ended.code, Some(0), "{ended:?}");
     let from = |seq: u64| (seq..=1_102).chain([1_107]).collect();
-    for (line, expected) in [
-        ("journal demo", from(1)),
-        ("journal demo --limit 1050", from(54)),
-        ("journal demo --limit 3", from(1_101)),
-        ("journal demo --verb set", vec![1, 1_102]),
-        ("journal demo --from-step 1099", from(1_101)),
+    for (line, expected, left_out) in [
+        ("journal demo --all", from(1), 0),
+        ("journal demo", from(104), 103),
+        ("journal demo --limit 1050", from(54), 53),
+        ("journal demo --limit 3", from(1_101), 1_100),
+        ("journal demo --limit 1", vec![1_107], 1_102),
+        ("journal demo --limit 1 --after 1000", vec![1_107], 102),
+        ("journal demo --limit 5000", from(1), 0),
+        ("journal demo --verb set", vec![1, 1_102], 0),
+        ("journal demo --verb set --limit 1", vec![1_102], 1),
+        (
+            "journal demo --verb step",
+            (2..=1_101).skip(100).collect(),
+            100,
+        ),
+        ("journal demo --from-step 1099", from(1_101), 0),
     ] {
         let journal = daemon.reply(line).await;
         let entries = journal["result"]["entries"].as_array().unwrap().iter();
         let seqs: Vec<u64> = entries.map(|it| it["seq"].as_u64().unwrap()).collect();
         assert_eq!(seqs, expected, "{line}");
         assert_eq!(journal["result"]["next"], Value::Null, "{line}");
+        assert_eq!(journal["result"]["left_out"], left_out, "{line}");
     }
+    let whole = daemon.said("journal demo").await;
+    assert_eq!(whole.lines().count(), 1 + 1_103, "the text is whole");
     let ended = daemon.jostle("journal demo --verb set").await;
     assert_eq!(ended.stdout.lines().count(), 3, "{ended:?}");
     assert_eq!(ended.stderr, "", "nothing is missing: {ended:?}");

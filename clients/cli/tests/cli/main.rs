@@ -3,6 +3,7 @@
 #![expect(clippy::unwrap_used, reason = "tests")]
 
 mod audit;
+mod bounds;
 mod charts;
 mod claims;
 mod doctor;

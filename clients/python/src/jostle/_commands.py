@@ -322,8 +322,8 @@ class Commands(Queries):
             measures: The measures in each published order (`OrderSample.measures`), at most 16 that
                 need no earlier state, such as `["drift", "milling"]`; none if empty.
             max_idle_secs: Remove a controller in lock-step for which the swarm has waited so many
-                seconds, and which has sent nothing meanwhile: 0 to 10⁶; 0 is no limit, as in a new
-                swarm.
+                seconds, and which has sent nothing meanwhile: 0.1 to 10⁶; 0 is no limit, as in a
+                new swarm.
             make_room: With `pi1`: scale all positions about the centroid by the smallest factor
                 that lets longer bodies fit.
             options: See `Options`.

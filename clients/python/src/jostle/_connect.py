@@ -212,7 +212,8 @@ def _await_hello(session: Session, node: str | None, backoff: Backoff) -> Hello:
             if "wire_version" in error.details:
                 raise
             if (left := error.details.get("swarms_left")) is not None:
-                outage.begin(why=f"recovers its swarms, {left} left")
+                # 0 at the begin, when the number is not known, and at the end.
+                outage.begin(why="recovers its swarms" + (f", {left} left" if left else ""))
             elif not isinstance(error, Busy):
                 outage.begin()
             backoff.sleep(error)

@@ -32,7 +32,9 @@ from ._outage import RECONNECT_TIMEOUT_SECS, Outage
 from ._progress import Bar
 from ._repr import HtmlList, error_html
 from ._results import (
+    NO_COLUMNS,
     ExperimentResult,
+    OccasionalColumns,
     OrderSeries,
     Progress,
     ResultRow,
@@ -175,24 +177,29 @@ class Experiment:
 
     def rows(self) -> list[ResultRow]:
         """The rows of the finished runs, in the order of its plan."""
+        return self._table()[0]
+
+    def _table(self) -> tuple[list[ResultRow], OccasionalColumns]:
+        """The rows of the finished runs, and the columns that not all experiments have."""
         rows: HtmlList[ResultRow] = HtmlList()
         after = 0
         while True:
             page = read_reply(self._get(f"results?after={after};limit=1000"), ResultsPage)
             rows += page.rows
             if page.next is None:
-                return rows
+                return rows, page.columns or NO_COLUMNS
             after = page.next
 
     def frame(self) -> pandas.DataFrame:
-        """The rows as a table of pandas, with the columns of `results.csv`.
+        """The rows as a table of pandas, with the columns of `results.csv`, also before the first.
 
         If faults ended some runs, the last column is `fault`: the reason, None for the others.
 
         Raises:
             ImportError: pandas is missing: `pip install jostle[pandas]`.
         """
-        return of_rows(self.rows())
+        rows, columns = self._table()
+        return of_rows(rows, columns.extra)
 
     def order(self, run: str) -> OrderSeries:
         """The order of one run over time, if the experiment measures it.
@@ -227,8 +234,10 @@ class Experiment:
             NotFound: There is no such run.
             IncorrectState: The run is not finished.
         """
-        runs = [row.run for row in self.rows()] if run is None else [run]
-        return of_series([(name, self._series(name)) for name in runs])
+        if run is not None:
+            return of_series([(run, self._series(run))])
+        rows, columns = self._table()
+        return of_series([(row.run, self._series(row.run)) for row in rows], columns)
 
     def trajectory(self, run: str) -> pandas.DataFrame:
         """The trajectory of one run as a table of pandas, if the experiment has `record_every`.

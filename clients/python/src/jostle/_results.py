@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -212,8 +212,28 @@ class ResultRow(HtmlStruct, frozen=True, kw_only=True):
     extra: list[ExtraValue] | None = None
 
 
-def of_rows(rows: Sequence[ResultRow]) -> pandas.DataFrame:
+class OccasionalColumns(msgspec.Struct, frozen=True, kw_only=True):
+    """The columns that only the tables of some experiments have, in their order.
+
+    Attributes:
+        varied: The values that vary in the names of the runs.
+        extra: Those of the table of results: variables, `stopped_at`, and means of measures.
+        series: The measures over time.
+    """
+
+    varied: list[str]
+    extra: list[str]
+    series: list[str]
+
+
+NO_COLUMNS = OccasionalColumns(varied=[], extra=[], series=[])
+"""Those of a daemon of an earlier version, which does not name them."""
+
+
+def of_rows(rows: Sequence[ResultRow], first: Sequence[str] = ()) -> pandas.DataFrame:
     """Rows as a table of pandas; `fault` is the last column, if a run has one, and None for others.
+
+    `first` are columns that only some experiments have: the table has them even if no row does.
 
     Raises:
         ImportError: pandas is missing; `pip install jostle[pandas]` installs it.
@@ -223,12 +243,17 @@ def of_rows(rows: Sequence[ResultRow]) -> pandas.DataFrame:
     table: pandas.DataFrame = pd.DataFrame(
         [msgspec.structs.astuple(row)[:-2] for row in rows], columns=fixed
     )
+    if not rows:
+        # Without values pandas would make columns of objects.
+        kinds = {float: "float64", int: "int64"}
+        fields = {it.name: kinds.get(it.type) for it in msgspec.structs.fields(ResultRow)}
+        table = table.astype({name: kind for name, kind in fields.items() if kind is not None})
     # Daemons of earlier versions accepted a variable with the name of the last column.
     values = [
         {"fault_" if it.name == "fault" else it.name: it.value for it in row.extra or []}
         for row in rows
     ]
-    extra = list(dict.fromkeys(name for named in values for name in named))
+    extra = list(dict.fromkeys([*first, *(name for named in values for name in named)]))
     for name in extra:
         table[name] = [named.get(name) for named in values]
     # If every value is None, pandas would make a column of objects.
@@ -243,8 +268,12 @@ SeriesColumns = dict[str, NDArray[np.float64]]
 """The step, the time and the measures of a run, each of shape (m,)."""
 
 
-def of_series(runs: Sequence[tuple[str, SeriesColumns]]) -> pandas.DataFrame:
+def of_series(
+    runs: Sequence[tuple[str, SeriesColumns]], empty: OccasionalColumns | None = None
+) -> pandas.DataFrame:
     """Measures over time, by the names of the runs, as a table of pandas.
+
+    Without runs the table has the columns of `empty`.
 
     Raises:
         ImportError: pandas is missing; `pip install jostle[pandas]` installs it.
@@ -256,12 +285,21 @@ def of_series(runs: Sequence[tuple[str, SeriesColumns]]) -> pandas.DataFrame:
         pairs = [pair.partition("=") for pair in run.split(" ") if "=" in pair]
         values = [(name, _number_or_text(value)) for name, _, value in pairs]
         for place, (name, value) in enumerate([("run", run), *values]):
-            # A variable may have the name of a column.
-            table.insert(place, f"{name}_of_run" if name in columns else name, value)
+            table.insert(place, _beside(columns, name), value)
         tables.append(table)
-    empty: pandas.DataFrame = pd.DataFrame({"run": [], "step": [], "time": []})
-    joined: pandas.DataFrame = pd.concat(tables, ignore_index=True) if tables else empty
-    return joined
+    if tables:
+        joined: pandas.DataFrame = pd.concat(tables, ignore_index=True)
+        return joined
+    empty = empty or NO_COLUMNS
+    measured = ["step", "time", *empty.series]
+    named = [_beside(measured, name) for name in ("run", *empty.varied)]
+    nothing: pandas.DataFrame = pd.DataFrame(columns=[*named, *measured])
+    return nothing.astype({"step": "int64"} | dict.fromkeys(measured[1:], "float64"))
+
+
+def _beside(columns: Container[str], name: str) -> str:
+    """The column of a value in the names of runs: a variable may have the name of another."""
+    return f"{name}_of_run" if name in columns else name
 
 
 def of_trajectory(run: str, columns: SeriesColumns) -> pandas.DataFrame:
@@ -284,12 +322,16 @@ def _number_or_text(text: str) -> float | int | str:
 
 
 class ResultsPage(msgspec.Struct, frozen=True, kw_only=True):
-    """A page of rows; `next` is the number to request the next page after."""
+    """A page of rows; `next` is the number to request the next page after.
+
+    Daemons of earlier versions do not send `columns`.
+    """
 
     name: str
     rows: list[ResultRow]
     next: int | None = None
     finished: int
+    columns: OccasionalColumns | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,6 +7,7 @@ use jostle_physics::observables::Order;
 use jostle_physics::observables::intervals::Intervals;
 use jostle_physics::simulation::{Simulation, steps_in};
 use jostle_physics::stepper::StepReport;
+use jostle_proto::OccasionalColumns;
 use jostle_results::table::Series;
 use jostle_results::{ExtraValue, Measure, ResultRow, STOPPED_AT, rename_fault};
 use serde::{Deserialize, Serialize};
@@ -281,6 +282,29 @@ impl Measures {
 }
 
 impl Plan {
+    /// Returns the columns that the tables of this experiment have, and not those of all.
+    #[must_use]
+    pub fn occasional_columns(&self) -> OccasionalColumns {
+        let mut varied: Vec<String> = Vec::new();
+        for run in self.runs() {
+            let values = run.name.split(' ').filter_map(|it| it.split_once('='));
+            for (name, _) in values {
+                if !varied.iter().any(|it| it == name) {
+                    varied.push(name.to_owned());
+                }
+            }
+        }
+        let series = SeriesKind::Measures;
+        OccasionalColumns {
+            varied,
+            extra: self.extra_columns(),
+            series: match series.is_in(self) {
+                true => series.measures(self),
+                false => Vec::new(),
+            },
+        }
+    }
+
     /// Returns the names of the columns that only some experiments have, in the order of the table.
     pub fn extra_columns(&self) -> Vec<String> {
         let mut names: Vec<String> = Vec::new();

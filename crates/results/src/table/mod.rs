@@ -92,29 +92,29 @@ pub fn write(directory: &Path, runs: &[ResultRow], extra: &[String]) -> Result<(
     csv::write(&directory.join(CSV_NAME), runs, extra)
 }
 
-/// Writes `runs` as Parquet.
+/// Writes `runs` as Parquet, as [`write()`] does.
 ///
 /// # Errors
 ///
 /// [`TableError::Io`], or [`TableError::Value`] for a whole number beyond 2^63.
-pub fn write_parquet(path: &Path, runs: &[ResultRow]) -> Result<(), TableError> {
-    parquet::write(path, runs, &[])
+pub fn write_parquet(path: &Path, runs: &[ResultRow], extra: &[String]) -> Result<(), TableError> {
+    parquet::write(path, runs, extra)
 }
 
-/// Writes `runs` as CSV, numbers in the shortest form that is read back exactly.
+/// Writes `runs` as CSV, as [`write()`] does, numbers in the shortest form that is read back exactly.
 ///
 /// # Errors
 ///
 /// [`TableError::Io`].
-pub fn write_csv(path: &Path, runs: &[ResultRow]) -> Result<(), TableError> {
-    csv::write(path, runs, &[])
+pub fn write_csv(path: &Path, runs: &[ResultRow], extra: &[String]) -> Result<(), TableError> {
+    csv::write(path, runs, extra)
 }
 
 /// Returns `runs` as CSV, as [`write_csv`] writes it.
 #[must_use]
-pub fn csv(runs: &[ResultRow]) -> String {
+pub fn csv(runs: &[ResultRow], extra: &[String]) -> String {
     let mut bytes = Vec::new();
-    csv::write_to(&mut bytes, runs, &[]).expect("writing to memory cannot fail");
+    csv::write_to(&mut bytes, runs, extra).expect("writing to memory cannot fail");
     String::from_utf8(bytes).expect("CSV is UTF-8")
 }
 
@@ -188,9 +188,9 @@ mod tests {
         assert!(matches!(absent, TableError::Absent { .. }), "{absent}");
 
         let (one, two) = (vec![sample()], vec![sample(), sample()]);
-        write_csv(&directory.path().join(CSV_NAME), &one).unwrap();
+        write_csv(&directory.path().join(CSV_NAME), &one, &[]).unwrap();
         assert_eq!(read(directory.path()).unwrap(), one);
-        write_parquet(&directory.path().join(PARQUET_NAME), &two).unwrap();
+        write_parquet(&directory.path().join(PARQUET_NAME), &two, &[]).unwrap();
         assert_eq!(read(directory.path()).unwrap(), two);
     }
 

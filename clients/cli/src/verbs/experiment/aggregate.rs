@@ -35,12 +35,8 @@ struct Group<'a> {
 }
 
 impl<'a> Aggregates<'a> {
-    /// Groups the runs by these axes, or by all that vary; at most `limit` groups.
-    pub fn of(
-        rows: &'a [ResultRow],
-        by: Option<&[String]>,
-        limit: Option<usize>,
-    ) -> Result<Self, Failure> {
+    /// Groups the runs by these axes, or by all that vary; at most `most` groups.
+    pub fn of(rows: &'a [ResultRow], by: Option<&[String]>, most: usize) -> Result<Self, Failure> {
         let named: Vec<Values> = rows.iter().map(|row| values_of(&row.run)).collect();
         let by = match by {
             Some(by) => by.to_vec(),
@@ -62,7 +58,7 @@ impl<'a> Aggregates<'a> {
             }
         }
         groups.sort_by(|a, b| compare(&a.values, &b.values));
-        let left_out = groups.len().saturating_sub(limit.unwrap_or(usize::MAX));
+        let left_out = groups.len().saturating_sub(most);
         groups.truncate(groups.len() - left_out);
         let mut names = MEANS.map(str::to_owned).to_vec();
         for extra in rows.iter().flat_map(|row| &row.extra) {

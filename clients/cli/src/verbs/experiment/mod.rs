@@ -2,6 +2,7 @@
 
 mod aggregate;
 mod attach;
+mod over_time;
 mod plan;
 mod play;
 mod results;

@@ -12,15 +12,15 @@ use jostle_results::{ResultRow, table as tables};
 use serde_json::json;
 
 use crate::arguments::ResultsArguments;
+use crate::bound::{self, Bound};
 use crate::context::Context;
 use crate::failure::Failure;
 use crate::format;
 use crate::output;
 use crate::verbs::experiment::aggregate::Aggregates;
+use crate::verbs::experiment::over_time::Pages;
+use crate::verbs::experiment::rows::Table;
 use crate::verbs::experiment::{phase, rows, series, trajectory};
-
-/// The most groups of a document, unless --limit is given.
-const MAX_GROUPS: usize = 1000;
 
 /// Shows or writes the results of an experiment.
 pub async fn results(context: &Context, arguments: &ResultsArguments) -> Result<(), Failure> {
@@ -32,6 +32,7 @@ pub async fn results(context: &Context, arguments: &ResultsArguments) -> Result<
         csv,
         by,
         limit,
+        all,
         order,
         series,
         trajectory: of_trajectory,
@@ -44,12 +45,12 @@ pub async fn results(context: &Context, arguments: &ResultsArguments) -> Result<
         return trajectory::results(context, arguments, run).await;
     }
     if let Some(run) = order {
-        return print_order(context, name, run).await;
+        return print_order(context, arguments, run).await;
     }
     if let Some(run) = series {
-        return series::print(context, name, run.as_deref()).await;
+        return series::print(context, arguments, run.as_deref()).await;
     }
-    let rows = rows::fetch(client, name).await?;
+    let Table { rows, extra } = rows::fetch(client, name).await?;
     if rows.is_empty() {
         let progress: Progress = client.get_experiment(name, "progress").await?.read()?;
         if progress.finished == progress.runs {
@@ -61,7 +62,7 @@ pub async fn results(context: &Context, arguments: &ResultsArguments) -> Result<
             check_replaceable(out, &rows)?;
         }
         let progress: Progress = client.get_experiment(name, "progress").await?.read()?;
-        let mut written = write(out, &rows)?;
+        let mut written = write(out, &rows, &extra)?;
         written.extend(write_series(client, name, out, &rows).await?);
         let document = json!({"experiment": name, "runs": rows.len(), "written": written});
         let written = listed(&written);
@@ -75,10 +76,10 @@ pub async fn results(context: &Context, arguments: &ResultsArguments) -> Result<
         return output.print(&document, &text);
     }
     if *csv {
-        return output::write(&tables::csv(&rows));
+        return output::write(&tables::csv(&rows, &extra));
     }
-    let most = output.json.then_some(MAX_GROUPS);
-    let aggregates = Aggregates::of(&rows, by.as_deref(), limit.or(most))?;
+    let most = bound::most(output.json, *limit, *all);
+    let aggregates = Aggregates::of(&rows, by.as_deref(), most)?;
     if output.json {
         return output.document(&aggregates.to_json(name, rows.len()));
     }
@@ -88,8 +89,7 @@ pub async fn results(context: &Context, arguments: &ResultsArguments) -> Result<
     }
     output.data(&aggregates.table())?;
     if aggregates.left_out() > 0 {
-        let lines = format::count(aggregates.left_out() as u64, "line");
-        output.note(&format!("{lines} more: a higher --limit prints them"));
+        output.note(&bound::note(aggregates.left_out() as u64, "line"));
     }
     rows::note_missing(context, name, rows.len()).await?;
     match rows.iter().filter(|row| row.fault.is_some()).count() as u64 {
@@ -106,38 +106,58 @@ fn without_steps(progress: &Progress) -> Failure {
     Failure::new("incorrect_state", format!("{runs} of {name} {problem}"))
 }
 
-async fn print_order(context: &Context, name: &str, run: &str) -> Result<(), Failure> {
+async fn print_order(
+    context: &Context,
+    arguments: &ResultsArguments,
+    run: &str,
+) -> Result<(), Failure> {
     let Context { client, output } = context;
     series::check_run("--order", run)?;
+    let mut bound = Bound::new(bound::most(output.json, arguments.limit, arguments.all));
+    let mut pages = Pages::new(client, &arguments.name, ("order", run, ""));
     let mut series: Option<OrderPage> = None;
-    let mut after = Some(0);
-    while let Some(number) = after {
-        let noun = format!("order?run={run};after={number}");
-        let page: OrderPage = client.get_experiment(name, &noun).await?.read()?;
-        after = page.next;
+    while let Some(page) = pages.next::<OrderPage>(&mut bound).await? {
         match &mut series {
             None => series = Some(page),
             Some(series) => {
                 series.time.extend(page.time);
                 series.order.extend(page.order);
                 series.drift.extend(page.drift);
-                series.next = None;
             }
         }
     }
-    let Some(series) = series else {
+    let Some(OrderPage {
+        name,
+        run,
+        time,
+        order,
+        drift,
+        ..
+    }) = series
+    else {
         return Err(Failure::defect("no page was queried"));
     };
+    let drift: Vec<_> = drift
+        .into_iter()
+        .map(|it| (!it.is_nan()).then_some(it))
+        .collect();
     if output.json {
-        return output.document(&series);
+        return output.document(&json!({
+            "name": name, "run": run, "time": time, "order": order, "drift": drift,
+            "left_out": bound.left_out,
+        }));
     }
     let mut text = String::from("time,order,drift\n");
-    for (index, (time, order)) in series.time.iter().zip(&series.order).enumerate() {
-        let drift = series.drift.get(index).filter(|drift| !drift.is_nan());
-        let drift = drift.map(f64::to_string);
+    for (index, (time, order)) in time.iter().zip(&order).enumerate() {
+        let drift = drift.get(index).copied().flatten();
+        let drift = drift.map(|it| it.to_string());
         text.push_str(&format!("{time},{order},{}\n", drift.unwrap_or_default()));
     }
-    output::write(&text)
+    output::write(&text)?;
+    if bound.left_out > 0 {
+        output.note(&bound::note(bound.left_out, "row"));
+    }
+    Ok(())
 }
 
 /// Rejects to replace tables unless `rows` have all of their runs.
@@ -170,13 +190,13 @@ fn identity(row: &ResultRow) -> (&str, u64, &str) {
 }
 
 /// Writes both tables into a folder, or one to a file, and returns the paths.
-fn write(out: &Path, rows: &[ResultRow]) -> Result<Vec<String>, Failure> {
+fn write(out: &Path, rows: &[ResultRow], extra: &[String]) -> Result<Vec<String>, Failure> {
     match out.extension().and_then(|extension| extension.to_str()) {
-        Some("csv") => tables::write_csv(out, rows).map_err(Failure::results)?,
-        Some("parquet") => tables::write_parquet(out, rows).map_err(Failure::results)?,
+        Some("csv") => tables::write_csv(out, rows, extra).map_err(Failure::results)?,
+        Some("parquet") => tables::write_parquet(out, rows, extra).map_err(Failure::results)?,
         _ => {
             fs::create_dir_all(out).map_err(|error| Failure::file(out.display(), error))?;
-            tables::write(out, rows, &[]).map_err(Failure::results)?;
+            tables::write(out, rows, extra).map_err(Failure::results)?;
             let names = [tables::PARQUET_NAME, tables::CSV_NAME];
             return Ok(names
                 .map(|name| out.join(name).display().to_string())

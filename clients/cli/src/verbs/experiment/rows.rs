@@ -1,7 +1,7 @@
 //! The rows of an experiment's results.
 
 use jostle_client::Client;
-use jostle_proto::Progress;
+use jostle_proto::{OccasionalColumns, Progress};
 use jostle_results::ResultRow;
 use serde::Deserialize;
 
@@ -18,10 +18,19 @@ const ROWS: usize = 1000;
 struct Page {
     rows: Vec<ResultRow>,
     next: Option<u64>,
+    columns: Option<OccasionalColumns>,
 }
 
-/// Fetches the rows of the finished runs, page by page.
-pub async fn fetch(client: &Client, name: &str) -> Result<Vec<ResultRow>, Failure> {
+/// The table of results.
+pub struct Table {
+    /// The rows of the finished runs.
+    pub rows: Vec<ResultRow>,
+    /// The columns that only some experiments have; none of an earlier version, if there is no row.
+    pub extra: Vec<String>,
+}
+
+/// Fetches the table, page by page.
+pub async fn fetch(client: &Client, name: &str) -> Result<Table, Failure> {
     let (mut rows, mut after) = (Vec::new(), 0);
     loop {
         let noun = format!("results?after={after};limit={ROWS}");
@@ -29,7 +38,10 @@ pub async fn fetch(client: &Client, name: &str) -> Result<Vec<ResultRow>, Failur
         rows.extend(page.rows);
         match page.next {
             Some(next) if next > after => after = next,
-            _ => return Ok(rows),
+            _ => {
+                let extra = page.columns.unwrap_or_default().extra;
+                return Ok(Table { rows, extra });
+            }
         }
     }
 }

@@ -5,37 +5,57 @@ use jostle_proto::{ErrorCode, SeriesPage};
 use jostle_results::ResultRow;
 use jostle_results::table::{MeasureSeries, Series, series};
 
+use crate::arguments::ResultsArguments;
+use crate::bound::{self, Bound};
 use crate::context::Context;
 use crate::failure::Failure;
 use crate::output;
+use crate::verbs::experiment::over_time::Pages;
 use crate::verbs::experiment::rows;
+use serde_json::json;
 
 /// Prints the measures of a run over time, or those of all finished runs.
-pub async fn print(context: &Context, name: &str, run: Option<&str>) -> Result<(), Failure> {
+pub async fn print(
+    context: &Context,
+    arguments: &ResultsArguments,
+    run: Option<&str>,
+) -> Result<(), Failure> {
     let Context { client, output } = context;
-    let all = match run {
+    let name = &arguments.name;
+    let mut bound = Bound::new(bound::most(output.json, arguments.limit, arguments.all));
+    let runs = match run {
         Some(run) => {
             check_run("--series", run)?;
-            vec![fetch(client, name, run).await?]
+            vec![run.to_owned()]
         }
         None => {
-            let rows = rows::fetch(client, name).await?;
-            let mut all = Vec::with_capacity(rows.len());
-            for row in &rows {
-                all.push(fetch(client, name, &row.run).await?);
-            }
-            all
+            let rows = rows::fetch(client, name).await?.rows;
+            rows.into_iter().map(|row| row.run).collect()
         }
     };
+    let mut all = Vec::new();
+    for run in &runs {
+        let is_counted_only = bound.rest == 0;
+        let series = fetch(client, name, run, &mut bound).await?;
+        if !is_counted_only {
+            all.push(series);
+        }
+    }
     if output.json {
         let documents: Vec<_> = all.iter().map(document).collect();
-        return output.document(&documents);
+        let left_out = bound.left_out;
+        let document = json!({"experiment": name, "series": documents, "left_out": left_out});
+        return output.document(&document);
     }
-    if all.is_empty() {
+    if runs.is_empty() {
         output.note(&format!("no run of {name} is finished so far"));
         return Ok(());
     }
-    output::write(&series::csv(&all))
+    output::write(&series::csv(&all))?;
+    if bound.left_out > 0 {
+        output.note(&bound::note(bound.left_out, "row"));
+    }
+    Ok(())
 }
 
 /// Checks the name of a run, which is a parameter of a query.
@@ -58,7 +78,8 @@ pub async fn fetch_all(
 ) -> Result<Option<Vec<Series>>, Failure> {
     let mut all = Vec::with_capacity(rows.len());
     for row in rows {
-        match fetch(client, name, &row.run).await {
+        let mut bound = Bound::new(usize::MAX);
+        match fetch(client, name, &row.run, &mut bound).await {
             Ok(series) => all.push(series),
             // An earlier version does not know the query.
             Err(error) if all.is_empty() && is_absent(&error) => return Ok(None),
@@ -73,16 +94,18 @@ fn is_absent(failure: &Failure) -> bool {
     matches!(code, Some(ErrorCode::InvalidArgument | ErrorCode::NotFound))
 }
 
-async fn fetch(client: &Client, name: &str, run: &str) -> Result<Series, Failure> {
+async fn fetch(
+    client: &Client,
+    name: &str,
+    run: &str,
+    bound: &mut Bound,
+) -> Result<Series, Failure> {
     let mut series = Series {
         run: run.to_owned(),
         ..Series::default()
     };
-    let mut after = Some(0);
-    while let Some(number) = after {
-        let noun = format!("series?run={run};after={number}");
-        let page: SeriesPage = client.get_experiment(name, &noun).await?.read()?;
-        after = page.next.filter(|next| *next > number);
+    let mut pages = Pages::new(client, name, ("series", run, ""));
+    while let Some(page) = pages.next(bound).await? {
         append(&mut series, page);
     }
     Ok(series)
@@ -121,7 +144,7 @@ fn document(series: &Series) -> serde_json::Value {
     let measures: serde_json::Map<_, _> = measures
         .map(|measure| (measure.name.clone(), measure.values.clone().into()))
         .collect();
-    serde_json::json!({
+    json!({
         "run": series.run,
         "step": series.steps,
         "time": series.times,

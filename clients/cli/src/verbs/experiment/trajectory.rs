@@ -4,17 +4,18 @@ use std::collections::BTreeMap;
 use std::io::Write as _;
 use std::path::Path;
 
-use jostle_client::Client;
 use jostle_proto::SeriesPage;
 use jostle_results::table::trajectory::{About, csv};
 use jostle_results::table::{Trajectory, TrajectoryWriter};
 use serde_json::json;
 
 use crate::arguments::ResultsArguments;
+use crate::bound::{self, Bound};
 use crate::context::Context;
 use crate::failure::Failure;
 use crate::format;
 use crate::output;
+use crate::verbs::experiment::over_time::Pages;
 use crate::verbs::experiment::series::check_run;
 
 /// Prints the trajectory of a run, or writes it to a file.
@@ -25,17 +26,21 @@ pub async fn results(
 ) -> Result<(), Failure> {
     let Context { client, output } = context;
     check_run("--trajectory", run)?;
-    let mut pages = Pages {
-        client,
-        name: &arguments.name,
-        run,
-        after: Some(0),
+    let query = ("series", run, ";of=individuals");
+    let mut rows = Rows {
+        pages: Pages::new(client, &arguments.name, query),
+        bound: Bound::new(usize::MAX),
     };
     let Some(out) = &arguments.out else {
-        return match output.json {
-            true => output.document(&pages.document().await?),
-            false => pages.print().await,
-        };
+        rows.bound.rest = bound::most(output.json, arguments.limit, arguments.all);
+        if output.json {
+            return output.document(&rows.document(run).await?);
+        }
+        rows.print().await?;
+        if rows.bound.left_out > 0 {
+            output.note(&bound::note(rows.bound.left_out, "row"));
+        }
+        return Ok(());
     };
     let is_csv = match out.extension().and_then(|extension| extension.to_str()) {
         Some("csv") => true,
@@ -50,8 +55,8 @@ pub async fn results(
         return Err(Failure::argument(out.display(), problem));
     }
     let rows = match is_csv {
-        true => pages.write_csv(out).await?,
-        false => pages.write_parquet(out).await?,
+        true => rows.write_csv(out).await?,
+        false => rows.write_parquet(out).await?,
     };
     let document = json!({
         "experiment": arguments.name,
@@ -67,23 +72,18 @@ pub async fn results(
     output.print(&document, &text)
 }
 
-/// The pages of a trajectory.
-struct Pages<'a> {
-    client: &'a Client,
-    name: &'a str,
-    run: &'a str,
-    after: Option<u64>,
+/// The rows of a trajectory.
+struct Rows<'a> {
+    pages: Pages<'a>,
+    bound: Bound,
 }
 
-impl Pages<'_> {
+impl Rows<'_> {
     /// Fetches the next page; none at the end.
     async fn next(&mut self) -> Result<Option<(Trajectory, Option<About>)>, Failure> {
-        let Some(after) = self.after else {
+        let Some(page): Option<SeriesPage> = self.pages.next(&mut self.bound).await? else {
             return Ok(None);
         };
-        let noun = format!("series?run={};after={after};of=individuals", self.run);
-        let page: SeriesPage = self.client.get_experiment(self.name, &noun).await?.read()?;
-        self.after = page.next.filter(|next| *next > after);
         let pairs = page.about.clone().map(Vec::into_iter);
         let about = pairs.map(|pairs| pairs.map(|it| (it.key, it.value)).collect());
         Ok(Some((rows(page)?, about)))
@@ -98,14 +98,14 @@ impl Pages<'_> {
         Ok(())
     }
 
-    async fn document(&mut self) -> Result<serde_json::Value, Failure> {
+    async fn document(&mut self, run: &str) -> Result<serde_json::Value, Failure> {
         let (mut all, mut about) = (Trajectory::default(), None);
         while let Some((rows, first)) = self.next().await? {
             all.extend(&rows);
             about = about.or(first);
         }
         Ok(json!({
-            "run": self.run,
+            "run": run,
             "about": about,
             "step": all.step,
             "time": all.time,
@@ -114,6 +114,7 @@ impl Pages<'_> {
             "y": all.y,
             "alpha": all.alpha,
             "informed": all.informed,
+            "left_out": self.bound.left_out,
         }))
     }
 

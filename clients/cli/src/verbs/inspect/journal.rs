@@ -9,6 +9,7 @@ use jostle_proto::{ExperimentFile, Journal, JournalEntry, Reply};
 use serde_json::Value;
 
 use crate::arguments::JournalArguments;
+use crate::bound;
 use crate::context::Context;
 use crate::failure::Failure;
 use crate::format;
@@ -23,8 +24,13 @@ pub async fn journal(context: &Context, arguments: &JournalArguments) -> Result<
         return as_experiment(context, arguments).await;
     }
     let JournalArguments {
-        name, after, limit, ..
+        name,
+        after,
+        limit,
+        all,
+        ..
     } = arguments;
+    let most = bound::most(output.json, *limit, *all);
     let parameters = parameters(arguments);
     let mut pages = Pages {
         client,
@@ -32,12 +38,18 @@ pub async fn journal(context: &Context, arguments: &JournalArguments) -> Result<
         after: *after,
         parameters: &parameters,
     };
-    let newest = pages.newest(limit.unwrap_or(usize::MAX)).await;
-    let (reply, mut lost) = newest.map_err(with_remedy)?;
+    let Newest {
+        reply,
+        mut lost,
+        left_out,
+    } = pages.newest(most).await.map_err(with_remedy)?;
     let Journal { entries, .. } = &reply.result;
     if output.json {
         // One document, however many replies it took.
-        return output.document(&reply);
+        let mut document = serde_json::to_value(&reply)
+            .map_err(|error| Failure::defect(format!("cannot print the journal: {error}")))?;
+        document["result"]["left_out"] = left_out.into();
+        return output.document(&document);
     }
     if !parameters.is_empty() {
         // Of all commands, not of those that were selected.
@@ -138,7 +150,8 @@ pub async fn full_journal(client: &Client, swarm: &str) -> Result<FullJournal, F
         after: 0,
         parameters: "",
     };
-    let (Reply { seq, result, .. }, lost) = pages.newest(usize::MAX).await?;
+    let Newest { reply, lost, .. } = pages.newest(usize::MAX).await?;
+    let Reply { seq, result, .. } = reply;
     let lost = match result.entries.first() {
         Some(_) => lost.unwrap_or(0),
         None => seq,
@@ -188,6 +201,15 @@ fn with_remedy(failure: Failure) -> Failure {
     }
 }
 
+/// The newest commands of a journal.
+struct Newest {
+    reply: Reply<Journal>,
+    /// The last seq that is no longer kept; with parameters that is not known.
+    lost: Option<u64>,
+    /// How many commands come before those of the reply; each change of a batch counts, as in its seq.
+    left_out: u64,
+}
+
 /// The commands after a seq, and the parameters that select some of them.
 struct Pages<'a> {
     client: &'a Client,
@@ -211,9 +233,8 @@ impl Pages<'_> {
         Ok(self.client.get(self.swarm, &noun).await?.read()?)
     }
 
-    /// The newest `limit` commands, and the last seq after `after` that is no longer kept; with
-    /// parameters that is not known.
-    async fn newest(&self, limit: usize) -> Result<(Reply<Journal>, Option<u64>), Failure> {
+    /// The newest `limit` commands.
+    async fn newest(&self, limit: usize) -> Result<Newest, Failure> {
         let first = self.page(self.after, MAX_PAGE_COMMANDS, None).await?;
         let newest = first.result.newest;
         let (mut lost, mut span) = (None, u64::MAX);
@@ -230,31 +251,44 @@ impl Pages<'_> {
         loop {
             let after = newest.saturating_sub(span).max(self.after);
             if after == self.after || is_last {
-                return Ok((self.with_the_rest(first, limit).await?, lost));
+                let (reply, left_out) = self.with_the_rest(first, limit).await?;
+                return Ok(Newest {
+                    reply,
+                    lost,
+                    left_out,
+                });
             }
             let pages = Pages { after, ..*self };
             let begin = pages.page(after, MAX_PAGE_COMMANDS, None).await?;
-            let reply = pages.with_the_rest(begin, limit).await?;
+            let (reply, _) = pages.with_the_rest(begin, limit).await?;
             if reply.result.entries.len() == limit {
-                return Ok((reply, lost));
+                let before = lost.unwrap_or(self.after);
+                let first = reply.result.entries.first();
+                let left_out = first.map_or(0, |it| seq_before(it).saturating_sub(before));
+                return Ok(Newest {
+                    reply,
+                    lost,
+                    left_out,
+                });
             }
             span = span.saturating_mul(4);
         }
     }
 
-    /// The newest `limit` commands of a page and all later ones.
+    /// The newest `limit` commands of a page and all later ones, and how many there are before these.
     async fn with_the_rest(
         &self,
         first: Reply<Journal>,
         limit: usize,
-    ) -> Result<Reply<Journal>, Failure> {
-        let (mut reply, mut line) = (first, 0);
+    ) -> Result<(Reply<Journal>, u64), Failure> {
+        let (mut reply, mut line, mut left_out) = (first, 0, 0);
         let mut newest = VecDeque::new();
         loop {
             let page = std::mem::take(&mut reply.result.entries);
             let last = page.last().map(|it| it.seq);
             newest.extend(page);
-            newest.drain(..newest.len().saturating_sub(limit));
+            let older = newest.drain(..newest.len().saturating_sub(limit));
+            left_out += older.map(|it| changes(&it)).sum::<u64>();
             reply = match (reply.result.next, last) {
                 (Some(next), _) if next > line => {
                     line = next;
@@ -269,15 +303,19 @@ impl Pages<'_> {
         }
         reply.result.entries = newest.into();
         reply.result.next = None;
-        Ok(reply)
+        Ok((reply, left_out))
     }
 }
 
 /// The last seq after `after` that is no longer kept.
 fn lost(journal: &Journal, after: u64) -> Option<u64> {
-    let first = journal.entries.first()?;
-    let kept_from = first.seq - (changes(first) - 1).min(first.seq);
-    (kept_from > after + 1).then(|| kept_from - 1)
+    let before = seq_before(journal.entries.first()?);
+    (before > after).then_some(before)
+}
+
+/// The seq before those of an entry.
+fn seq_before(entry: &JournalEntry) -> u64 {
+    entry.seq.saturating_sub(changes(entry))
 }
 
 /// How many seqs an entry takes.

@@ -203,6 +203,11 @@ pub fn experiments() -> Vec<Row> {
             &[results, progress],
         )
         .says("n=2 #0"),
+        row(
+            "experiment results <name>small --by run --all",
+            &[results, progress],
+        )
+        .says("n=2 #0"),
         row("experiment results <name>small --csv", &[results]).says("n=5 informed=1 #0,"),
         row(
             "experiment results <name>small --out {}/tables --force",
@@ -220,6 +225,11 @@ pub fn experiments() -> Vec<Row> {
             &["@node/test/experiment/small/order?run=n=5;after=0"],
         )
         .says("time,order,drift\n0,0.5821452720313459,-0.4931628207017643"),
+        row(
+            "experiment results <name>small --order n=5 --limit 50000",
+            &["@node/test/experiment/small/order?run=n=5;after=0;limit=40000"],
+        )
+        .says("time,order,drift\n"),
         row(
             "experiment results <name>small --series n=5",
             &[

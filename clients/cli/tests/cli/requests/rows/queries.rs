@@ -5,7 +5,8 @@ use serde_json::{Value, json};
 use crate::requests::row::{Row, row};
 
 pub fn inspecting() -> Vec<Row> {
-    let mut rows = vec![
+    let mut rows =
+        vec![
         row("list", &["@node/test/get/swarms"]).says("pair"),
         row("list <names>sch* --where n>3", &["@node/test/get/swarms"])
             .says("school")
@@ -57,6 +58,7 @@ pub fn inspecting() -> Vec<Row> {
         )
         .says("return=\"state\"")
         .says_not("inform"),
+        row("journal <name>demo --all", &["demo/get/journal?after=0;limit=1000"]).says("inform"),
         row(
             "journal <name>demo --from-step 3 --to-step 90 --verb inform --client ada",
             &[
