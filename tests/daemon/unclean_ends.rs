@@ -59,6 +59,20 @@ impl<'a> Restarted<'a> {
         now
     }
 
+    /// Waits until so many starts are counted on the disk.
+    async fn counted(&self, starts: u32) {
+        let file = self
+            .folder
+            .join("experiments")
+            .join(NAME)
+            .join("standing.json");
+        let count = format!("\"count\":{starts}");
+        until("the starts are counted", async || {
+            fs::read_to_string(&file).unwrap().contains(&count)
+        })
+        .await;
+    }
+
     /// Kills it after another step, before a run is finished, and starts it again.
     async fn kill_in_a_run(&mut self) {
         let before = progress(&self.client, NAME).await;
@@ -120,6 +134,8 @@ async fn an_experiment_that_ended_the_daemon_twice_waits_for_resume_and_the_next
     assert!(paused["message"].is_null(), "{paused}");
     wait_for_phase(&daemon.client, "next", "finished").await;
     ok(&daemon.client, json!({"resume": {"name": NAME}})).await;
+    // The progress of before the pause may be reported later.
+    daemon.counted(1).await;
     daemon.kill_in_a_run().await;
     let again = "name = \"again\"\nduration = 1\nspec = { n = 5 }\n";
     submit(&daemon.client, again).await;
@@ -172,17 +188,9 @@ async fn an_experiment_continues_after_kills_that_are_later_and_after_orderly_en
     let folder = tempfile::tempdir().unwrap();
     let mut daemon = Restarted::start(folder.path(), "experiment-settled=return(1)").await;
     submit(&daemon.client, &steps(1, 1_000_000)).await;
-    let file = folder
-        .path()
-        .join("experiments")
-        .join(NAME)
-        .join("standing.json");
     for _ in 0..3 {
         daemon.steps(&Value::Null).await;
-        until("it has lasted", async || {
-            fs::read_to_string(&file).unwrap().contains("\"count\":0")
-        })
-        .await;
+        daemon.counted(0).await;
         daemon.kill().await;
     }
     daemon.failpoints = "";
