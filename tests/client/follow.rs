@@ -363,7 +363,7 @@ async fn what_is_received_before_the_token_of_a_swarm_that_is_back_follows_the_n
     let mut updates = loop {
         match client.follow("demo", options).await {
             Ok(updates) => break updates,
-            // The tokens have not reached the client, and nobody replies to its query.
+            // The client has not received the tokens yet, and the session of this test answers no query.
             Err(error) => assert!(began.elapsed() < TIMEOUT, "{error}"),
         }
     };

@@ -84,7 +84,8 @@ pub enum ExportError {
     /// The number of runs is invalid.
     #[error("replicates = {0} is outside [1, {MAX_RUNS}]")]
     Replicates(u64),
-    /// The file would not be an experiment. Nobody sees it: the place in it says nothing.
+    /// The file would not be an experiment. Its text is not shown, and so neither is the place of the
+    /// error in it.
     #[error("its commands are no experiment: {}", .0.without_place())]
     Plan(#[from] PlanError),
 }
