@@ -16,6 +16,7 @@ mod process;
 mod recording;
 mod series;
 mod soak;
+mod stolen;
 mod streams;
 mod supervisor;
 #[path = "../support/mod.rs"]

@@ -9,6 +9,7 @@ use jostle_proto::{Event, EventKind, keys};
 use serde_json::{Value, json};
 use zenoh_ext::{AdvancedSubscriberBuilderExt, HistoryConfig};
 
+use crate::stolen::Stolen;
 use crate::support::needs;
 use crate::support::process::{Process, jostled};
 use crate::support::reference_model::ReferenceModel;
@@ -73,19 +74,6 @@ async fn overloaded_cores_are_shared_and_no_hash_changes() {
     }
 }
 
-/// The time that the host of a virtual machine took from its processors, and all their time, in ticks.
-fn stolen_and_all() -> (f64, f64) {
-    let stat = fs::read_to_string("/proc/stat").unwrap();
-    let ticks = stat.lines().next().unwrap().split_whitespace();
-    // user, nice, system, idle, iowait, irq, softirq, steal; guests are counted in the first two.
-    let ticks: Vec<f64> = ticks
-        .skip(1)
-        .take(8)
-        .map(|it| it.parse().unwrap())
-        .collect();
-    (ticks[7], ticks.iter().sum())
-}
-
 /// The steps of a swarm of 500 in ten seconds at rate 5, as a share of those that are due while the
 /// machine has its processors.
 #[tokio::test(flavor = "multi_thread")]
@@ -103,13 +91,10 @@ async fn a_swarm_keeps_its_rate_beside_ten_without_one_and_an_experiment() {
                 .as_u64()
                 .unwrap()
         };
-        let (before, began, ticks) = (step().await, Instant::now(), stolen_and_all());
+        let (before, began, stolen) = (step().await, Instant::now(), Stolen::begin());
         tokio::time::sleep(Duration::from_secs(10)).await;
         let due = RATE / DT * began.elapsed().as_secs_f64();
-        let (stolen, all) = stolen_and_all();
-        let stolen = (stolen - ticks.0) / (all - ticks.1);
-        println!("the host took {stolen:.3} of the processors' time");
-        (step().await - before) as f64 / (due * (1.0 - stolen))
+        (step().await - before) as f64 / (due * (1.0 - stolen.share()))
     };
     let alone = share().await;
     for k in 0..10 {

@@ -11,6 +11,7 @@ use jostle_proto::keys;
 use serde_json::json;
 
 use crate::load::{Output, find, helper};
+use crate::stolen::Stolen;
 use crate::support::process::{Process, jostled};
 use crate::support::{Client, PREFIX};
 
@@ -26,6 +27,10 @@ const RESIDENT_MB: f64 = 150.0;
 /// grow by.
 const LOST: f64 = 1e-3;
 const GROWN_MB: f64 = 10.0;
+
+/// The share of the processors' time that a host may take from a count, and the counts that it may spoil.
+const MOST_STOLEN: f64 = 0.02;
+const COUNTS: usize = 10;
 
 const FOLLOWING: &str = "followers::a_following_process";
 
@@ -79,6 +84,20 @@ fn count(crowd: &mut Crowd, secs: u32) -> Report {
     serde_json::from_str(&find(&mut crowd.2, "report ")).unwrap()
 }
 
+/// Counts until no follower loses more than `lost`, or the host has left the machine its processors: the
+/// daemon drops what it cannot send meanwhile.
+fn count_with_processors(crowd: &mut Crowd, secs: u32, lost: f64) -> Report {
+    for _ in 0..COUNTS {
+        let stolen = Stolen::begin();
+        let report = count(crowd, secs);
+        println!("{report:?}");
+        if stolen.share() < MOST_STOLEN || report.most_lost <= lost {
+            return report;
+        }
+    }
+    panic!("the host takes the processors: nothing can be said of lost states");
+}
+
 /// With `JOSTLE_LONG=1` the second.
 fn of_two<T: Copy>(choices: [T; 2]) -> T {
     choices[usize::from(std::env::var_os("JOSTLE_LONG").is_some())]
@@ -91,12 +110,9 @@ async fn a_thousand_followers_receive_every_state() {
     let (daemon, endpoint) = followed(spec, 5000).await;
     let asked = format!("{endpoint} {followers}");
     let mut crowd = helper("0", FOLLOWING, &asked, "connected ");
-    let report = count(&mut crowd, secs);
+    let report = count_with_processors(&mut crowd, secs, 0.0);
     let resident_mb = resident_mb(&daemon);
-    println!(
-        "connected in {} s: {resident_mb:.0} MB; {report:?}",
-        crowd.1
-    );
+    println!("connected in {} s: {resident_mb:.0} MB", crowd.1);
     assert_eq!(report.sessions, followers);
     assert!(resident_mb <= RESIDENT_MB, "{resident_mb} MB");
     assert!(report.most_lost == 0.0, "{report:?}");
@@ -118,9 +134,9 @@ async fn a_stopped_and_a_slow_follower_cost_the_others_no_state() {
     let before_mb = resident_mb(&daemon);
     stopping.0.signal("-STOP");
     let _slow = helper("0", "followers::a_slow_process", &endpoint, "connected ");
-    let report = count(&mut others, secs);
+    let report = count_with_processors(&mut others, secs, LOST);
     let grown_mb = resident_mb(&daemon) - before_mb;
-    println!("{grown_mb:.1} MB more; the others {report:?}");
+    println!("{grown_mb:.1} MB more");
     assert!(grown_mb < GROWN_MB, "{grown_mb} MB");
     assert!(report.most_lost <= LOST, "{report:?}");
 }
