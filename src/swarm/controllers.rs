@@ -424,6 +424,10 @@ impl Controllers {
             let owner = owner.map(|(name, _)| name.clone());
             return Err(SwarmError::NotClaimed { id, owner });
         }
+        // The journal may have such set-points, of an earlier version.
+        if !swarm.is_replaying {
+            set.check_weights(swarm.simulation.state.parameters.pi2)?;
+        }
         swarm.simulation.steer(set)?;
         self.find(controller)?.state.steered.extend(&set.ids);
         Ok(())

@@ -59,6 +59,8 @@ pub struct Swarm<'a> {
     /// Its phase, after the effects so far.
     pub phase: Phase,
     pub now: Instant,
+    /// Whether the input is of the journal.
+    pub is_replaying: bool,
     pub effects: &'a mut Vec<Effect>,
 }
 

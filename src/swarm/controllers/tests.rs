@@ -18,6 +18,7 @@ struct Rig {
     simulation: Simulation,
     phase: Phase,
     now: Instant,
+    is_replaying: bool,
     limits: TimeLimits,
     /// The controllers whose `advance` got a reply.
     replied: (mpsc::Sender<&'static str>, mpsc::Receiver<&'static str>),
@@ -30,6 +31,7 @@ impl Rig {
             simulation: Simulation::new(&Spec::new(6, 1)).unwrap(),
             phase: Phase::Paused(PauseReason::Created),
             now: Instant::now(),
+            is_replaying: false,
             limits: TimeLimits::default(),
             replied: mpsc::channel(),
         }
@@ -42,6 +44,7 @@ impl Rig {
             simulation: &mut self.simulation,
             phase: self.phase.clone(),
             now: self.now,
+            is_replaying: self.is_replaying,
             effects: &mut effects,
         };
         let outcome = self.controllers.on(input, &mut swarm);
@@ -184,6 +187,31 @@ fn put(sequence: u64) -> Option<Put> {
         set: set(&[0]),
         sender: Arc::default(),
     })
+}
+
+/// A journal of an earlier version may have such set-points.
+#[test]
+fn directions_without_weights_at_pi2_0_are_rejected_except_from_the_journal() {
+    let mut rig = Rig::new();
+    rig.lockstep("ada", &[0]).unwrap();
+    rig.simulation.state.parameters.pi2 = 0.0;
+    let control = |set| Command::Control {
+        controller: "ada".to_owned(),
+        sequence: 1,
+        set,
+    };
+    let weightless = control(SetPoints {
+        weight: None,
+        ..set(&[0])
+    });
+    let error = rig.command(&weightless).unwrap_err();
+    let informs_nobody = matches!(error, SwarmError::Change(ChangeError::Weightless));
+    assert!(informs_nobody, "{error:?}");
+    rig.command(&control(set(&[0]))).unwrap();
+    assert_eq!(rig.weight(0), 2.0);
+    rig.is_replaying = true;
+    rig.command(&weightless).unwrap();
+    assert_eq!(rig.weight(0), 0.0);
 }
 
 #[test]

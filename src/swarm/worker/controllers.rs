@@ -40,6 +40,7 @@ impl Worker {
             simulation: &mut self.simulation,
             phase: self.phase.clone(),
             now: Instant::now(),
+            is_replaying: self.journal.is_replaying(),
             effects: &mut effects,
         };
         let outcome = self.controllers.on(input, &mut swarm);

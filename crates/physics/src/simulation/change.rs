@@ -293,6 +293,23 @@ pub struct SetPoints {
     pub drives: Option<Vec<Drive>>,
 }
 
+impl SetPoints {
+    /// Checks that directions without weights and drives inform individuals, where `pi2` is that of the
+    /// swarm. [`Simulation::steer`](super::Simulation::steer) does not check it, as
+    /// [`check_weights`] says.
+    ///
+    /// # Errors
+    ///
+    /// [`ChangeError::Weightless`] if `pi2` is 0.
+    pub fn check_weights(&self, pi2: f64) -> Result<(), ChangeError> {
+        let steers = self.weight.is_some() || self.drives.is_some() || self.ids.is_empty();
+        match pi2 == 0.0 && !steers {
+            true => Err(ChangeError::Weightless),
+            false => Ok(()),
+        }
+    }
+}
+
 /// A callback that reserves memory for a group of another size, or rejects it.
 pub type ReserveMemory = Box<dyn Fn(Reservation) -> Result<(), ReserveError> + Send>;
 
