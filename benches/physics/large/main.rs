@@ -51,6 +51,9 @@ struct Arguments {
     /// Radius of the disc over the square root of n
     #[arg(long, default_value_t = 1.0)]
     radius: f64,
+    /// Length of the bodies over their width
+    #[arg(long, default_value_t = Parameters::default().pi1)]
+    pi1: f64,
     /// Print the least wall-clock times without and with this number of threads instead
     #[arg(long, conflicts_with = "json")]
     threads: Option<usize>,
@@ -93,6 +96,7 @@ fn main() {
         child.args(["--steps", &arguments.steps.to_string()]);
         child.args(["--accuracy", &arguments.accuracy.to_string()]);
         child.args(["--radius", &arguments.radius.to_string()]);
+        child.args(["--pi1", &arguments.pi1.to_string()]);
         child.args(arguments.json.then_some("--json"));
         let status = child.status().expect("this program starts");
         assert!(status.success(), "n = {n}: {status}");
@@ -180,6 +184,7 @@ struct Group {
 /// Returns a group drawn in its disc.
 fn drawn(n: usize, arguments: &Arguments) -> State {
     let parameters = Parameters {
+        pi1: arguments.pi1,
         attraction: Attraction::All {
             accuracy: Some(arguments.accuracy),
         },
