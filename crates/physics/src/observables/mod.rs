@@ -86,6 +86,9 @@ pub struct CommonDirection {
     is_defined: bool,
 }
 
+/// Weights below it are multiples of the largest one in the sum.
+const MIN_WEIGHT: f64 = 1e-100;
+
 /// Computes the common direction; `None` if no individual is informed.
 #[must_use]
 pub fn common_direction(
@@ -93,8 +96,13 @@ pub fn common_direction(
     definitions: Definitions,
 ) -> Option<CommonDirection> {
     let (mut sum, mut weights) = ([0.0, 0.0], 0.0);
+    let largest = configuration.largest_weight();
+    // The square of a smaller number would vanish.
+    let is_tiny = largest < MIN_WEIGHT && matches!(definitions, Definitions::Second);
+    let unit = if is_tiny { largest } else { 1.0 };
     for (&weight, &direction) in configuration.weight.iter().zip(&configuration.direction) {
         if weight > 0.0 {
+            let weight = weight / unit;
             let (sin, cos) = libm::sincos(direction);
             sum = [sum[0] + weight * cos, sum[1] + weight * sin];
             weights += weight;
@@ -277,6 +285,13 @@ mod tests {
         configuration.inform(1, 0.3, 0.0, None);
         assert!((order(&configuration).strength.unwrap() - 1.0).abs() < 1e-15);
         assert_eq!(order(&heading(&[0.0])).strength, None);
+
+        // Weights of which the squares vanish.
+        configuration.inform(0, 3e-200, 0.0, None);
+        configuration.inform(1, 4e-200, PI / 2.0, None);
+        let now = order(&configuration);
+        assert!((now.strength.unwrap() - 5.0 / 7.0).abs() < 1e-15);
+        assert!((now.direction.unwrap() - 4.0_f64.atan2(3.0)).abs() < 1e-15);
     }
 
     #[test]
