@@ -83,7 +83,9 @@ def test_results_are_rows_and_a_frame_with_the_columns_of_the_table(
     series = experiment.order(rows[2].run)
     assert series.order.shape == series.drift.shape == series.time.shape == (51,)
     assert series.order.mean() == pytest.approx(rows[2].v, abs=0.1)
-    assert experiment.order(rows[0].run).drift.shape == (0,)
+    undefined = experiment.order(rows[0].run).drift
+    assert undefined.shape == (51,)
+    assert np.isnan(undefined).all()
     with pytest.raises(jostle.NotFound):
         experiment.order("unknown")
     experiment.delete()
@@ -263,6 +265,12 @@ def test_files_outside_the_folder_have_a_warning_and_are_not_quoted(
         assert found[0].filename == __file__
         assert "marmot" not in str(caught.value)
         assert "line 1, column 1" in str(caught.value)
+
+
+def test_a_file_without_an_end_is_not_read_whole(client: jostle.Client, tmp_path: Path) -> None:
+    (tmp_path / "a.toml").write_text('points = "/dev/zero"\n')
+    with pytest.raises(OSError, match="more than 250 MB"):
+        client.submit(tmp_path / "a.toml")
 
 
 def test_a_table_before_the_first_result_has_all_columns(client: jostle.Client) -> None:

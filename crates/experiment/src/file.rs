@@ -95,7 +95,13 @@ pub fn in_words(message: &str) -> String {
         Some((found, "u64" | "usize" | "u32")) => {
             format!("{found}: give a whole number, 0 or more")
         }
+        Some((found, "f64")) if found.contains('$') => {
+            format!("{found}: give a number, or the name of a variable alone, such as \"$share\"")
+        }
         Some((found, "f64")) => format!("{found}: give a number"),
+        Some((found @ "unknown variant `uninformed`", _)) => {
+            format!("{found}: write {{ informed = false }}")
+        }
         _ => message.to_owned(),
     }
 }

@@ -4,8 +4,8 @@
 //! of an experiment's results has copies of them, under names of their own.
 
 use std::borrow::Cow;
-use std::fs;
-use std::io;
+use std::fs::File;
+use std::io::{self, Read};
 use std::path::{Component, Path, PathBuf};
 
 use serde::Deserialize;
@@ -22,6 +22,9 @@ pub const SET_POINTS: &str = "experiment.setpoints.csv";
 
 /// The name of the copy of the snapshot of `start` there.
 pub const START: &str = "experiment.start.snapshot";
+
+/// The largest file that is read: a device has no end.
+const MAX_BYTES: u64 = 250_000_000;
 
 /// The contents of an experiment's files. Equal contents are the same experiment.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -203,7 +206,20 @@ impl Files {
 }
 
 fn read(path: &Path) -> Result<Vec<u8>, FilesError> {
-    fs::read(path).map_err(|source| FilesError {
+    let read = || {
+        let mut bytes = Vec::new();
+        File::open(path)?
+            .take(MAX_BYTES + 1)
+            .read_to_end(&mut bytes)?;
+        match bytes.len() as u64 > MAX_BYTES {
+            true => Err(io::Error::new(
+                io::ErrorKind::FileTooLarge,
+                "it has more than 250 MB",
+            )),
+            false => Ok(bytes),
+        }
+    };
+    read().map_err(|source| FilesError {
         path: path.to_owned(),
         source,
     })
@@ -220,5 +236,20 @@ fn read_text(path: &Path) -> Result<String, FilesError> {
                 "it is not UTF-8: save it as UTF-8",
             ),
         }),
+    }
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_without_an_end_is_not_read_whole() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("study.toml");
+        std::fs::write(&path, "points = '/dev/zero'\n").unwrap();
+        let error = Files::read(&path).unwrap_err().to_string();
+        assert_eq!(error, "failed to read /dev/zero: it has more than 250 MB");
     }
 }

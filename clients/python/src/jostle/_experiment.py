@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import time
@@ -50,6 +51,9 @@ if TYPE_CHECKING:
     import pandas
 
 _POLL_INTERVAL_SECS = 0.5
+
+_MAX_BYTES = 250_000_000
+"""The largest file that an experiment names."""
 
 EXPERIMENT = "experiment.toml"
 """The name of an experiment's file in a folder of results."""
@@ -216,6 +220,11 @@ class Experiment:
             [_column(fields, name) for name in ("time", "order", "drift")]
             for fields in self._pages("order", run)
         ]
+        # A run without informed individuals has no drift.
+        pages = [
+            [time, order, drift if drift.size else np.full(time.shape, np.nan)]
+            for time, order, drift in pages
+        ]
         return OrderSeries(run, *map(np.concatenate, zip(*pages, strict=True)))
 
     def series(self, run: str | None = None) -> pandas.DataFrame:
@@ -362,10 +371,10 @@ def read_files(source: Source) -> Files:
         if not isinstance(named, str) or "\n" in named:
             return None
         if is_copy and copy.is_file():
-            return copy.read_bytes()
+            return _read(copy)
         if Path(named).is_absolute() or ".." in Path(named).parts:
             outside.append(f"{key} = {json.dumps(named)}")
-        return (folder / named).read_bytes()
+        return _read(folder / named)
 
     def text(key: str, copy: Path) -> str | None:
         found = contents(key, copy)
@@ -406,6 +415,15 @@ def to_toml(source: Source) -> str:
     if isinstance(source, str) and "\n" in source:
         return source
     return Path(source).read_text(encoding="utf-8")
+
+
+def _read(path: Path) -> bytes:
+    """The contents of a file that is not too large: a device has no end."""
+    with path.open("rb") as file:
+        contents = file.read(_MAX_BYTES + 1)
+    if len(contents) > _MAX_BYTES:
+        raise OSError(errno.EFBIG, "it has more than 250 MB", str(path))
+    return contents
 
 
 def _bytes_of(file: Path) -> bytes | None:

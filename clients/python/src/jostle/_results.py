@@ -343,7 +343,7 @@ class OrderSeries:
         time: The times, shape (m,), body sizes over free speed.
         order: The order at each time, shape (m,), 0 to 1.
         drift: The drift along the informed individuals' direction at each time, shape (m,), free
-            speeds, NaN where it is undefined; shape (0,) if it is undefined everywhere.
+            speeds, NaN where it is undefined.
     """
 
     run: str

@@ -334,6 +334,16 @@ fn everything_is_checked_before_the_first_run_with_its_place() {
             "give a number",
         ),
         (
+            "[[at]]\ntime = 3\nset = { noise = \"-$share\" }\n",
+            (6, 1),
+            "the name of a variable alone",
+        ),
+        (
+            "[[at]]\ntime = 3\nremove = { select = { uninformed = true } }\n",
+            (6, 1),
+            "write { informed = false }",
+        ),
+        (
             "[[at]]\ntime = 3\nset = { noise = { ramp = [0, 1] } }\n",
             (6, 19),
             "requires every",
