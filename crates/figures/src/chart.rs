@@ -120,6 +120,9 @@ fn explanation(chart: &Chart) -> String {
     format!("{shown}; {runs}")
 }
 
+/// Most conditions without a value that are named each.
+const MAX_EMPTY: usize = 3;
+
 /// Describes what is left out.
 fn note(chart: &Chart) -> String {
     let remarks = remarks(chart).into_iter();
@@ -132,8 +135,17 @@ fn note(chart: &Chart) -> String {
 pub fn remarks(chart: &Chart) -> Vec<String> {
     let mut remarks = Vec::new();
     if chart.left_out > 0 {
+        let all_of = match &chart.empty[..] {
+            [] => String::new(),
+            [one] => format!(", all of {one}"),
+            [one, .., last] if chart.empty.len() > MAX_EMPTY => {
+                let count = chart.empty.len();
+                format!(", all of {count} conditions, {one} to {last}")
+            }
+            several => format!(", all of {}", several.join(" and of ")),
+        };
         remarks.push(format!(
-            "{} of {} runs without {} are left out",
+            "{} of {} runs without {} are left out{all_of}",
             chart.left_out, chart.runs, chart.y
         ));
     }
@@ -325,6 +337,7 @@ mod tests {
                 .collect(),
             runs: 9,
             left_out: 0,
+            empty: Vec::new(),
             ended_early: 0,
         }
     }
@@ -450,6 +463,7 @@ mod tests {
             vec![("pi1=4 share=0.1", points()), ("pi1=8 share=0.1", points())],
         );
         (data.left_out, data.ended_early) = (3, 2);
+        data.empty = ["n=400", "n=500"].map(str::to_owned).to_vec();
         let labels = Labels {
             title: "my_runs".to_owned(),
             units: ("body sizes".to_owned(), String::new()),
@@ -460,7 +474,8 @@ mod tests {
             ">worst_residual (1e-12 body sizes)<",
             "95 % interval of the mean",
             "1 to 4 runs each",
-            "3 of 9 runs without worst_residual are left out. 2 of 9 runs end before others.",
+            "3 of 9 runs without worst_residual are left out, all of n=400 and of n=500. \
+             2 of 9 runs end before others.",
             "pi1 = 4, share = 0.1",
             "pi1 = 8, share = 0.1",
         ] {

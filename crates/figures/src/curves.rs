@@ -26,7 +26,11 @@ pub fn panels(summaries: &[Summary], curves: impl Fn(&[Summary]) -> Vec<Curve>) 
             let mut title = format!("{contacts}, dt = {}", tick_label(dt));
             if several {
                 let [pi2, pi3, pi4] = others.map(tick_label);
-                title += &format!(", π_2 = {pi2}, π_3 = {pi3}, π_4 = {pi4}");
+                // Without informed individuals it has no meaning.
+                if summaries[0].condition.informed > 0 {
+                    title += &format!(", π_2 = {pi2}");
+                }
+                title += &format!(", π_3 = {pi3}, π_4 = {pi4}");
             }
             Panel {
                 title,

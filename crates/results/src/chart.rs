@@ -47,6 +47,8 @@ pub struct Chart {
     pub runs: usize,
     /// The number of runs that have no value, which are left out.
     pub left_out: usize,
+    /// The conditions of which no run has a value, such as `pi1=2 share=0.1`, ordered by their values.
+    pub empty: Vec<String>,
     /// The number of runs that end before others of their condition; 0 unless over time.
     pub ended_early: usize,
 }
@@ -239,7 +241,15 @@ pub fn over_value(rows: &[ResultRow], y: &str, x: Option<&str>) -> Result<Chart,
     let x = choose(&names, &varied, &available, x)?;
     let mut curves: Vec<(Values, BTreeMap<Ordered, Vec<f64>>)> = Vec::new();
     let mut left_out = 0;
+    let mut conditions: Vec<(Values, bool)> = Vec::new();
     for (row, values) in rows.iter().zip(names) {
+        let condition = values.iter().filter(|(name, _)| varied.contains(name));
+        let condition: Values = condition.cloned().collect();
+        let has_value = number(row, y).is_some();
+        match conditions.iter_mut().find(|(it, _)| *it == condition) {
+            Some((_, found)) => *found |= has_value,
+            None => conditions.push((condition, has_value)),
+        }
         let at = match values.iter().find(|(name, _)| *name == x) {
             Some((_, value)) => Some(parse(&x, value)?),
             None => number(row, &x),
@@ -281,6 +291,7 @@ pub fn over_value(rows: &[ResultRow], y: &str, x: Option<&str>) -> Result<Chart,
         curves: sorted(curves.collect()),
         runs: rows.len(),
         left_out,
+        empty: empty(conditions),
         ended_early: 0,
     })
 }
@@ -368,13 +379,18 @@ pub fn over_time(all: &[Series], y: &str) -> Result<Chart, ChartError> {
         }
     }
     let (mut curves, mut left_out, mut ended_early) = (Vec::new(), 0, 0);
+    let mut found = Vec::new();
     for (values, series) in conditions {
         let last = |series: &&Series| series.steps.last().copied();
         let longest = series.iter().filter_map(last).max();
         ended_early += series.iter().filter(|it| last(it) < longest).count();
         let has_value = |series: &&&Series| values_over_time(series, y).next().is_some();
-        left_out += series.len() - series.iter().filter(has_value).count();
-        curves.push((values, means_over_time(&series, y)));
+        let with_value = series.iter().filter(has_value).count();
+        left_out += series.len() - with_value;
+        found.push((values.clone(), with_value > 0));
+        if with_value > 0 {
+            curves.push((values, means_over_time(&series, y)));
+        }
     }
     finish(Chart {
         x: "time".to_owned(),
@@ -382,6 +398,7 @@ pub fn over_time(all: &[Series], y: &str) -> Result<Chart, ChartError> {
         curves: sorted(curves),
         runs: all.len(),
         left_out,
+        empty: empty(found),
         ended_early,
     })
 }
@@ -429,12 +446,6 @@ fn mean(x: f64, values: &[f64]) -> Mean {
 /// Orders curves by their values, numbers by size.
 fn sorted(mut curves: Vec<(Values, Vec<Mean>)>) -> Vec<MeanCurve> {
     curves.sort_by(|(one, _), (two, _)| compare_values(one, two));
-    let label = |values: Values| {
-        let pairs = values
-            .into_iter()
-            .map(|(name, value)| format!("{name}={value}"));
-        pairs.collect::<Vec<_>>().join(" ")
-    };
     curves
         .into_iter()
         .map(|(values, points)| MeanCurve {
@@ -442,6 +453,20 @@ fn sorted(mut curves: Vec<(Values, Vec<Mean>)>) -> Vec<MeanCurve> {
             points,
         })
         .collect()
+}
+
+/// Returns the conditions without a value.
+fn empty(mut conditions: Vec<(Values, bool)>) -> Vec<String> {
+    conditions.retain(|(_, has_value)| !has_value);
+    conditions.sort_by(|(one, _), (two, _)| compare_values(one, two));
+    conditions.into_iter().map(|(it, _)| label(it)).collect()
+}
+
+fn label(values: Values) -> String {
+    let pairs = values
+        .into_iter()
+        .map(|(name, value)| format!("{name}={value}"));
+    pairs.collect::<Vec<_>>().join(" ")
 }
 
 fn finish(chart: Chart) -> Result<Chart, ChartError> {

@@ -283,6 +283,7 @@ fn write_chart(
         "file": out,
         "runs": chart.runs,
         "left_out": chart.left_out,
+        "empty": chart.empty,
         "ended_early": chart.ended_early,
         "faulted": faulted,
     });

@@ -35,6 +35,7 @@ fn means_and_intervals_are_those_computed_by_hand() {
     let labels: Vec<&str> = chart.curves.iter().map(|it| it.label.as_str()).collect();
     assert_eq!(labels, ["pi1=4", "pi1=10"]);
     assert_eq!((chart.runs, chart.left_out), (7, 2));
+    assert_eq!(chart.empty, ["pi1=2 share=0.1"]);
     let [low, high] = chart.curves[0].points[..] else {
         panic!("{chart:?}")
     };
@@ -148,7 +149,8 @@ fn means_over_time_leave_out_the_last_entries_of_runs_that_end_early() {
     ];
     let chart = over_time(&all, "order").unwrap();
     assert_eq!((chart.runs, chart.left_out, chart.ended_early), (3, 1, 1));
-    assert_eq!(chart.curves[0].label, "n=3");
+    let labels: Vec<&str> = chart.curves.iter().map(|it| it.label.as_str()).collect();
+    assert_eq!((labels, chart.empty), (vec!["n=3"], vec!["n=5".to_owned()]));
     let points = chart.curves[0].points.iter();
     let points: Vec<_> = points.map(|it| (it.x, it.spread.mean, it.runs)).collect();
     assert_eq!(points, [(0.0, 2.0, 2), (5.0, 2.0, 1), (10.0, 3.0, 1)]);
