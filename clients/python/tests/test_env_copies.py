@@ -7,7 +7,9 @@ import gc
 import pickle
 import subprocess
 import sys
+import threading
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import cloudpickle
@@ -19,7 +21,7 @@ from gymnasium.error import ResetNeeded
 
 import jostle
 import jostle.env
-from conftest import Daemon
+from conftest import MAX_WAIT_SECS, Daemon
 from jostle.env import ParallelEnv, ShepherdEnv
 from test_env import Env, act, hashes, of_first
 from test_env import _jostled as _jostled
@@ -85,6 +87,29 @@ def test_an_action_of_a_copy_changes_no_other(make: Make) -> None:
     steps(twin, [9.0, 9.0])
     twin.reset(seed=6)
     assert steps(env, [0, 1, 2, 3, 4]) == first[1:]
+
+
+def test_a_second_thread_is_refused_and_the_episode_goes_on(make: Make) -> None:
+    env = make(n=50, steps_per_action=100)
+    env.reset(seed=1)
+    barrier = threading.Barrier(2)
+
+    def work() -> list[str]:
+        refused = []
+        for number in range(20):
+            barrier.wait(MAX_WAIT_SECS)
+            try:
+                env.step(act(env, number))
+            except jostle.IncorrectState as error:
+                refused.append(str(error))
+        return refused
+
+    with ThreadPoolExecutor(2) as pool:
+        done = [pool.submit(work), pool.submit(work)]
+        refused = [said for one in done for said in one.result(MAX_WAIT_SECS)]
+    assert refused
+    assert not [said for said in refused if "reset" in said]
+    env.step(act(env, 0.0))
 
 
 def test_copies_are_deleted_by_their_close_or_with_their_parent(

@@ -49,6 +49,17 @@ def test_values_are_those_of_the_experiment_with_them(tmp_path: Path) -> None:
     assert len(list((tmp_path / "search").iterdir())) == 2
 
 
+def test_a_column_that_the_file_adds_is_an_objective(tmp_path: Path) -> None:
+    added = f'{EXPERIMENT}[measure]\ncolumns = ["milling", "clusters.count(0.1)"]\n'
+    objective = jostle.Objective(added, "clusters.count(0.1)", folder=tmp_path)
+    value = objective(pi1=2.0)
+    found = [{it.name: it.value for it in row.extra or ()} for row in objective.rows(pi1=2.0)]
+    assert value == sum(it["clusters.count(0.1)"] or 0.0 for it in found) / 2
+    assert value >= 1.0
+    with pytest.raises(jostle.InvalidArgument, match="add it to `columns`"):
+        jostle.Objective(added, "clusters.count(0.2)", folder=tmp_path)
+
+
 def test_a_value_of_the_spec_keeps_the_seeds(tmp_path: Path) -> None:
     objective = jostle.Objective(EXPERIMENT, "v", folder=tmp_path)
     one, other = objective.rows(pi1=2.0), objective.rows(pi1=3.0)
@@ -70,7 +81,8 @@ def test_a_value_replaces_an_axis_of_the_file_and_keeps_the_seeds(tmp_path: Path
 
 def test_invalid_searches_are_errors(tmp_path: Path) -> None:
     with pytest.raises(
-        jostle.InvalidArgument, match="unknown measure 'speed': use one of seed, n,"
+        jostle.InvalidArgument,
+        match=r"unknown measure 'speed': use one of seed, n,.* or add it to `columns`",
     ):
         jostle.Objective(EXPERIMENT, "speed", folder=tmp_path)
     with pytest.raises(jostle.InvalidArgument, match="invalid experiment: "):

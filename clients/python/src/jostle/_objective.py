@@ -54,7 +54,8 @@ class Objective:
 
         Args:
             source: The experiment: a file, the text of one, or a mapping of its fields.
-            measure: A column of the results, such as `v` or `v_pd`.
+            measure: A column of the results, such as `v` or `v_pd`, or one of the file's
+                `[measure] columns`, such as `drift`, as it is written there.
             folder: The folder of all results.
             executor: As in `sweep`.
             task_secs: As in `sweep`.
@@ -79,9 +80,12 @@ class Objective:
             for name, kind in ResultRow.__annotations__.items()
             if kind in ("int", "float", "float | None")
         ]
-        if measure not in measures:
+        columns = _columns(self._fields)
+        if measure not in (*measures, *columns):
             raise invalid(
-                "measure", f"unknown measure {measure!r}: use one of {', '.join(measures)}"
+                "measure",
+                f"unknown measure {measure!r}: use one of {', '.join((*columns, *measures))}, or "
+                "add it to `columns` in [measure]",
             )
         self._name = source_label(source)
         self._measure = measure
@@ -104,8 +108,9 @@ class Objective:
             Faulted: A run ended early, or the measure is not finite in every run.
         """
         rows = self.rows(**values)
-        found = [getattr(row, self._measure) for row in rows]
-        bad = sum(value is None or not math.isfinite(value) for value in found)
+        found = [_number(row, self._measure) for row in rows]
+        finite = [value for value in found if value is not None and math.isfinite(value)]
+        bad = len(found) - len(finite)
         if bad or not found:
             needs = "; v_pd needs informed individuals" if self._measure == "v_pd" else ""
             raise Faulted(
@@ -113,7 +118,7 @@ class Objective:
                 f"measure or other values{needs}",
                 details={"measure": self._measure},
             )
-        return statistics.fmean(found)
+        return statistics.fmean(finite)
 
     def rows(self, **values: float | str) -> list[ResultRow]:
         """Returns the rows of all runs with these values.
@@ -187,6 +192,20 @@ class Objective:
                 spec[name] = value
         fields = {**self._fields, "spec": spec, "grid": [grid for grid in grids if grid]}
         return {name: it for name, it in fields.items() if it != []}
+
+
+def _columns(fields: Mapping[str, Any]) -> list[str]:
+    """The measures that the file adds to the table; none if it is invalid, which `sweep` says."""
+    measure = fields.get("measure")
+    columns = measure.get("columns") if isinstance(measure, Mapping) else None
+    return [it for it in columns if isinstance(it, str)] if isinstance(columns, list) else []
+
+
+def _number(row: ResultRow, measure: str) -> float | None:
+    if measure in ResultRow.__annotations__:
+        number: float | None = getattr(row, measure)
+        return number
+    return next((it.value for it in row.extra or () if it.name == measure), None)
 
 
 def _canonical(name: str, value: float | str) -> float | str:

@@ -56,6 +56,7 @@ _ARGUMENTS = frozenset(
 _CLOSED = "this environment is closed: make another one"
 _CHANGED = "another client changed the swarm: call `reset`"
 _NOT_RESET = "no episode has begun: call `reset` first"
+_IN_USE = "another thread steps this environment: give each thread one of its own"
 
 
 class World:
@@ -124,6 +125,7 @@ class World:
         self._hash = ""
         self._began_at = 0.0
         self._actions = 0
+        self._is_advancing = False
         if self._camera is not None:
             self._camera = Camera()
         # The one that this was forked from, whose client it uses.
@@ -154,11 +156,13 @@ class World:
         """The present state.
 
         Raises:
-            IncorrectState: The environment is closed.
+            IncorrectState: The environment is closed, or another thread steps it.
             ResetNeeded: No episode has begun.
         """
         if self._is_closed:
             raise IncorrectState(_CLOSED)
+        if self._is_advancing:
+            raise IncorrectState(_IN_USE)
         if self._state is None:
             raise ResetNeeded(_NOT_RESET)
         return self._state
@@ -172,13 +176,10 @@ class World:
         """Checks that an episode has begun and has not ended.
 
         Raises:
-            IncorrectState: The environment is closed.
+            IncorrectState: The environment is closed, or another thread steps it.
             ResetNeeded: It has not begun, or has ended.
         """
-        if self._is_closed:
-            raise IncorrectState(_CLOSED)
-        if self._state is None:
-            raise ResetNeeded(_NOT_RESET)
+        _ = self.state
         if self.is_over:
             raise ResetNeeded("the episode is over: call `reset`")
 
@@ -214,6 +215,7 @@ class World:
         self._state = self._controller.sync()
         self._began_at = self._along(self._state)
         self._actions = 0
+        self._is_advancing = False
         if self._camera is not None:
             self._camera = Camera()
 
@@ -268,9 +270,13 @@ class World:
         direction, weight = self._set_points(preference)
         # Without a reply the state is unknown.
         self._state = None
-        advanced = self._controller.advance(
-            self._steps_per_action, ids=ids, direction=direction, weight=weight, state=True
-        )
+        self._is_advancing = True
+        try:
+            advanced = self._controller.advance(
+                self._steps_per_action, ids=ids, direction=direction, weight=weight, state=True
+            )
+        finally:
+            self._is_advancing = False
         after = advanced.state
         if not advanced.complete:
             raise Conflict(_CHANGED, step=advanced.step)
