@@ -1,6 +1,7 @@
 //! Why a command failed: its code, its exit code and, in the message, its remedy.
 
 use std::fmt::Display;
+use std::io;
 
 use jostle_client::Error;
 use jostle_experiment::stdout::StdoutError;
@@ -203,13 +204,22 @@ impl Failure {
     }
 
     /// A table cannot be read, or a figure cannot be drawn.
-    pub fn results(error: impl Display) -> Self {
-        Failure::new("invalid_argument", error.to_string())
+    pub fn results(error: impl std::error::Error + 'static) -> Self {
+        let code = match is_full(&error) {
+            true => "storage_full",
+            false => "invalid_argument",
+        };
+        Failure::new(code, error.to_string())
     }
 
     /// A file cannot be written.
-    pub fn file(path: impl Display, error: impl Display) -> Self {
-        Failure::new("internal", format!("{path}: {error}"))
+    pub fn file(path: impl Display, error: io::Error) -> Self {
+        let code = if is_full(&error) {
+            "storage_full"
+        } else {
+            "internal"
+        };
+        Failure::new(code, format!("{path}: {error}"))
     }
 
     /// The disk is full; `problem` names the operation that failed.
@@ -232,6 +242,7 @@ impl Failure {
         let error = error.into();
         match error {
             StdoutError::Closed => Failure::of(Kind::BrokenPipe, "broken_pipe", error.to_string()),
+            StdoutError::Failed(ref cause) if is_full(cause) => Failure::disk_full(error),
             StdoutError::Failed(_) => Failure::new("internal", error.to_string()),
         }
     }
@@ -517,8 +528,20 @@ fn in_parentheses(reason: Option<&str>) -> String {
     reason.map_or_else(String::new, |reason| format!(" ({reason})"))
 }
 
+/// Whether the cause of an error is a full disk.
+fn is_full(error: &(dyn std::error::Error + 'static)) -> bool {
+    let system = error.downcast_ref::<io::Error>().map(io::Error::kind);
+    let full = matches!(
+        system,
+        Some(io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded)
+    );
+    full || error.source().is_some_and(is_full)
+}
+
 #[cfg(test)]
 mod tests {
+    use jostle_figures::SaveError;
+
     use super::*;
 
     fn rejected(code: ErrorCode) -> Failure {
@@ -561,6 +584,14 @@ mod tests {
         let target = "demo".into();
         assert_eq!(exit_code(Error::Silent { target }), 5);
         assert_eq!(Failure::interrupted().exit_code(), 130);
+        let full = || io::Error::from(io::ErrorKind::StorageFull);
+        let picture = SaveError::Io {
+            path: "a.svg".into(),
+            source: full(),
+        };
+        assert_eq!(Failure::results(picture).exit_code(), 8);
+        assert_eq!(Failure::file("a.snapshot", full()).exit_code(), 8);
+        assert_eq!(Failure::output(full()).exit_code(), 8);
         assert_eq!(Failure::output(StdoutError::Closed).exit_code(), 0);
         let (swarm, there) = ("demo".into(), vec!["demos".into(), "herd".into()]);
         let swarm = Failure::from(Error::NoSwarm { swarm, there });

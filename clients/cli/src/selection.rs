@@ -20,10 +20,10 @@ pub struct SelectionArguments {
     /// These ids and ranges of ids, such as 1,4-7
     #[arg(long, value_name = "IDS", value_delimiter = ',', value_parser = values::ids)]
     ids: Option<Vec<RangeInclusive<u32>>>,
-    /// This many, drawn at random
+    /// This many, drawn at random; of `uninform`: of the informed
     #[arg(long, value_name = "COUNT", value_parser = values::whole_in::<1, MAX_INDIVIDUALS>, allow_negative_numbers = true)]
     count: Option<u64>,
-    /// This share of all, 0 to 1 or 0% to 100%, drawn at random
+    /// This share of all, 0 to 1 or 0% to 100%, drawn at random; of `uninform`: of the informed
     #[arg(long, value_name = "SHARE", value_parser = values::share, allow_hyphen_values = true)]
     fraction: Option<f64>,
     /// All whose centre is in a disc

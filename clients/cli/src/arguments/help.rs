@@ -32,9 +32,10 @@ pub const TOPICS: [Topic; 4] = [
 
 Draws depend on the seed and the seq of the command: a replay draws the same individuals.
 
-`delete` also takes patterns of names, quoted for the shell: `*` matches any text, `?` one
-character, `[abc]` one of these characters. It lists what a pattern matches and asks for
-confirmation; without a terminal it requires --yes.
+`list`, `top`, `run`, `pause` and `delete` take patterns of names, quoted for the shell: `*`
+matches any text, `?` one character, `[abc]` one of these characters; and --where, such as
+--where 'n >= 200 and phase = running'. The last three list what these match and ask for
+confirmation; without a terminal they require --yes.
 
 Examples:
   jostle inform school --fraction 10% --degrees 90

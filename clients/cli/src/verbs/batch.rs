@@ -42,11 +42,14 @@ pub async fn batch(context: &Context, arguments: &BatchArguments) -> Result<(), 
     context.output.outcome(&answer, "batch", describe)
 }
 
-/// The arguments on the wire: a list of changes, or an object with it. The text is sent unchanged, so
+/// The arguments on the wire: a list of changes, an object with it, or one change. The text is sent unchanged, so
 /// that the daemon can reject a duplicate field.
 fn args(text: &str) -> Result<Box<RawValue>, String> {
     let whole = match serde_json::from_str(text) {
         Ok(Value::Array(_)) => Ok(format!("{{\"commands\": {text}}}")),
+        Ok(Value::Object(change)) if change.contains_key("verb") => {
+            Ok(format!("{{\"commands\": [{text}]}}"))
+        }
         Ok(Value::Object(_)) => Ok(text.to_owned()),
         Ok(_) => Err("is neither a JSON list nor {\"commands\": …}".into()),
         Err(error) => Err(format!("is not JSON: {error}")),
@@ -108,6 +111,8 @@ mod tests {
         let object = format!(r#"{{"commands": {list}}}"#);
         assert_eq!(args(list).unwrap().get(), object);
         assert_eq!(args(&object).unwrap().get(), object);
+        let one = r#"{"verb": "set", "args": {"pi3": 2}}"#;
+        assert_eq!(args(one).unwrap().get(), object);
         // The daemon rejects duplicate fields.
         let twice = r#"{"commands": [{"verb": "set", "args": {"pi3": 1, "pi3": 2}}]}"#;
         assert_eq!(args(twice).unwrap().get(), twice);

@@ -136,9 +136,10 @@ fn compare_with_bands(
     let count = judged.len();
     let unmeasured = judged.iter().filter(|it| it.mean.is_none()).count();
     if unmeasured > 0 {
-        return Err(Failure::results(format!(
-            "for {unmeasured} of {count} bands the results have no run"
-        )));
+        return Err(Failure::new(
+            "invalid_argument",
+            format!("for {unmeasured} of {count} bands the results have no run"),
+        ));
     }
     if outside > 0 {
         return Err(Failure::new(
@@ -157,7 +158,7 @@ fn write_page(
 ) -> Result<(), Failure> {
     let folder = path.with_extension("");
     let name = folder.file_name().unwrap_or_default().to_string_lossy();
-    let system = |error: std::io::Error| Failure::results(format!("{}: {error}", path.display()));
+    let system = |error: std::io::Error| Failure::file(path.display(), error);
     fs::create_dir_all(&folder).map_err(system)?;
     let mut figures = Vec::new();
     for kind in FIGURES {

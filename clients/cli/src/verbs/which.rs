@@ -30,6 +30,18 @@ impl FilterArguments {
         self.names.is_empty() && self.condition.is_none()
     }
 
+    /// Checks that the swarms that are named, not matched, exist.
+    pub fn check_named(&self, there: &[SwarmSummary]) -> Result<(), Failure> {
+        let missing = self.names.iter().find_map(|names| match names {
+            Names::One(name) if !there.iter().any(|it| it.swarm == *name) => Some(name.clone()),
+            Names::One(_) | Names::Matching(_) => None,
+        });
+        missing.map_or(Ok(()), |swarm| {
+            let there = there.iter().map(|it| it.swarm.clone()).collect();
+            Err(Error::NoSwarm { swarm, there }.into())
+        })
+    }
+
     /// Whether it lists a swarm.
     pub fn lists(&self, swarm: &SwarmSummary) -> bool {
         let is_named = |names: &Names| match names {

@@ -47,6 +47,12 @@ async fn a_chart_has_the_name_of_the_experiment_and_the_units_of_its_columns() {
     daemon.said(&fetched).await;
     let drawn = async |line: &str| drawn(&daemon, folder.path(), line).await;
 
+    let of_folder = daemon
+        .jostle(&format!("experiment results {}", results.display()))
+        .await;
+    let hint = format!("`jostle plot {}` draws it", results.display());
+    assert!(of_folder.stderr.contains(&hint), "{}", of_folder.stderr);
+
     // A folder without the experiment's file has its own name, whole.
     let picture = drawn(&format!("plot {} --y v", results.display())).await;
     assert!(picture.contains(">a.b: v over dt<"), "{picture}");

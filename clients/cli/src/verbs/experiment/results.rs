@@ -22,6 +22,17 @@ use crate::verbs::experiment::over_time::Pages;
 use crate::verbs::experiment::rows::Table;
 use crate::verbs::experiment::{phase, rows, series, trajectory};
 
+/// The failure for the name of a folder of results.
+fn of_folder(name: &str) -> Option<Failure> {
+    let table = Path::new(name).join("results.csv");
+    let problem = format!(
+        "{name} is a folder, not an experiment of the daemon: {} is its table, and `jostle plot {name}` \
+         draws it",
+        table.display()
+    );
+    table.is_file().then(|| Failure::argument("NAME", problem))
+}
+
 /// Shows or writes the results of an experiment.
 pub async fn results(context: &Context, arguments: &ResultsArguments) -> Result<(), Failure> {
     let Context { client, output } = context;
@@ -50,7 +61,8 @@ pub async fn results(context: &Context, arguments: &ResultsArguments) -> Result<
     if let Some(run) = series {
         return series::print(context, arguments, run.as_deref()).await;
     }
-    let Table { rows, extra } = rows::fetch(client, name).await?;
+    let fetched = rows::fetch(client, name).await;
+    let Table { rows, extra } = fetched.map_err(|error| of_folder(name).unwrap_or(error))?;
     if rows.is_empty() {
         let progress: Progress = client.get_experiment(name, "progress").await?.read()?;
         if progress.finished == progress.runs {

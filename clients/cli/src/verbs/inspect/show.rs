@@ -14,6 +14,7 @@ pub async fn list(context: &Context, filter: &FilterArguments) -> Result<(), Fai
     let answer = context.client.get_node("swarms").await?;
     let mut reply: NodeReply<Swarms> = answer.read()?;
     if !filter.is_empty() {
+        filter.check_named(&reply.result.swarms)?;
         reply.result.swarms.retain(|it| filter.lists(it));
         if context.output.json {
             return context.output.document(&reply);

@@ -14,6 +14,8 @@ pub struct Filter {
     pub text: String,
     /// Whether keys edit it.
     pub is_open: bool,
+    /// The swarm that was selected when it was opened.
+    pub opened_at: Option<String>,
 }
 
 /// The effect of a key on an open filter.
@@ -23,6 +25,8 @@ pub enum Edit {
     Text,
     /// The text is to be kept.
     Keep,
+    /// It is closed: select the swarm from before.
+    Cancel(Option<String>),
     /// Select another of the swarms that it shows.
     Move(isize),
 }
@@ -40,7 +44,7 @@ impl Filter {
     /// Handles a key while it is open.
     pub fn press(&mut self, key: KeyEvent) -> Edit {
         match key.code {
-            KeyCode::Esc => *self = Filter::default(),
+            KeyCode::Esc => return Edit::Cancel(std::mem::take(self).opened_at),
             KeyCode::Enter => return Edit::Keep,
             KeyCode::Up => return Edit::Move(-1),
             KeyCode::Down => return Edit::Move(1),

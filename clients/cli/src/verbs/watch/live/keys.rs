@@ -64,7 +64,10 @@ impl View {
         match key.code {
             KeyCode::Char('q') => return vec![Action::End(End::Quit)],
             KeyCode::Char('?') => self.is_help_shown = true,
-            KeyCode::Char('/') => self.filter.is_open = true,
+            KeyCode::Char('/') => {
+                self.filter.is_open = true;
+                self.filter.opened_at = self.selected.as_ref().map(|it| it.name.clone());
+            }
             KeyCode::Esc => self.filter.text.clear(),
             KeyCode::Left | KeyCode::Char('H') => self.camera.pan(-1.0, 0.0),
             KeyCode::Right | KeyCode::Char('L') => self.camera.pan(1.0, 0.0),
@@ -109,6 +112,7 @@ impl View {
         match self.filter.press(key) {
             Edit::Text => self.select_visible(),
             Edit::Move(by) => self.move_selection(by),
+            Edit::Cancel(before) => self.select_again(before),
             Edit::Keep if self.visible().next().is_some() => {
                 self.filter.is_open = false;
                 self.select_visible()

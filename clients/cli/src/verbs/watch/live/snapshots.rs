@@ -358,6 +358,7 @@ fn a_filter_shows_and_selects_only_what_it_matches() {
         let keys = text.chars().map(KeyCode::Char);
         keys.flat_map(|key| press(view, key)).collect::<Vec<_>>()
     };
+    let before = view.selected.as_ref().unwrap().name.clone();
     let actions = typed(&mut view, "/sch");
     assert!(
         matches!(&actions[..], [Action::Follow(Some(it))] if it.starts_with("school")),
@@ -369,7 +370,11 @@ fn a_filter_shows_and_selects_only_what_it_matches() {
         "{shown}"
     );
     assert!(!shown.contains("broken"), "{shown}");
-    press(&mut view, KeyCode::Esc);
+    let actions = press(&mut view, KeyCode::Esc);
+    assert!(
+        matches!(&actions[..], [Action::Follow(Some(it))] if *it == before),
+        "{actions:?}"
+    );
     assert_eq!(view.visible().count(), 3);
     typed(&mut view, "/*o?e*");
     assert_eq!(

@@ -184,6 +184,17 @@ impl View {
         }
     }
 
+    /// Selects a swarm if it is still there.
+    pub fn select_again(&mut self, name: Option<String>) -> Vec<Action> {
+        let mut swarms = self.swarms.iter().flatten();
+        let name = name.filter(|name| swarms.any(|it| it.swarm == *name));
+        let selected = self.selected.as_ref().map(|it| &it.name);
+        match name.is_some() && name.as_ref() != selected {
+            true => self.follow_swarm(name),
+            false => self.select_visible(),
+        }
+    }
+
     /// Moves the selection `by` swarms down the list.
     pub fn move_selection(&mut self, by: isize) -> Vec<Action> {
         let swarms: Vec<&SwarmSummary> = self.visible().collect();
