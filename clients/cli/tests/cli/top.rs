@@ -187,3 +187,31 @@ async fn swarms_are_paused_run_and_deleted_by_what_holds_for_them() {
     assert_eq!(phases().await, "test-1 paused");
     daemon.stop().await;
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_condition_selects_among_named_swarms_too() {
+    let daemon = Daemon::start().await;
+    for (name, n) in [("small", 5), ("large", 20)] {
+        daemon.said(&format!("create {name} --n {n}")).await;
+    }
+    for verb in ["run", "pause", "delete"] {
+        let asked = daemon
+            .jostle(&format!("{verb} small large --where n>6"))
+            .await;
+        asked.assert_stderr(2, "it matches 1 swarm: large");
+        let none = daemon
+            .jostle(&format!("{verb} small --where n>6 --yes"))
+            .await;
+        none.assert_stderr(3, "holds for no swarm");
+        let absent = daemon
+            .jostle(&format!("{verb} large nobody --where n>6 --yes"))
+            .await;
+        absent.assert_stderr(3, "nobody");
+    }
+    daemon.said("delete small large --where n>6 --yes").await;
+    let left = daemon.reply("list").await["result"]["swarms"].clone();
+    let names = left.as_array().unwrap().iter();
+    let names: Vec<_> = names.map(|it| it["swarm"].clone()).collect();
+    assert_eq!(names, ["small"]);
+    daemon.stop().await;
+}
