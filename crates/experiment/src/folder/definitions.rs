@@ -8,6 +8,7 @@ use super::*;
 use crate::execute::{Execution, execute};
 use crate::merge::{MergeError, Parts};
 use crate::progress::ExecutionControl;
+use crate::run::{RunCheckpoint, execute_run, execute_run_from};
 
 /// Two individuals that disagree by π, but for a rounding of it.
 const FILE: &str = "name = \"conflict\"\nduration = 1\nreplicates = 4\nspec = { n = 6 }\n\
@@ -131,4 +132,27 @@ fn parts_of_the_same_definitions_are_merged_and_verified_under_them() {
         matches!(&error, MergeError::OtherDefinitions { others, .. } if *others == parts[1..]),
         "{error}"
     );
+}
+
+#[test]
+fn a_run_goes_on_from_its_checkpoint_under_the_definitions_with_which_it_began() {
+    let mut plan = Plan::parse(FILE).unwrap();
+    for definitions in [Definitions::First, Definitions::Second] {
+        plan.definitions = definitions;
+        let run = &plan.runs()[0];
+        let expected = execute_run(&plan, run, |_| true).unwrap();
+        let row = expected.row.as_ref().unwrap();
+        let is_first = definitions == Definitions::First;
+        assert_eq!(row.extra("stopped_at").is_some(), is_first);
+        for kept in [1, row.steps - 1] {
+            let mut bytes = Vec::new();
+            execute_run_from(&plan, run, None, None, |current| {
+                bytes = current.checkpoint().to_bytes();
+                current.steps() < kept
+            });
+            let checkpoint = RunCheckpoint::from_bytes(&bytes).unwrap();
+            let finished = execute_run_from(&plan, run, Some(checkpoint), None, |_| true);
+            assert_eq!(finished.unwrap(), expected, "{definitions:?} {kept}");
+        }
+    }
 }
