@@ -288,6 +288,29 @@ async fn informing_with_a_weight_of_0_is_rejected_at_once_and_at_its_step() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn informing_is_scheduled_without_a_weight_while_a_condition_may_set_it() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    client.create("a", json!({"n": 6, "pi2": 0})).await;
+    let args = json!({"select": {"ids": [3]}, "direction": 1});
+    let inform = json!({"at_step": 40, "args": args});
+    let refused = client.cmd("a", "inform", inform.clone()).await.unwrap_err();
+    assert_eq!(refused.code, ErrorCode::InvalidArgument);
+    let set = json!({"verb": "set", "args": {"pi2": 2}});
+    let when = json!({"condition": "order > 0 for 0.1", "commands": [set]});
+    client.ok("a", "when", when).await;
+    client.ok("a", "inform", inform).await;
+    let another = json!({"condition": "order > 0 for 1", "commands": [
+        {"verb": "inform", "args": {"select": {"ids": [4]}, "direction": 1}},
+    ]});
+    client.ok("a", "when", another).await;
+    client.ok("a", "step", json!({"steps": 100})).await;
+    let weights = client.query("jostle/a/state", None).await.unwrap()["weight"].clone();
+    assert_eq!((&weights[3], &weights[4]), (&json!(2.0), &json!(2.0)));
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn the_status_and_the_reply_of_set_say_how_many_states_a_second_are_published() {
     let daemon = Daemon::with(&[("max_hz", "50")]).await;
     let client = &daemon.client;
