@@ -152,6 +152,20 @@ def test_a_copy_that_nothing_references_is_deleted(make: Make, client: jostle.Cl
     assert len(swarms(client) - before) == 1
 
 
+def test_a_copy_that_nothing_references_and_another_client_deleted_is_no_error(
+    make: Make, client: jostle.Client
+) -> None:
+    env = make()
+    env.reset(seed=1)
+    for goes_on in (env.reset, env.fork):
+        before = swarms(client)
+        steps(env.fork(), [0.0])
+        gc.collect()
+        (dropped,) = swarms(client) - before
+        client.swarm(dropped).delete()
+        goes_on()
+
+
 def test_copies_share_the_private_daemon_and_end_with_it() -> None:
     for kind in KINDS:
         env = kind(n=3, informed=1)

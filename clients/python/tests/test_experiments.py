@@ -246,6 +246,20 @@ inform = { select = { count = "$k" }, direction = 0 }
     experiment.delete()
 
 
+def test_only_the_copy_of_an_experiment_takes_the_copies_beside_it(
+    client: jostle.Client, tmp_path: Path
+) -> None:
+    (tmp_path / "own.csv").write_text("pi1\n2\n")
+    # As in a folder of results.
+    (tmp_path / "experiment.points.csv").write_text("pi1\n4\n")
+    for file, pi1 in (("study.toml", 2.0), ("experiment.toml", 4.0)):
+        text = 'name = "copies"\nduration = 1\nspec = { n = 3 }\npoints = "own.csv"\n'
+        (tmp_path / file).write_text(text)
+        experiment = client.submit(tmp_path / file).wait(60.0)
+        assert [row.pi1 for row in experiment.rows()] == [pi1]
+        experiment.delete()
+
+
 def test_files_outside_the_folder_have_a_warning_and_are_not_quoted(
     client: jostle.Client, tmp_path: Path
 ) -> None:
