@@ -304,14 +304,16 @@ impl Client {
     /// The error for a query without a reply, whose cause zenoh does not report: derived from the
     /// tokens, and from the daemon's reply to `whoami`.
     pub(crate) async fn explain_silence(&self, target: Target<'_>, key: &str) -> Error {
-        let there = self.nodes_soon(Duration::ZERO).await;
+        // A connection that breaks or is restored between two queries would make a daemon without the swarm.
+        let before = self.nodes_soon(Duration::ZERO).await;
         let hosts = match target {
             Target::Swarm(swarm) => self.hosts_of(swarm).await,
             Target::Node(_) => Ok(Vec::new()),
         };
-        let (hosts, there) = match (hosts, there) {
-            (Ok(hosts), Ok(there)) => (hosts, there),
-            (Err(error), _) | (_, Err(error)) => return error,
+        let there = self.nodes().await;
+        let (before, hosts, there) = match (before, hosts, there) {
+            (Ok(before), Ok(hosts), Ok(there)) => (before, hosts, there),
+            (Err(error), ..) | (_, Err(error), _) | (.., Err(error)) => return error,
         };
         let is_there = match target {
             Target::Swarm(_) => !hosts.is_empty(),
@@ -324,11 +326,19 @@ impl Client {
             return Error::rejected(error);
         }
         match target {
-            Target::Swarm(_) if !hosts.is_empty() => {
+            Target::Swarm(_) if !hosts.is_empty() && !there.is_empty() => {
                 self.explain_refusal(target, &hosts[0], key).await
             }
-            _ if there.is_empty() => self.no_node().await,
-            Target::Swarm(swarm) => self.no_swarm(swarm).await,
+            _ if before.is_empty() || there.is_empty() => self.no_node().await,
+            Target::Swarm(swarm) => match self.no_swarm(swarm).await {
+                // Its token came last.
+                Error::NoSwarm { there, .. } if there.iter().any(|it| it == swarm) => {
+                    Error::Silent {
+                        target: target.to_string(),
+                    }
+                }
+                error => error,
+            },
             Target::Node(node) if there.iter().any(|name| name == node) => {
                 self.explain_refusal(target, node, key).await
             }
