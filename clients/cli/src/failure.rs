@@ -213,7 +213,7 @@ impl Failure {
     }
 
     /// A file cannot be written.
-    pub fn file(path: impl Display, error: io::Error) -> Self {
+    pub fn file(path: impl Display, error: impl std::error::Error + 'static) -> Self {
         let code = if is_full(&error) {
             "storage_full"
         } else {
@@ -242,7 +242,6 @@ impl Failure {
         let error = error.into();
         match error {
             StdoutError::Closed => Failure::of(Kind::BrokenPipe, "broken_pipe", error.to_string()),
-            StdoutError::Failed(ref cause) if is_full(cause) => Failure::disk_full(error),
             StdoutError::Failed(_) => Failure::new("internal", error.to_string()),
         }
     }
@@ -591,7 +590,6 @@ mod tests {
         };
         assert_eq!(Failure::results(picture).exit_code(), 8);
         assert_eq!(Failure::file("a.snapshot", full()).exit_code(), 8);
-        assert_eq!(Failure::output(full()).exit_code(), 8);
         assert_eq!(Failure::output(StdoutError::Closed).exit_code(), 0);
         let (swarm, there) = ("demo".into(), vec!["demos".into(), "herd".into()]);
         let swarm = Failure::from(Error::NoSwarm { swarm, there });

@@ -42,8 +42,8 @@ pub async fn batch(context: &Context, arguments: &BatchArguments) -> Result<(), 
     context.output.outcome(&answer, "batch", describe)
 }
 
-/// The arguments on the wire: a list of changes, an object with it, or one change. The text is sent unchanged, so
-/// that the daemon can reject a duplicate field.
+/// The arguments on the wire: a list of changes, an object with it, or one change. The text is sent
+/// unchanged, so that the daemon can reject a duplicate field.
 fn args(text: &str) -> Result<Box<RawValue>, String> {
     let whole = match serde_json::from_str(text) {
         Ok(Value::Array(_)) => Ok(format!("{{\"commands\": {text}}}")),

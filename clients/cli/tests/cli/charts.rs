@@ -2,6 +2,7 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::process::Command;
 
 use crate::support::Daemon;
 
@@ -47,11 +48,20 @@ async fn a_chart_has_the_name_of_the_experiment_and_the_units_of_its_columns() {
     daemon.said(&fetched).await;
     let drawn = async |line: &str| drawn(&daemon, folder.path(), line).await;
 
-    let of_folder = daemon
-        .jostle(&format!("experiment results {}", results.display()))
-        .await;
-    let hint = format!("`jostle plot {}` draws it", results.display());
-    assert!(of_folder.stderr.contains(&hint), "{}", of_folder.stderr);
+    fs::create_dir(folder.path().join("merged")).unwrap();
+    fs::copy(
+        results.join("results.csv"),
+        folder.path().join("merged/results.csv"),
+    )
+    .unwrap();
+    let of_folder = Command::new(env!("CARGO_BIN_EXE_jostle"))
+        .args(["experiment", "results", "merged"])
+        .current_dir(folder.path())
+        .env("JOSTLE_ENDPOINT", &daemon.endpoint)
+        .output()
+        .unwrap();
+    let said = String::from_utf8(of_folder.stderr).unwrap();
+    assert!(said.contains("`jostle plot merged` draws it"), "{said}");
 
     // A folder without the experiment's file has its own name, whole.
     let picture = drawn(&format!("plot {} --y v", results.display())).await;

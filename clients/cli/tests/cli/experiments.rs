@@ -71,6 +71,16 @@ async fn results_of_runs_that_all_ended_at_step_0_are_an_error() {
         assert!(ended.stderr.contains(says), "{options}: {ended:?}");
     }
     assert!(!out.exists());
+    // A condition of which no run has taken a step.
+    let text = "name = \"some\"\nreplicates = 2\nduration = 1\nspec = { n = 3 }\n\
+                [[grid]]\nlimit = [-1, 2]\n[stop]\nwhen = \"order > $limit\"\n";
+    let some = file(folder.path(), "some.toml", text);
+    daemon.jostle(&format!("experiment run {some}")).await;
+    let ended = daemon.jostle("experiment results some").await;
+    ended.assert_stderr(
+        0,
+        "2 of 4 runs: some is finished; the others ended by a fault",
+    );
     let endless = file(folder.path(), "endless.toml", ENDLESS);
     daemon
         .said(&format!("experiment run {endless} --detach"))

@@ -175,6 +175,9 @@ async fn swarms_are_paused_run_and_deleted_by_what_holds_for_them() {
     );
     let both = daemon.jostle("pause test-1 nobody").await;
     both.assert_stderr(3, "nobody");
+    let listed = daemon.jostle("list test-1 nobody").await;
+    listed.assert_stderr(3, "nobody");
+    assert_eq!(listed.stdout, "");
     assert_eq!(
         phases().await,
         "demo running, test-1 paused, test-2 running"

@@ -1,7 +1,7 @@
 //! The rows of an experiment's results.
 
 use jostle_client::Client;
-use jostle_proto::{ExperimentPhase, OccasionalColumns, Progress};
+use jostle_proto::{OccasionalColumns, Progress};
 use jostle_results::ResultRow;
 use serde::Deserialize;
 
@@ -52,12 +52,12 @@ pub async fn note_missing(context: &Context, name: &str, count: usize) -> Result
     let progress: Progress = client.get_experiment(name, "progress").await?.read()?;
     if (count as u64) < progress.runs {
         let (runs, phase) = (format::count(progress.runs, "run"), phase(progress.phase));
-        let others = match progress.phase {
-            ExperimentPhase::Finished => {
+        let others = match progress.finished == progress.runs {
+            true => {
                 "; the others ended by a fault at step 0 and have no results, so that conditions \
                  may be missing"
             }
-            _ => "",
+            false => "",
         };
         output.note(&format!("{count} of {runs}: {name} is {phase}{others}"));
     }

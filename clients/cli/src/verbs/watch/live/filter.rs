@@ -15,7 +15,7 @@ pub struct Filter {
     /// Whether keys edit it.
     pub is_open: bool,
     /// The swarm that was selected when it was opened.
-    pub opened_at: Option<String>,
+    pub selected_before: Option<String>,
 }
 
 /// The effect of a key on an open filter.
@@ -44,7 +44,7 @@ impl Filter {
     /// Handles a key while it is open.
     pub fn press(&mut self, key: KeyEvent) -> Edit {
         match key.code {
-            KeyCode::Esc => return Edit::Cancel(std::mem::take(self).opened_at),
+            KeyCode::Esc => return Edit::Cancel(std::mem::take(self).selected_before),
             KeyCode::Enter => return Edit::Keep,
             KeyCode::Up => return Edit::Move(-1),
             KeyCode::Down => return Edit::Move(1),

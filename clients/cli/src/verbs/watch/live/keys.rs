@@ -66,7 +66,7 @@ impl View {
             KeyCode::Char('?') => self.is_help_shown = true,
             KeyCode::Char('/') => {
                 self.filter.is_open = true;
-                self.filter.opened_at = self.selected.as_ref().map(|it| it.name.clone());
+                self.filter.selected_before = self.selected.as_ref().map(|it| it.name.clone());
             }
             KeyCode::Esc => self.filter.text.clear(),
             KeyCode::Left | KeyCode::Char('H') => self.camera.pan(-1.0, 0.0),
