@@ -86,7 +86,7 @@ pub struct CommonDirection {
     is_defined: bool,
 }
 
-/// Weights below it are multiples of the largest one in the sum.
+/// If all weights are smaller, they are divided by the largest one before they are added up.
 const MIN_WEIGHT: f64 = 1e-100;
 
 /// Computes the common direction; `None` if no individual is informed.
