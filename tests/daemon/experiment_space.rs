@@ -176,7 +176,8 @@ async fn an_experiment_that_needs_more_than_there_is_is_refused() {
 #[tokio::test(flavor = "multi_thread")]
 async fn the_quota_counts_all_experiments_and_refuses_or_pauses_one() {
     let data = tempfile::tempdir().unwrap();
-    let quota = ["--experiments-quota-mb", "60"];
+    // Two runs at once that write their trajectories at once may find no room where one would.
+    let quota = ["--experiments-quota-mb", "60", "--experiment-threads", "1"];
     let (mut process, client) = start(data.path(), &quota).await;
     let refused = async |name: &str, replicates| {
         let args = json!({"submit": {"toml": films(name, replicates)}});
