@@ -304,16 +304,9 @@ impl Client {
     /// The error for a query without a reply, whose cause zenoh does not report: derived from the
     /// tokens, and from the daemon's reply to `whoami`.
     pub(crate) async fn explain_silence(&self, target: Target<'_>, key: &str) -> Error {
-        // A connection that breaks or is restored between two queries would make a daemon without the swarm.
-        let before = self.nodes_soon(Duration::ZERO).await;
-        let hosts = match target {
-            Target::Swarm(swarm) => self.hosts_of(swarm).await,
-            Target::Node(_) => Ok(Vec::new()),
-        };
-        let there = self.nodes().await;
-        let (before, hosts, there) = match (before, hosts, there) {
-            (Ok(before), Ok(hosts), Ok(there)) => (before, hosts, there),
-            (Err(error), ..) | (_, Err(error), _) | (.., Err(error)) => return error,
+        let (hosts, there) = match self.hosts_and_nodes(target).await {
+            Ok(found) => found,
+            Err(error) => return error,
         };
         let is_there = match target {
             Target::Swarm(_) => !hosts.is_empty(),
@@ -325,18 +318,23 @@ impl Client {
         {
             return Error::rejected(error);
         }
+        let silent = || Error::Silent {
+            target: target.to_string(),
+        };
         match target {
-            Target::Swarm(_) if !hosts.is_empty() && !there.is_empty() => {
+            _ if there.is_empty() => match self.no_node().await {
+                // It has recovered meanwhile.
+                Error::NoNode { .. } if self.nodes().await.is_ok_and(|it| !it.is_empty()) => {
+                    silent()
+                }
+                error => error,
+            },
+            Target::Swarm(_) if !hosts.is_empty() => {
                 self.explain_refusal(target, &hosts[0], key).await
             }
-            _ if before.is_empty() || there.is_empty() => self.no_node().await,
             Target::Swarm(swarm) => match self.no_swarm(swarm).await {
                 // Its token came last.
-                Error::NoSwarm { there, .. } if there.iter().any(|it| it == swarm) => {
-                    Error::Silent {
-                        target: target.to_string(),
-                    }
-                }
+                Error::NoSwarm { there, .. } if there.iter().any(|it| it == swarm) => silent(),
                 error => error,
             },
             Target::Node(node) if there.iter().any(|name| name == node) => {
@@ -346,6 +344,27 @@ impl Client {
                 node: node.into(),
                 there,
             },
+        }
+    }
+
+    /// The daemons that host the swarm of a target, and those that are reachable.
+    async fn hosts_and_nodes(
+        &self,
+        target: Target<'_>,
+    ) -> Result<(Vec<String>, Vec<String>), Error> {
+        let mut before = self.nodes_soon(Duration::ZERO).await?;
+        loop {
+            let hosts = match target {
+                Target::Swarm(swarm) => self.hosts_of(swarm).await?,
+                Target::Node(_) => Vec::new(),
+            };
+            let there = self.nodes().await?;
+            // A daemon that came between the two queries, at the end of its recovery or with a restored
+            // connection, has no swarms in the first.
+            if !before.is_empty() || there.is_empty() {
+                return Ok((hosts, there));
+            }
+            before = there;
         }
     }
 
@@ -452,56 +471,4 @@ pub(crate) fn node_of(prefix: &str, key: &str) -> Option<String> {
 }
 
 #[cfg(test)]
-mod tests {
-    #![expect(clippy::unwrap_used, reason = "tests")]
-
-    use super::*;
-    use crate::connect::ConnectOptions;
-
-    /// A zenoh node that listens, without a daemon.
-    async fn listening() -> (zenoh::Session, String) {
-        let mut config = zenoh::Config::default();
-        for (key, value) in [
-            ("mode", "\"router\""),
-            ("listen/endpoints", "[\"tcp/127.0.0.1:0\"]"),
-            ("scouting/multicast/enabled", "false"),
-            ("scouting/gossip/enabled", "false"),
-        ] {
-            config.insert_json5(key, value).unwrap();
-        }
-        let session = zenoh::open(config).await.unwrap();
-        let endpoint = session.info().locators().await[0].to_string();
-        (session, endpoint)
-    }
-
-    #[tokio::test(flavor = "multi_thread")]
-    async fn without_time_to_ask_again_only_a_connection_that_holds_tells_what_is_missing() {
-        let (session, endpoint) = listening().await;
-        let client = Client::connect(ConnectOptions {
-            wait: Duration::ZERO,
-            ..ConnectOptions::to(endpoint)
-        });
-        let client = client.await.unwrap();
-        let silent = || Error::Silent {
-            target: "demo".into(),
-        };
-        let error = client.explain_unsettled(silent()).await;
-        assert!(matches!(error, Error::Silent { .. }), "{error}");
-        session.close().await.unwrap();
-        while client.is_connected().await {
-            tokio::time::sleep(POLL_INTERVAL).await;
-        }
-        let error = client.explain_unsettled(silent()).await;
-        assert!(matches!(error, Error::NoDaemon { .. }), "{error}");
-        client.close().await;
-    }
-
-    #[test]
-    fn keys_of_tokens_contain_the_node() {
-        let node = |key: &str| node_of("a/jostle", key);
-        assert_eq!(node("a/jostle/demo/alive/here").as_deref(), Some("here"));
-        assert_eq!(node("a/jostle/@node/here/alive").as_deref(), Some("here"));
-        assert_eq!(node("a/jostle/demo/state"), None);
-        assert_eq!(node("b/jostle/demo/alive/here"), None);
-    }
-}
+mod tests;
