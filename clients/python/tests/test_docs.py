@@ -1,7 +1,8 @@
 """The shell and Python blocks of the pages: each is run here, or a comment names what runs it.
 
-The blocks of a page run in their order, in one folder and beside one daemon, whose addresses
-replace the default ones. A TOML block whose first line is `# NAME.toml` is written to that file.
+The blocks run as a reader would run them who reads page after page: in the order of `pages`, in one
+folder and beside one daemon, whose addresses replace the default ones. So what a page creates has
+names of its own. A TOML block whose first line is `# NAME.toml` is written to that file.
 Above a block, a comment may be
 
 - `<!-- run, the last command until Ctrl-C -->`: the last line of the block runs until it has
@@ -19,6 +20,7 @@ import signal
 import subprocess
 import sys
 import tomllib
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,26 +29,48 @@ from typing import Any
 import pytest
 
 import jostle
-from conftest import JOSTLED, MAX_WAIT_SECS, ROOT, Daemon
+from conftest import JOSTLED, MAX_WAIT_SECS, ROOT, Daemon, eventually
 
-PAGES = sorted(
-    page.relative_to(ROOT)
-    for pattern in (
-        "README.md",
-        "CONTRIBUTING.md",
-        "docs/**/*.md",
-        "proto/README.md",
-        "fuzz/README.md",
-        "clients/*/README.md",
-    )
-    for page in ROOT.glob(pattern)
-)
 KINDS = ("sh", "bash", "console", "python", "toml")
 UNTIL_CTRL_C = "run, the last command until Ctrl-C"
 NAMED = re.compile(r"(?:run by|not run): .+")
 FILE = re.compile(r"(?:\./)?[\w.-]+(?:/[\w.-]+)+|\./check")
 # Commands that every system has.
 COMMON = {"export", "cd", "cp", "mv", "chown", "echo"}
+# What creates a swarm or an experiment under the name that the audit log has: verbs, and, of those
+# that do more, what they do.
+CREATES = {
+    **dict.fromkeys(("create", "restore", "fork", "replay open"), "swarm"),
+    "experiment submit": "experiment",
+}
+LINK = re.compile(r"\]\(([^)\s]+)\)")
+
+
+def pages() -> list[Path]:
+    """All pages, as a reader meets them.
+
+    The README, the pages that the index links in its order, and those that it does not name.
+    """
+    patterns = (
+        *(
+            "README.md",
+            "CONTRIBUTING.md",
+            "SECURITY.md",
+            "docs/**/*.md",
+            "proto/README.md",
+            "fuzz/README.md",
+        ),
+        "clients/*/README.md",
+    )
+    found = {page.relative_to(ROOT) for pattern in patterns for page in ROOT.glob(pattern)}
+    index = Path("docs/README.md")
+    links = LINK.findall((ROOT / index).read_text(encoding="utf-8"))
+    linked = [Path(os.path.normpath(index.parent / link.partition("#")[0])) for link in links]
+    ordered = [Path("README.md"), index, *linked, *sorted(found)]
+    return [page for page in dict.fromkeys(ordered) if page in found]
+
+
+PAGES = pages()
 
 
 @dataclass(frozen=True)
@@ -96,14 +120,20 @@ NOT_RUN = [block for blocks in BLOCKS.values() for block in blocks if block.is_n
 
 
 class Runner:
-    """The folder and the daemon of one page, and how far its blocks have been run."""
+    """The folder and the daemon of the pages, and how far their blocks have been run."""
 
-    def __init__(self, page: Path, folder: Path) -> None:
-        self.page = page
+    def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.daemon = Daemon(folder, http="127.0.0.1:0")
-        self.left = list(BLOCKS[page])
-        self.names: dict[str, Any] = {"__name__": "page"}
+        self.client = jostle.connect(self.daemon.endpoint, client="test-docs")
+        # The daemon writes lines of the audit log in order, after it has replied: a note marks how
+        # far they are written.
+        self.marked = self.client.create("test-docs", jostle.Spec(n=1))
+        self.marks = 0
+        self.left = {page: list(blocks) for page, blocks in BLOCKS.items()}
+        self.created = Counter[tuple[str, str]]()
+        self.creators: dict[tuple[str, str], Path] = {}
+        self.names: dict[Path, dict[str, Any]] = {page: {"__name__": "page"} for page in self.left}
         programs = f"{JOSTLED.parent}:{Path(sys.executable).parent}"
         self.environment = {
             "PATH": f"{programs}:{os.environ['PATH']}",
@@ -111,18 +141,19 @@ class Runner:
             "JOSTLE_ENDPOINT": self.daemon.endpoint,
             "JOSTLED": str(JOSTLED),
         }
-        fixtures = (ROOT / page).parent / "fixtures"
-        if fixtures.is_dir():
-            (folder / "fixtures").symlink_to(fixtures)
+        fixtures = ROOT / "proto" / "fixtures"
+        (folder / "fixtures").symlink_to(fixtures)
 
     def run_up_to(self, block: Block) -> None:
         """Runs a block, and before it those of its page that have not been run."""
-        while block in self.left:
-            first = self.left.pop(0)
+        left = self.left[block.page]
+        while block in left:
+            first = left.pop(0)
             if first.file is not None:
                 (self.folder / first.file).write_text(first.code, encoding="utf-8")
             elif first in RUN:
                 self._run(first)
+                self._creates_names_of_its_own(first)
 
     def _run(self, block: Block) -> None:
         code = block.code.replace("http://127.0.0.1:8080", self.daemon.http)
@@ -130,7 +161,7 @@ class Runner:
         if block.kind == "python":
             # So that a traceback has the line of the page.
             padded = "\n" * block.line + code
-            exec(compile(padded, ROOT / block.page, "exec"), self.names)
+            exec(compile(padded, ROOT / block.page, "exec"), self.names[block.page])
             return
         if block.kind == "console":
             code = "".join(re.findall(r"^\$ (.*\n)", code, re.M))
@@ -170,47 +201,46 @@ class Runner:
         assert process.returncode in (0, 130), f"{block}: {errors}"
         assert first.strip(), f"{block} prints nothing: {errors}"
 
+    def _creates_names_of_its_own(self, block: Block) -> None:
+        """Fails if a block creates what has the name of something that another page created."""
+        self.marked.annotate(str(block))
+        self.marks += 1
+        eventually("the audit log is written", lambda: self._marks_in_audit() == self.marks)
+        created = Counter[tuple[str, str]]()
+        for line in self.client.audit(limit=None):
+            kind = CREATES.get(line.verb) or CREATES.get(f"{line.verb} {line.action}")
+            if kind is not None and line.name is not None:
+                created[kind, line.name] += line.count
+        new, self.created = created - self.created, created
+        others = {it: str(self.creators.setdefault(it, block.page)) for it in new}
+        taken = {it: page for it, page in others.items() if page != str(block.page)}
+        assert not taken, f"{block} gives names that another page has given: {taken}"
+
+    def _marks_in_audit(self) -> int:
+        lines = self.client.audit(client="test-docs", verb="annotate", limit=None)
+        return sum(line.count for line in lines)
+
     def close(self) -> None:
         """Stops the daemon."""
-        for value in self.names.values():
-            if isinstance(value, jostle.Client):
-                value.close()
+        self.client.close()
+        for names in self.names.values():
+            for value in names.values():
+                if isinstance(value, jostle.Client):
+                    value.close()
         assert self.daemon.stop() == 0, self.daemon.log.read_text()
 
 
-class Runners:
-    """One runner at a time: the tests are ordered by page."""
-
-    def __init__(self, folders: pytest.TempPathFactory) -> None:
-        self._folders = folders
-        self._current: Runner | None = None
-
-    def of(self, page: Path) -> Runner:
-        """The runner of a page; ends that of another one."""
-        if self._current is None or self._current.page != page:
-            self.close()
-            self._current = Runner(page, self._folders.mktemp("page"))
-        return self._current
-
-    def close(self) -> None:
-        """Ends the runner that there is."""
-        current, self._current = self._current, None
-        if current is not None:
-            current.close()
-
-
 @pytest.fixture(scope="module")
-def runners(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Runners]:
+def runner(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Runner]:
     """Runs the blocks of the pages."""
-    runners = Runners(tmp_path_factory)
-    yield runners
-    runners.close()
+    runner = Runner(tmp_path_factory.mktemp("pages"))
+    yield runner
+    runner.close()
 
 
 @pytest.mark.parametrize("block", RUN, ids=str)
-def test_a_block_runs(block: Block, runners: Runners, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_block_runs(block: Block, runner: Runner, monkeypatch: pytest.MonkeyPatch) -> None:
     assert block.comment in ("", UNTIL_CTRL_C), f"{block}: what is {block.comment!r}?"
-    runner = runners.of(block.page)
     for name, value in runner.environment.items():
         monkeypatch.setenv(name, value)
     monkeypatch.chdir(runner.folder)
@@ -268,7 +298,7 @@ def test_commands_are_in_blocks_and_links_lead_somewhere(page: Path) -> None:
     text = re.sub(r"^```.*?^```$", "", (ROOT / page).read_text(encoding="utf-8"), flags=re.M | re.S)
     indented = r"^ {4,}(?:\$ |sudo |cargo |jostled? |npm |packaging/|\./check|[A-Z_]+=\S+ ).*"
     assert not re.findall(indented, text, re.M)
-    for target in re.findall(r"\]\(([^)\s]+)\)", text):
+    for target in LINK.findall(text):
         if "://" in target:
             continue
         path, _, anchor = target.partition("#")

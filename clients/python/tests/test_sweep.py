@@ -397,7 +397,7 @@ def test_the_page_about_clusters_sweeps_on_dask(
     address = start_cluster("page").address
     code = code.replace("tcp://scheduler:8786", address)
     assert address in code
-    (tmp_path / "order.toml").write_text(toml, encoding="utf-8")
+    (tmp_path / "leaders.toml").write_text(toml, encoding="utf-8")
     monkeypatch.chdir(tmp_path)
     exec(compile(code, "cluster.md", "exec"), {})
     assert len((tmp_path / "results" / "results.csv").read_text().splitlines()) == 41

@@ -57,10 +57,10 @@ fn the_commands_of_the_page_about_clusters_write_one_table() {
     for (section, count, results) in [
         ("On one machine", 1, "results"),
         ("On several machines, by hand", 1, "merged"),
-        ("Slurm", 2, "order-results"),
+        ("Slurm", 2, "leaders-results"),
     ] {
         let folder = tempfile::tempdir().unwrap();
-        fs::write(folder.path().join("order.toml"), toml).unwrap();
+        fs::write(folder.path().join("leaders.toml"), toml).unwrap();
         let blocks = blocks(section, "sh");
         assert_eq!(blocks.len(), count, "{section}");
         let jostle = program("jostle");
