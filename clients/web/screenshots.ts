@@ -1,12 +1,11 @@
 /**
- * Makes the README's pictures of the page: `JOSTLED=… npm run screenshots [-- FOLDER]`.
+ * Makes the pictures of the page in README.md and docs: `JOSTLED=… npm run screenshots [-- FOLDER]`.
  *
  * It starts a daemon with a few seeded swarms: their motion is reproducible, the moment of a picture is not.
  */
 import { mkdirSync } from "node:fs";
 import { join } from "node:path";
-import type { Browser } from "playwright-core";
-import { ANIMATIONS } from "./src/pages/animations.ts";
+import type { Browser, Page } from "playwright-core";
 import { launch, openTab, until } from "./tests/browser/browser.ts";
 import { Daemon } from "./tests/browser/daemon.ts";
 
@@ -17,9 +16,8 @@ interface Shot {
   height: number;
   dark?: boolean;
   keys?: string[];
-  watching?: boolean;
-  /** Whether all animations of the gallery run. */
-  animations?: boolean;
+  /** What is done before the picture is taken. */
+  act?: (page: Page) => Promise<void>;
   /** The time before the picture is taken, in which charts and trails grow. */
   wait_ms?: number;
 }
@@ -31,40 +29,32 @@ const SHOTS: Shot[] = [
     width: 1280,
     height: 800,
     keys: ["k"],
-    wait_ms: 12_000,
+    wait_ms: 16_000,
   },
   {
     file: "page-dark.png",
     hash: "/swarm/school",
-    width: 1920,
-    height: 1080,
+    width: 1440,
+    height: 900,
     dark: true,
     keys: ["c", "k", "t"],
-    wait_ms: 12_000,
+    wait_ms: 16_000,
   },
   {
-    file: "page-thousand.png",
-    hash: "/swarm/thousand",
+    file: "page-inform.png",
+    hash: "/swarm/asked",
     width: 1280,
     height: 800,
-    dark: true,
-    wait_ms: 6000,
+    wait_ms: 1500,
+    act: drag,
   },
   { file: "page-swarms.png", hash: "/", width: 1280, height: 800, wait_ms: 15_000 },
-  {
-    file: "page-gallery.png",
-    hash: "/gallery",
-    width: 1280,
-    height: 800,
-    animations: true,
-    wait_ms: 4000,
-  },
   {
     file: "page-animation.png",
     hash: "/gallery/animation-1",
     width: 1280,
     height: 800,
-    wait_ms: 9000,
+    wait_ms: 4000,
   },
   {
     file: "page-phone.png",
@@ -72,21 +62,13 @@ const SHOTS: Shot[] = [
     width: 360,
     height: 740,
     keys: ["t"],
-    wait_ms: 6000,
-  },
-  {
-    file: "page-phone-dark.png",
-    hash: "/gallery/animation-1",
-    width: 360,
-    height: 740,
-    dark: true,
-    watching: true,
-    wait_ms: 4000,
+    wait_ms: 16_000,
   },
 ];
 
 async function populate(daemon: Daemon): Promise<void> {
-  const school = { n: 50, seed: 12, rate: 5, publish_every: 5 };
+  // Slow enough for a busy machine to draw each state.
+  const school = { n: 50, seed: 12, rate: 1, publish_every: 5 };
   await daemon.create("school", school);
   await daemon.command("school", "inform", { select: { count: 10 }, direction: 0.4 });
   await daemon.create("discs", { ...school, pi1: 1 });
@@ -94,45 +76,52 @@ async function populate(daemon: Daemon): Promise<void> {
   await daemon.create("pair", { ...school, n: 2 });
   await daemon.create("animation-1", { ...school, seed: 5421423068289429 });
   await daemon.command("animation-1", "inform", { select: { count: 10 }, direction: 0 });
+  await daemon.create("asked", { n: 50, seed: 4 });
   await daemon.create("thousand", { n: 1000, seed: 1, rate: 0.5, publish_every: 2 });
   await daemon.command("thousand", "inform", { select: { fraction: 0.1 }, direction: 1 });
   for (const name of ["school", "discs", "needles", "animation-1"]) {
     await daemon.command(name, "step", { steps: 2500 });
     await daemon.command(name, "run");
   }
+  await daemon.command("asked", "inform", { select: { count: 3 }, direction: 2 });
+  await daemon.command("asked", "step", { steps: 1500 });
   await daemon.command("thousand", "step", { steps: 150 });
-  await daemon.command("thousand", "run");
 }
 
-/** Creates and runs the animations that do not exist yet. */
-async function animate(daemon: Daemon): Promise<void> {
-  for (const { swarm, spec, informed } of ANIMATIONS.filter((it) => it.swarm !== "animation-1")) {
-    await daemon.create(swarm, spec);
-    if (informed > 0) {
-      await daemon.command(swarm, "inform", { select: { count: informed }, direction: 0 });
-    }
-    await daemon.command(swarm, "step", { steps: 1000 });
-    await daemon.command(swarm, "run");
+/** Selects some individuals with a lasso, and begins to drag a direction. */
+async function drag(page: Page): Promise<void> {
+  const box = (await page.locator("canvas.picture").boundingBox())!;
+  const at = (right: number, down: number, steps = 8) =>
+    page.mouse.move(box.x + right * box.width, box.y + down * box.height, { steps });
+  await page.keyboard.press("l");
+  await at(0.52, 0.1);
+  await page.mouse.down();
+  for (const [right, down] of [
+    [0.85, 0.1],
+    [0.85, 0.9],
+    [0.52, 0.9],
+  ] as const) {
+    await at(right, down);
   }
+  await page.mouse.up();
+  await at(0.2, 0.75);
+  await page.mouse.down();
+  await at(0.36, 0.5);
 }
 
 async function take(browser: Browser, daemon: Daemon, folder: string, shot: Shot): Promise<void> {
-  if (shot.animations) {
-    await animate(daemon);
-  }
   const tab = await openTab(browser, {
     viewport: { width: shot.width, height: shot.height },
     colorScheme: shot.dark ? "dark" : "light",
   });
   const { page } = tab;
-  await page.goto(
-    shot.watching ? `${daemon.addresses.http}/#${shot.hash}` : `${daemon.link}&${shot.hash}`,
-  );
+  await page.goto(`${daemon.link}&${shot.hash}`);
   await page.locator("h1").first().waitFor();
   for (const key of shot.keys ?? []) {
     await page.keyboard.press(key);
   }
   await page.waitForTimeout(shot.wait_ms ?? 1500);
+  await shot.act?.(page);
   await until("no errors", async () => tab.errors.length === 0, 1);
   await page.screenshot({ path: join(folder, shot.file) });
   await tab.close();

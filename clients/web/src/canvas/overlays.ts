@@ -1,5 +1,7 @@
 /** The layers below and above the bodies. */
+
 import { meetingPoint } from "../geometry/body.ts";
+import { ORIGIN_UNIT, type Origin } from "../wire/state.ts";
 import { fillCapsules, MANY, NARROW_PX, type Scene, stroke, trace } from "./bodies.ts";
 import { CLUSTERS } from "./colours.ts";
 
@@ -13,19 +15,25 @@ export function roundLength(scale: number, least_px: number): number {
   return found * power;
 }
 
-/** Grid lines fixed in the plane: they show that a followed group moves. */
-export function drawGrid({ g, camera, colours }: Scene): void {
+/** Grid lines fixed in the plane, whatever the origin of the positions: they show that a followed
+ * group moves. */
+export function drawGrid({ g, camera, colours }: Scene, origin: Origin): void {
   const spacing = roundLength(camera.scale, 70);
   const [left, top] = camera.toPlane(0, 0);
   const [right, bottom] = camera.toPlane(camera.width, camera.height);
+  // The first line above the origin; both lengths are small beside its distance from (0, 0).
+  const [first_x, first_y] = origin.map((it) => -((it * ORIGIN_UNIT) % spacing)) as [
+    number,
+    number,
+  ];
   g.beginPath();
-  for (let k = Math.ceil(left / spacing); k * spacing <= right; k += 1) {
-    const x = Math.round(camera.toScreen(k * spacing, 0)[0]) + 0.5;
+  for (let k = Math.ceil((left - first_x) / spacing); first_x + k * spacing <= right; k += 1) {
+    const x = Math.round(camera.toScreen(first_x + k * spacing, 0)[0]) + 0.5;
     g.moveTo(x, 0);
     g.lineTo(x, camera.height);
   }
-  for (let k = Math.ceil(bottom / spacing); k * spacing <= top; k += 1) {
-    const y = Math.round(camera.toScreen(0, k * spacing)[1]) + 0.5;
+  for (let k = Math.ceil((bottom - first_y) / spacing); first_y + k * spacing <= top; k += 1) {
+    const y = Math.round(camera.toScreen(0, first_y + k * spacing)[1]) + 0.5;
     g.moveTo(0, y);
     g.lineTo(camera.width, y);
   }

@@ -30,7 +30,7 @@ export interface Picture {
 export function paint(scene: Scene, picture: Picture): void {
   const { state, layers } = picture;
   clear(scene);
-  overlays.drawGrid(scene);
+  overlays.drawGrid(scene, state.origin);
   if (layers.trails) {
     picture.trails.draw(scene, halfLengthTime(scene.body));
   }

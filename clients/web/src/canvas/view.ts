@@ -137,6 +137,12 @@ export class View {
     return this.touching.pairs;
   }
 
+  /** Forgets what belongs to another swarm of this name: its trails, and the selected individuals. */
+  forget(): void {
+    this.trails.clear();
+    this.change(() => this.selected.clear());
+  }
+
   end(): void {
     cancelAnimationFrame(this.frameRequest);
     callAll(this.ends);
@@ -182,7 +188,13 @@ export class View {
       this.camera.rebase(dx, dy);
       this.trails.rebase(dx, dy);
     }
-    if (!before || before.epoch !== state.epoch || before.id.length !== state.id.length) {
+    if (
+      !before ||
+      before.epoch !== state.epoch ||
+      before.id.length !== state.id.length ||
+      // In a playback that was set back, what was drawn is not the past of this state.
+      state.time < before.time
+    ) {
       this.trails.clear();
     }
     this.trails.keep(state);
@@ -193,6 +205,7 @@ export class View {
           this.selected.delete(id);
         }
       }
+      this.events.changed();
     }
     this.events.state(state);
   }

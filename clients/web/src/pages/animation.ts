@@ -31,6 +31,9 @@ export async function start({ swarm, spec, informed }: Animation): Promise<true>
   return true;
 }
 
+/** The minimum time between two counts of the individuals that touch another. */
+const COUNT_MS = 200;
+
 const NUMBERS = [
   "order",
   "drift",
@@ -45,7 +48,8 @@ export function animationPage(animation: Animation, session: Session): Page {
   const places = NUMBERS.map((name) => [name, el("dd", { "data-number": name }, "–")] as const);
   const numbers = new Map(places);
   const put = (name: (typeof NUMBERS)[number], text: string) => setText(numbers.get(name)!, text);
-  let counted = 0;
+  let counted = Number.NEGATIVE_INFINITY;
+  let counting: ReturnType<typeof setTimeout> | undefined;
   let row: SwarmRow | undefined;
   const showState = (state: State) => {
     phase.show(state.phase);
@@ -53,12 +57,15 @@ export function animationPage(animation: Animation, session: Session): Page {
     put("order", fixed(state.order.order, 3));
     put("drift", state.order.drift === null ? "undefined" : signed(state.order.drift, 3));
     put("time", time(state.time));
-    const now = performance.now();
-    if (now - counted > 200) {
-      counted = now;
-      put("contacts per individual", fixed(state.certificate.contacts / n, 2));
-      put("share touching another", `${fixed(100 * touchingShare(n, watch.view.pairs()), 0)} %`);
-    }
+    put("contacts per individual", fixed(state.certificate.contacts / n, 2));
+    clearTimeout(counting);
+    // Later if it is too soon, since no other state may come.
+    counting = setTimeout(count, Math.max(0, counted + COUNT_MS - performance.now()));
+  };
+  const count = () => {
+    counted = performance.now();
+    const n = watch.view.state?.id.length ?? 0;
+    put("share touching another", `${fixed(100 * touchingShare(n, watch.view.pairs()), 0)} %`);
   };
   const run = button("", () => toggle(), "primary");
   const note = tokenNote(session);
@@ -161,6 +168,7 @@ export function animationPage(animation: Animation, session: Session): Page {
     },
     end: () => {
       forget();
+      clearTimeout(counting);
       watch.end();
     },
   };

@@ -26,13 +26,13 @@ export function swarmPage(name: string, session: Session): Page {
   const numbers = new Numbers();
   const charts = new Charts(name);
   const parameters = new Parameters(name);
-  let events = new Events(name);
+  let events = new Events(name, () => takeAnother(newest));
   const log = el("div", {}, events.element);
   const download = downloadButton(name);
   /** The event numbers of another swarm of this name start at 1. */
   const replaceEvents = () => {
     events.end();
-    events = new Events(name);
+    events = new Events(name, () => takeAnother(newest));
     log.replaceChildren(events.element);
   };
   const controls = new Controls(name, session);
@@ -51,13 +51,27 @@ export function swarmPage(name: string, session: Session): Page {
   };
   const catchUp = () => {
     void events.catchUp();
+    void playback.refresh();
     refreshConditions();
   };
 
+  let newest: Moment | null = null;
+  /** The swarm of this name is another one; `its` are its numbers, if they are known. */
+  const takeAnother = (its: Moment | null) => {
+    charts.clear();
+    if (its) {
+      charts.add(its);
+    }
+    watch.view.forget();
+    replaceEvents();
+    catchUp();
+  };
+
   let factor: number | null = null;
-  const show = (newest: Moment) => {
-    numbers.show(newest);
-    charts.add(newest);
+  const show = (moment: Moment) => {
+    newest = moment;
+    numbers.show(moment);
+    charts.add(moment);
   };
 
   const watch = new Watch(name, session, {
@@ -82,6 +96,7 @@ export function swarmPage(name: string, session: Session): Page {
       download.hidden = replay;
       const isNew = !exists;
       exists = row !== undefined;
+      phase.element.hidden = row === undefined;
       if (!row) {
         return;
       }
@@ -103,10 +118,7 @@ export function swarmPage(name: string, session: Session): Page {
       exists &&= event.event.kind !== "deleted";
       refreshConditions();
     },
-    replaced: () => {
-      replaceEvents();
-      catchUp();
-    },
+    replaced: () => takeAnother(null),
     catchUp: () => catchUp(),
     changed: () => steering?.show(),
     directed: (direction) => {

@@ -91,6 +91,12 @@ export class Charts {
     this.schedule();
   }
 
+  /** Forgets the values of another swarm of this name. */
+  clear(): void {
+    this.history.clear();
+    this.measures.clear();
+  }
+
   end(): void {
     clearTimeout(this.timer);
     callAll(this.ends);

@@ -184,7 +184,8 @@ export class Conditions {
       input.focus();
       input.setSelectionRange(at, Math.max(at, wordEnd(input.value, at)));
     }
-    await this.refresh();
+    // The form accepts the next condition meanwhile.
+    void this.refresh();
   }
 
   /** Shows why the condition is invalid; an empty text if it is not. */

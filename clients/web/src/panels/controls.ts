@@ -2,7 +2,15 @@
 import { announce, attempt, checkMayCommand } from "../ui/announce.ts";
 import { confirmDialog } from "../ui/dialog.ts";
 import { button, el, setText } from "../ui/dom.ts";
-import { countField, nameField, numberField, numberIn, rowForm, textField } from "../ui/field.ts";
+import {
+  countField,
+  Followed,
+  nameField,
+  numberField,
+  numberIn,
+  rowForm,
+  textField,
+} from "../ui/field.ts";
 import { plural } from "../ui/format.ts";
 import type { Session } from "../ui/session.ts";
 import { tokenNote } from "../ui/token_dialog.ts";
@@ -11,12 +19,17 @@ import type { Phase, SwarmRow } from "../wire/messages.ts";
 
 /** The longest text of `annotate`. */
 const MAX_NOTE_CHARACTERS = 1000;
+/** The daemon sends the list once a second, or as soon as it has changed. */
+const TOLD_MS = 2000;
 
 export class Controls {
   readonly element: HTMLElement;
   private phase: Phase = "paused";
   private there = false;
   private rateShown = "";
+  /** The phase in the reply to the newest command, and until when an older list may contradict it. */
+  private told: { phase: Phase; until: number } | null = null;
+  private readonly rateFollows: Followed;
   private readonly runs = button("▶ Run", () => this.toggle(), "primary wide");
   private readonly steps = countField("steps");
   private readonly rate = numberField({
@@ -52,12 +65,20 @@ export class Controls {
       rowForm(inject, count.label, el("button", {}, "Inject")),
       rowForm(() => this.fork(fork.input.value), fork.label, el("button", {}, "Fork")),
     ];
+    const rateForm = rowForm(
+      () => this.setRate(),
+      this.rate.label,
+      el("button", {}, "Run at rate"),
+    );
+    this.rateFollows = new Followed(rateForm, () => {
+      this.rate.input.value = this.rateShown;
+    });
     this.fields = el(
       "fieldset",
       { class: "controls" },
       el("legend", { class: "hidden" }, "commands"),
       this.runs,
-      rowForm(() => this.setRate(), this.rate.label, el("button", {}, "Run at rate")),
+      rateForm,
       rowForm(() => this.step(), this.steps.label, this.stepButton),
       ...this.changing,
       el("p", { class: "buttons" }, reset, remove),
@@ -81,17 +102,33 @@ export class Controls {
     }
     this.notes.hidden = row?.replay ?? false;
     if (row) {
-      this.showPhase(row.phase, row.rate);
+      this.showRate(row.rate);
+      if (this.told && (this.told.phase === row.phase || this.told.until < performance.now())) {
+        this.told = null;
+      }
+      this.showPhase(this.told?.phase ?? row.phase);
     }
     this.allow();
   }
 
-  private showPhase(phase: Phase, rate: number | null): void {
+  private showRate(rate: number | null): void {
     const text = rate === null ? "" : String(rate);
-    if (text !== this.rateShown) {
-      this.rateShown = text;
-      this.rate.input.value = text;
+    const changed = text !== this.rateShown;
+    this.rateShown = text;
+    this.rateFollows.show(changed);
+  }
+
+  /** Sends a command, and shows the phase in its reply before the next list does. */
+  private async change(verb: string, args: object, done: string): Promise<boolean> {
+    const reply = await attempt(() => command(this.swarm, verb, args), done);
+    if (reply) {
+      this.told = { phase: reply.phase, until: performance.now() + TOLD_MS };
+      this.showPhase(reply.phase);
     }
+    return reply !== null;
+  }
+
+  private showPhase(phase: Phase): void {
     this.phase = phase;
     setText(this.runs, phase === "running" ? "❚❚ Pause" : "▶ Run");
     this.runs.disabled = phase === "faulted";
@@ -111,7 +148,7 @@ export class Controls {
     }
     const isRunning = this.phase === "running";
     const done = isRunning ? "paused" : "running";
-    await attempt(() => command(this.swarm, isRunning ? "pause" : "run"), done);
+    await this.change(isRunning ? "pause" : "run", {}, done);
   }
 
   async step(): Promise<void> {
@@ -129,7 +166,7 @@ export class Controls {
     const rate = numberIn(this.rate.input) ?? null;
     const speed = rate === null ? "as fast as possible" : `${rate} time units per second`;
     // The rate is an argument of `run`: a paused swarm starts.
-    await attempt(() => command(this.swarm, "run", { rate }), `running, ${speed}`);
+    this.rateFollows.sent(await this.change("run", { rate }, `running, ${speed}`));
   }
 
   private async annotate(): Promise<void> {

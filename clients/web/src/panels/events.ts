@@ -6,9 +6,7 @@ import type { EventsResult, SwarmEvent } from "../wire/messages.ts";
 
 /** Lines that are kept. */
 const MAX_LINES = 300;
-/** Events that are requested when the page is opened. */
-const INITIAL_EVENTS = 100;
-/** Events per request. */
+/** Events per request. The daemon keeps about a thousand, with a gap in their numbers at each restart. */
 const MAX_EVENTS = 256;
 
 /** An event as text. */
@@ -74,7 +72,14 @@ export class Events {
   private repeat = false;
   private ended = false;
 
-  constructor(private readonly swarm: string) {}
+  /** The wall clock of the last event, by which it is known again. */
+  private lastAt: number | null = null;
+
+  /** `replaced` is called if the events are those of another swarm of this name. */
+  constructor(
+    private readonly swarm: string,
+    private readonly replaced: () => void,
+  ) {}
 
   /** Requests the newest events, or those after the last one shown. */
   async catchUp(): Promise<void> {
@@ -118,18 +123,25 @@ export class Events {
 
   private async read(): Promise<void> {
     for (;;) {
-      const noun = `events?after=${this.last}&limit=${MAX_EVENTS}`;
+      // With the last one that is shown: the event of its number may be one of another swarm.
+      const { last, lastAt } = this;
+      const noun = `events?after=${Math.max(0, last - 1)}&limit=${MAX_EVENTS}`;
       const { events, newest } = (await get<EventsResult>(this.swarm, noun)).result;
-      if (this.last === 0 && newest > INITIAL_EVENTS + MAX_EVENTS) {
-        this.last = newest - INITIAL_EVENTS;
-        continue;
+      if (this.ended) {
+        return;
+      }
+      const again = events.find((it) => it.number === last)?.unix_secs ?? null;
+      if (newest < last || (again !== null && lastAt !== null && again !== lastAt)) {
+        this.end();
+        this.replaced();
+        return;
       }
       for (const event of events) {
         this.add(event);
       }
       const read = events.at(-1)?.number ?? newest;
       this.last = Math.max(this.last, read);
-      if (read >= newest || events.length === 0 || this.ended) {
+      if (read >= newest || read <= last) {
         return;
       }
     }
@@ -140,6 +152,7 @@ export class Events {
       return;
     }
     this.last = event.number;
+    this.lastAt = event.unix_secs ?? null;
     const clock = when(event.unix_secs);
     const line = el(
       "li",

@@ -64,7 +64,7 @@ export class History<Name extends string> {
    */
   add(newest: Point<Name>, now: number): void {
     const last = this.time.at(-1);
-    if (newest.epoch !== this.epoch || (last !== undefined && newest.time <= last)) {
+    if (last === undefined || newest.epoch !== this.epoch || newest.time <= last) {
       // After a reset or a restart time goes back: new points replace those from this time on.
       this.dropFrom(newest.time);
       this.epoch = newest.epoch;
@@ -85,6 +85,10 @@ export class History<Name extends string> {
         this.columns[name].splice(0, surplus);
       }
     }
+  }
+
+  clear(): void {
+    this.drop(0);
   }
 
   private dropFrom(time: number): void {

@@ -8,6 +8,9 @@ import { type Kind, Plot } from "./plot.ts";
 
 /** The minimum time between two requests. */
 const REQUEST_INTERVAL_MS = 500;
+/** The errors after which the same request may succeed, and the time until it is sent again. */
+const PASSING = ["busy", "deadline_exceeded"];
+const RETRY_MS = 2000;
 
 const UNDEFINED = "undefined for this group";
 
@@ -71,6 +74,13 @@ export class MeasureCharts {
     this.schedule();
   }
 
+  clear(): void {
+    for (const { history } of this.charts.values()) {
+      history.clear();
+    }
+    this.changed();
+  }
+
   draw(): void {
     for (const { plot, history } of this.charts.values()) {
       plot.draw(history.time, history.columns.value);
@@ -104,6 +114,11 @@ export class MeasureCharts {
       this.show(await get<Measures>(this.swarm, `measures?names=${names}`));
     } catch (error) {
       this.fail(error instanceof RequestError ? error.message : String(error));
+      if (error instanceof RequestError && PASSING.includes(error.code)) {
+        // No other state may come.
+        this.isStale = true;
+        this.requestedAt = performance.now() + RETRY_MS - REQUEST_INTERVAL_MS;
+      }
     } finally {
       this.isRequesting = false;
       this.schedule();

@@ -1,7 +1,7 @@
 /** All parameters with value, range and unit; a field for each that `set` changes. */
 import { announce, attempt } from "../ui/announce.ts";
 import { el, setText } from "../ui/dom.ts";
-import { rowForm } from "../ui/field.ts";
+import { Followed, rowForm } from "../ui/field.ts";
 import { short } from "../ui/format.ts";
 import { command } from "../wire/http.ts";
 import type { Parameter } from "../wire/messages.ts";
@@ -54,25 +54,30 @@ export class Parameters {
     const head = el("div", { class: "head", title: it.doc }, label, value);
     const doc = el("small", { class: "doc" }, it.doc);
     const row = el("div", { class: "parameter" }, head, about, doc);
-    let fill: (it: Parameter) => void = () => undefined;
+    let followed: Followed | null = null;
+    let newest = it;
     if (mayCommand && it.live && it.changed_by.includes("set")) {
-      const editor = this.editor(it);
-      fill = editor.fill;
-      row.append(editor.form);
+      const { form, fill } = this.editor(it, (accepted) => followed?.sent(accepted));
+      followed = new Followed(form, () => fill(newest));
+      row.append(form);
     }
     const show = (it: Parameter) => {
+      newest = it;
       const text =
         it.value === null && it.name === "rate" ? "as fast as possible" : short(it.value);
-      if (value.textContent !== text) {
-        setText(value, text);
-        fill(it);
-      }
+      const changed = value.textContent !== text;
+      setText(value, text);
+      followed?.show(changed);
     };
     this.values.set(it.name, { value: it.value, show });
     return row;
   }
 
-  private editor(it: Parameter): { form: HTMLElement; fill: (it: Parameter) => void } {
+  /** The form of a parameter; `sent` is called with whether the daemon accepted what it sent. */
+  private editor(
+    it: Parameter,
+    sent: (accepted: boolean) => void,
+  ): { form: HTMLFormElement; fill: (it: Parameter) => void } {
     const labelled = { "aria-labelledby": `parameter-${it.name}` };
     const button = el("button", { "aria-label": `set ${it.name}` }, "Set");
     if (it.kind === "choice") {
@@ -95,13 +100,13 @@ export class Parameters {
         extra.value = "";
         adapt();
       });
-      const send = () => {
+      const send = async () => {
         const needs = NEEDS[select.value];
         const chosen =
           it.name === "attraction"
             ? { kind: select.value, ...(needs ? { [needs.name]: extra.valueAsNumber } : {}) }
             : select.value;
-        return this.set({ [it.name]: chosen });
+        sent(await this.set({ [it.name]: chosen }));
       };
       const fill = ({ value }: Parameter) => {
         const kind = typeof value === "object" && value ? (value as { kind: string }).kind : value;
@@ -126,22 +131,23 @@ export class Parameters {
       const title = "scale the positions by the least factor that lets the new bodies fit";
       parts.push(el("label", { class: "check", title }, makeRoom, "make room"));
     }
-    const send = () =>
-      this.set({
-        [it.name]: input.valueAsNumber,
-        ...(makeRoom.checked ? { make_room: true } : {}),
-      });
+    const send = async () => {
+      const room = makeRoom.checked ? { make_room: true } : {};
+      sent(await this.set({ [it.name]: input.valueAsNumber, ...room }));
+    };
     const fill = ({ value }: Parameter) => {
       input.value = short(value);
     };
     return { form: rowForm(send, ...parts, button), fill };
   }
 
-  private async set(args: Record<string, unknown>): Promise<void> {
+  /** Sets parameters; returns whether the daemon accepted them. */
+  private async set(args: Record<string, unknown>): Promise<boolean> {
     const reply = await attempt(() => command<Record<string, unknown>>(this.swarm, "set", args));
     if (reply) {
       const [name, value] = Object.entries(args)[0]!;
       announce(`${name} is ${short(value)} from step ${reply.step} on`);
     }
+    return reply !== null;
   }
 }

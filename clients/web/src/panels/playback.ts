@@ -26,7 +26,14 @@ export class Playback {
   private readonly timer: ReturnType<typeof setInterval>;
   private isPlayback = false;
   private running = false;
+  /** Whether the slider is moved, or where it is was not sent yet: it does not follow the daemon. */
   private held = false;
+  private pressed = false;
+  /** The number of positions that are being sent. */
+  private seeks = 0;
+  /** The number of requests for the position. */
+  private reads = 0;
+  private readonly ends = new AbortController();
   private duration = 0;
 
   constructor(
@@ -45,6 +52,17 @@ export class Playback {
       this.showPosition(Number(this.slider.value) / STEPS);
     });
     this.slider.addEventListener("change", () => void this.seek());
+    this.slider.addEventListener("pointerdown", () => {
+      this.pressed = true;
+    });
+    for (const end of ["pointerup", "pointercancel"]) {
+      const listener = () => {
+        this.pressed = false;
+        // After its change, of which there is none if it was moved back to where it was.
+        setTimeout(() => this.release());
+      };
+      addEventListener(end, listener, { signal: this.ends.signal });
+    }
     this.timer = setInterval(() => {
       if (this.isPlayback && this.running && !this.held) {
         void this.refresh();
@@ -73,9 +91,12 @@ export class Playback {
     if (!this.isPlayback) {
       return;
     }
+    this.reads += 1;
+    const { reads } = this;
     try {
       const { result } = await get<{ replay: PlaybackPosition | null }>(this.swarm, "status");
-      if (result.replay && !this.held) {
+      // The reply to a later request may have overtaken this one.
+      if (result.replay && !this.held && reads === this.reads) {
         const { of, position, duration } = result.replay;
         this.duration = duration;
         setText(this.source, `playback of ${of}`);
@@ -90,6 +111,7 @@ export class Playback {
 
   end(): void {
     clearInterval(this.timer);
+    this.ends.abort();
   }
 
   private showPosition(share: number): void {
@@ -100,8 +122,18 @@ export class Playback {
 
   private async seek(): Promise<void> {
     const fraction = Number(this.slider.value) / STEPS;
+    this.held = true;
+    this.seeks += 1;
     await attempt(() => command(this.swarm, "seek", { fraction }));
-    this.held = false;
-    await this.refresh();
+    this.seeks -= 1;
+    this.release();
+  }
+
+  /** Lets the slider follow the daemon again, unless it is moved or its position is being sent. */
+  private release(): void {
+    if (this.held && !this.pressed && this.seeks === 0) {
+      this.held = false;
+      void this.refresh();
+    }
   }
 }

@@ -14,6 +14,8 @@ import { Toolbar } from "./toolbar.ts";
 /** Verbs that may change parameters. */
 const CHANGES = ["set", "batch", "fired", "reset", "run", "inject", "remove"];
 const METER_MS = 1000;
+/** The minimum time between two descriptions of the picture in the same phase. */
+const DESCRIBE_MS = 2000;
 
 export interface WatchEvents {
   state(state: State): void;
@@ -56,6 +58,9 @@ export class Watch {
   private rival: string | null = null;
   private absent = 0;
   private described = { at: Number.NEGATIVE_INFINITY, phase: "" };
+  private describing: ReturnType<typeof setTimeout> | undefined;
+  /** The number of requests for parameters. */
+  private reads = 0;
   private connection: Connection = "connecting";
 
   constructor(
@@ -129,9 +134,6 @@ export class Watch {
       },
     });
     live.watch(swarm);
-    if (live.connection === "open") {
-      void this.readParameters();
-    }
     this.timer = setInterval(() => this.measure(), METER_MS);
     this.showAvailability();
   }
@@ -165,8 +167,14 @@ export class Watch {
   }
 
   async readParameters(): Promise<void> {
+    this.reads += 1;
+    const { reads } = this;
     try {
       const { result } = await get<{ parameters: Parameter[] }>(this.swarm, "parameters");
+      if (reads !== this.reads) {
+        // A later request was sent since, whose reply may have overtaken this one.
+        return;
+      }
       this.parameters = result.parameters;
       const pi1 = result.parameters.find((it) => it.name === "pi1")?.value;
       if (typeof pi1 === "number") {
@@ -180,6 +188,7 @@ export class Watch {
 
   end(): void {
     clearInterval(this.timer);
+    clearTimeout(this.describing);
     this.unlisten();
     this.view.end();
   }
@@ -239,10 +248,15 @@ export class Watch {
     this.events.event?.(event);
   }
 
-  /** Describes the picture for screen readers, at most every two seconds in the same phase. */
+  /** Describes the picture for screen readers, at most every DESCRIBE_MS in the same phase. */
   private describe(state: State): void {
     const now = performance.now();
-    if (now - this.described.at > 2000 || state.phase !== this.described.phase) {
+    const rest = this.described.at + DESCRIBE_MS - now;
+    clearTimeout(this.describing);
+    if (rest > 0 && state.phase === this.described.phase) {
+      // No later state may come.
+      this.describing = setTimeout(() => this.describe(state), rest);
+    } else {
       this.described = { at: now, phase: state.phase };
       const informed = state.weight.filter((it) => it > 0).length;
       const parts = [

@@ -68,6 +68,61 @@ export function numberIn(input: HTMLInputElement): number | undefined {
   return input.value === "" ? undefined : input.valueAsNumber;
 }
 
+/**
+ * Lets the fields of a form follow a value of the daemon, except while another one is typed in them.
+ * What is typed stays until it is sent. If the daemon's value changes meanwhile, or it rejects what was
+ * sent, the fields follow again once they have lost the focus.
+ */
+export class Followed {
+  private typed = false;
+  private overtaken = false;
+
+  /** `fill` puts the daemon's value into the fields. */
+  constructor(
+    private readonly form: HTMLFormElement,
+    private readonly fill: () => void,
+  ) {
+    form.addEventListener("input", () => {
+      this.typed = true;
+    });
+    form.addEventListener("focusout", ({ relatedTarget }) => {
+      if (this.overtaken && !form.contains(relatedTarget as Node | null)) {
+        this.follow();
+      }
+    });
+  }
+
+  /** The daemon has replied to what was typed. */
+  sent(accepted: boolean): void {
+    if (accepted) {
+      // The daemon tells its new value next.
+      this.typed = false;
+      this.overtaken = false;
+    } else if (this.form.contains(document.activeElement)) {
+      this.overtaken = true;
+    } else {
+      this.follow();
+    }
+  }
+
+  /** The daemon has told its value. */
+  show(changed: boolean): void {
+    if (!this.typed) {
+      this.fill();
+    } else if (changed && this.form.contains(document.activeElement)) {
+      this.overtaken = true;
+    } else if (changed) {
+      this.follow();
+    }
+  }
+
+  private follow(): void {
+    this.typed = false;
+    this.overtaken = false;
+    this.fill();
+  }
+}
+
 /** A form in one row, see `form`. */
 export function rowForm(
   submit: () => Promise<unknown> | undefined,
@@ -90,8 +145,10 @@ export function form(
       return;
     }
     busy = true;
+    element.setAttribute("aria-busy", "true");
     await submit();
     busy = false;
+    element.removeAttribute("aria-busy");
   });
   return element;
 }

@@ -28,6 +28,8 @@ export class Session {
   /** The order of each swarm in the lists received by this tab, oldest first. */
   readonly orders = new Map<string, number[]>();
   private readonly listeners = new Set<() => void>();
+  /** The number of requests for the permissions. */
+  private asked = 0;
 
   constructor() {
     this.live.listen({
@@ -96,8 +98,15 @@ export class Session {
   }
 
   async refresh(): Promise<void> {
+    this.asked += 1;
+    const { asked } = this;
     try {
-      this.hello = await hello();
+      const reply = await hello();
+      if (asked !== this.asked) {
+        // The reply to a later request, perhaps with another token, may have overtaken this one.
+        return;
+      }
+      this.hello = reply;
     } catch (error) {
       if (!(error instanceof RequestError)) {
         throw error;

@@ -66,10 +66,14 @@ export class Live {
     return newest;
   }
 
-  /** Connects again, for example to subscribe to a swarm that did not exist before. */
+  /** Connects again, for example to subscribe to another swarm. */
   reconnect(): void {
     clearTimeout(this.retryTimer);
     this.drop();
+    if (this.connection === "open") {
+      // What is sent until the new one is open is missing, so the listeners request it then.
+      this.setConnection("connecting");
+    }
     const about = this.watched === null ? "" : `?swarm=${encodeURIComponent(this.watched)}`;
     const scheme = location.protocol === "https:" ? "wss" : "ws";
     // A WebSocket request takes no headers, and proxies log URLs: the token is sent as a subprotocol.

@@ -13,6 +13,8 @@ async function waiting(page: Page): Promise<(string | null)[]> {
 
 /** Fills in the form without a pointer: each field is reached with Tab. */
 async function add(page: Page, condition: string): Promise<void> {
+  // It accepts no condition before the reply to the one before.
+  await page.locator(".conditions form:not([aria-busy])").waitFor();
   await page.getByLabel("condition", { exact: true }).fill(condition);
   await page.getByLabel("condition", { exact: true }).press("Enter");
 }

@@ -1,0 +1,552 @@
+/**
+ * The page once time has passed: after each action everything that it shows is what the daemon has,
+ * although replies and messages were late, and overtook one another.
+ */
+import assert from "node:assert/strict";
+import { after, before, test } from "node:test";
+import type { Page } from "playwright-core";
+import { type Action, actAndCompare, openBehind } from "./bench.ts";
+import { tabsOfEachTest, until } from "./browser.ts";
+import { Daemon } from "./daemon.ts";
+import { Jumble } from "./jumble.ts";
+import { drag } from "./site.ts";
+
+const openTab = tabsOfEachTest();
+let daemon: Daemon;
+
+before(async () => {
+  daemon = await Daemon.start();
+});
+
+after(() => daemon.end());
+
+const button = (page: Page, name: string) => page.getByRole("button", { name, exact: true });
+const click = (page: Page, name: string) => button(page, name).click();
+const parameter = (page: Page, name: string) =>
+  page.locator(".parameter", { has: page.locator(`b:text-is("${name}")`) });
+const enter = async (page: Page, label: string, value: string, press: string) => {
+  await page.getByLabel(label, { exact: true }).first().fill(value);
+  await click(page, press);
+};
+const setField = async (page: Page, name: string, value: string) => {
+  await parameter(page, name).locator("input").first().fill(value);
+  await click(page, `set ${name}`);
+};
+const phaseIs = (swarm: string, phase: string) =>
+  until(`${swarm} to be ${phase}`, async () => {
+    const { phase: now } = await daemon.get<{ phase: string }>(`${swarm}/get/status`);
+    return now === phase;
+  });
+const box = async (page: Page) => (await page.locator("canvas.picture").boundingBox())!;
+
+/** What one can do to a swarm that is simulated. Each begins where the one before has ended. */
+const ACTIONS: Action[] = [
+  ["nothing", async () => undefined],
+  ["steps of the panel", ({ page }) => enter(page, "steps", "300", "Step")],
+  [
+    "the key s, twice",
+    async ({ page }) => {
+      await page.keyboard.press("s");
+      await page.keyboard.press("s");
+    },
+  ],
+  [
+    "steps of another client, one command at a time",
+    async ({ send }) => {
+      for (let k = 0; k < 6; k += 1) {
+        await send("step", { steps: 7 });
+      }
+    },
+  ],
+  ["run", ({ page, swarm }) => click(page, "▶ Run").then(() => phaseIs(swarm, "running"))],
+  ["a rate, while it runs", ({ page }) => enter(page, "rate time units / s", "3", "Run at rate")],
+  ["a rate of another client", ({ send }) => send("run", { rate: 2 })],
+  ["pause", ({ page, swarm }) => click(page, "❚❚ Pause").then(() => phaseIs(swarm, "paused"))],
+  [
+    "run and pause, before the page knows that it runs",
+    async ({ page, jumble, swarm }) => {
+      jumble.hold();
+      await page.locator("canvas.picture").focus();
+      await page.keyboard.press(" ");
+      await page.locator(".notices", { hasText: "running" }).waitFor();
+      await page.keyboard.press(" ");
+      await phaseIs(swarm, "paused");
+      jumble.go();
+    },
+  ],
+  [
+    "each number of the parameters",
+    async ({ page }) => {
+      for (const [name, value] of [
+        ["pi2", "0.7"],
+        ["pi3", "1.5"],
+        ["pi4", "7.5"],
+        ["noise", "0.01"],
+        ["publish_every", "4"],
+      ] as const) {
+        await setField(page, name, value);
+      }
+    },
+  ],
+  [
+    "shorter bodies",
+    async ({ page }) => {
+      await page.getByLabel("make room").check();
+      await setField(page, "pi1", "3.5");
+    },
+  ],
+  [
+    "each choice of the parameters",
+    async ({ page }) => {
+      await parameter(page, "attraction").locator("select").selectOption("metric");
+      await click(page, "set attraction");
+      await parameter(page, "contacts").locator("select").selectOption("closest");
+      await click(page, "set contacts");
+    },
+  ],
+  [
+    "a parameter that another client sets twice",
+    async ({ send }) => {
+      await send("set", { noise: 0.2 });
+      await send("set", { noise: 0.4, pi1: 3, make_room: true });
+    },
+  ],
+  [
+    "a number that the daemon rejects",
+    async ({ page, tab, send }) => {
+      tab.expectsError(/^4\d\d POST \/api\/cmd\/later\/set$/);
+      await parameter(page, "relinearise").locator("input").fill("1");
+      await send("set", { stepping: "velocity" });
+      await click(page, "set relinearise");
+      await page.locator(".errors p").waitFor();
+      assert.equal(await parameter(page, "relinearise").locator("input").inputValue(), "1");
+      await page.locator("canvas.picture").focus();
+      await send("set", { stepping: "position" });
+    },
+  ],
+  [
+    "all measures in charts",
+    async ({ page, send }) => {
+      await page.locator(".chart-menu summary").click();
+      for (const name of ["clusters.largest", "milling", "radius_of_gyration"]) {
+        await page.getByLabel(name, { exact: true }).check();
+      }
+      await send("step", { steps: 200 });
+      await send("step", { steps: 200 });
+    },
+  ],
+  [
+    "informed in the form",
+    async ({ page }) => {
+      await enter(page, "ids", "1, 2, 3", "Select");
+      await page.locator(".steering").getByLabel("direction").fill("90");
+      await click(page, "Inform");
+      await page.locator(".notices", { hasText: "3 individuals informed" }).waitFor();
+    },
+  ],
+  [
+    "undone",
+    async ({ page }) => {
+      await click(page, "Undo");
+      await page.locator(".notices", { hasText: "undone" }).waitFor();
+    },
+  ],
+  [
+    "informed by a drag",
+    async ({ page, swarm }) => {
+      await click(page, "Select all");
+      await click(page, "Drag a direction");
+      await drag(page, await box(page), [
+        [60, 250],
+        [140, 170],
+      ]);
+      await until("all informed", async () => {
+        const { result } = await daemon.get<{ result: { informed: number } }>(
+          `${swarm}/get/status`,
+        );
+        return result.informed === 24;
+      });
+    },
+  ],
+  ["uninformed", ({ page }) => click(page, "Uninform")],
+  [
+    "informed and uninformed by another client",
+    async ({ send }) => {
+      await send("inform", { select: { count: 5 }, direction: 1 });
+      await send("uninform", { select: { informed: true } });
+      await send("inform", { select: { count: 3 }, direction: 2 });
+    },
+  ],
+  ["injected", ({ page }) => enter(page, "individuals to inject", "2", "Inject")],
+  [
+    "the selected removed by another client",
+    async ({ page, send }) => {
+      await enter(page, "ids", "4, 5, 6", "Select");
+      await send("remove", { select: { ids: [4, 6] } });
+      await page.locator(".selection", { hasText: /^1 individual selected: 5$/ }).waitFor();
+    },
+  ],
+  [
+    "conditions added, fired and removed",
+    async ({ page, send }) => {
+      for (const condition of ["order > 0.9999 for 70", "order >= 0", "drift > 0.9999 for 50"]) {
+        await page.getByLabel("condition", { exact: true }).fill(condition);
+        await click(page, "Add condition");
+        await page.locator(".waiting", { hasText: condition }).waitFor();
+        await page.locator(".conditions form:not([aria-busy])").waitFor();
+      }
+      await send("step", { steps: 1 });
+      await click(page, "remove the condition drift > 0.9999 for 50");
+    },
+  ],
+  [
+    "conditions of another client",
+    async ({ send }) => {
+      await send("when", { condition: "order > 0.998 for 20", pause: true });
+      await send("when", { condition: "order > 0.997 for 20", pause: true });
+      await send("when", { cancel: true });
+    },
+  ],
+  ["a note", ({ page }) => enter(page, "note in the journal", "seen", "Add note")],
+  [
+    "zoomed, panned and followed, with all layers",
+    async ({ page, send }) => {
+      for (const key of ["c", "k", "t", "p", "+", "ArrowLeft", "ArrowUp"]) {
+        await page.keyboard.press(key);
+      }
+      await send("step", { steps: 100 });
+    },
+  ],
+  [
+    "followed again",
+    async ({ page, send }) => {
+      for (const key of ["f", "c", "k", "t", "p"]) {
+        await page.keyboard.press(key);
+      }
+      await send("step", { steps: 100 });
+    },
+  ],
+  [
+    "a lost connection, meanwhile changed by another client",
+    async ({ page, jumble, send }) => {
+      await jumble.lose();
+      await page.getByText("No connection to the daemon, reconnecting").first().waitFor();
+      await send("set", { pi2: 0.9 });
+      await send("when", { condition: "order > 0.996 for 20", pause: true });
+      await send("step", { steps: 20 });
+      jumble.mend();
+    },
+  ],
+  [
+    "a name that another swarm has got meanwhile",
+    async ({ page, jumble, send, swarm }) => {
+      await click(page, "Select all");
+      await jumble.lose();
+      await page.getByText("No connection to the daemon, reconnecting").first().waitFor();
+      await send("delete");
+      await daemon.create(swarm, { n: 24, seed: 9, publish_every: 2 });
+      for (let k = 0; k < 40; k += 1) {
+        await send("annotate", { text: `note ${k}` });
+      }
+      await send("step", { steps: 3000 });
+      jumble.mend();
+      await page.locator(".selection", { hasText: /^No individual is selected/ }).waitFor();
+    },
+  ],
+  [
+    "reset in the dialog",
+    async ({ page }) => {
+      await click(page, "Reset …");
+      await page.locator("dialog").getByRole("button", { name: "Reset", exact: true }).click();
+      await page.locator(".notices", { hasText: "reset to step 0" }).waitFor();
+    },
+  ],
+  [
+    "deleted, and created as another swarm",
+    async ({ page, send, swarm }) => {
+      await send("step", { steps: 50 });
+      await send("delete");
+      await page.getByText(`No swarm ${swarm}`).waitFor();
+      await daemon.create(swarm, { n: 24, seed: 5, pi1: 3 });
+      await send("step", { steps: 100 });
+    },
+  ],
+  [
+    "another page and back, changed before the first message",
+    async ({ page, jumble, send, swarm }) => {
+      await page.evaluate('location.hash = "#/"');
+      await page.locator(`[data-swarm="${swarm}"]`).waitFor();
+      jumble.hold();
+      await page.locator(`[data-swarm="${swarm}"]`).click();
+      await page.locator("h1", { hasText: swarm }).waitFor();
+      await until("quiet", async () => jumble.isSilent);
+      await send("set", { pi3: 2.5 });
+      jumble.go();
+    },
+  ],
+  [
+    "the daemon killed and started again",
+    async ({ page, tab, send }) => {
+      // It rejects WebSockets until it has recovered its swarms.
+      tab.allowsError(
+        /^WebSocket connection to \S+ failed: .*(code: 429|net::ERR_CONNECTION_REFUSED)$/,
+      );
+      tab.allowsError(/net::ERR_(CONNECTION_REFUSED|CONNECTION_RESET|EMPTY_RESPONSE|FAILED)/);
+      await send("inform", { select: { count: 4 }, direction: 1 });
+      await daemon.kill();
+      await page.getByText("No connection to the daemon, reconnecting").first().waitFor();
+      await daemon.restart();
+      await send("step", { steps: 30 });
+    },
+  ],
+];
+
+test("after each action, once all replies are there, the page is as the daemon is", async (t) => {
+  await daemon.create("later", { n: 24, seed: 3, rate: 2, publish_every: 5 });
+  const bench = await openBehind(await openTab(), daemon, "later");
+  // The second of two steps may come while the first is executed; a request may be under way when its
+  // swarm is deleted.
+  bench.tab.allowsError(/^409 POST \/api\/cmd\/later\/step$/);
+  bench.tab.allowsError(/^404 GET \/api\/get\/later\//);
+  await actAndCompare(t, bench, ACTIONS);
+  await bench.page.goto("about:blank");
+  await daemon.command("later", "delete");
+});
+
+const slider = (page: Page) => page.getByRole("slider", { name: "position in the recording" });
+const value = async (page: Page) => Number(await slider(page).inputValue());
+/** Presses the pointer on the slider at a share of its width, and drags it over others. */
+const press = async (page: Page, ...shares: number[]) => {
+  const { x, y, width, height } = (await slider(page).boundingBox())!;
+  for (const [k, share] of shares.entries()) {
+    await page.mouse.move(x + share * width, y + height / 2, { steps: 3 });
+    if (k === 0) {
+      await page.mouse.down();
+    }
+  }
+};
+
+/** What one can do to a playback. */
+const SEEKS: Action[] = [
+  ["opened", ({ page }) => slider(page).waitFor()],
+  [
+    "dragged away and back",
+    async ({ page, send }) => {
+      await press(page, 0, 0.4, -0.2);
+      await page.mouse.up();
+      await send("seek", { fraction: 0.5 });
+    },
+  ],
+  [
+    "another client, while it is dragged",
+    async ({ page, send }) => {
+      await press(page, 0.5, 0.7);
+      const at = await value(page);
+      await send("seek", { fraction: 0.1 });
+      await page.locator(".events", { hasText: "fraction 0.1" }).waitFor();
+      assert.equal(await value(page), at);
+      await page.mouse.up();
+      await until("its position", async () => Math.abs((await value(page)) - at) < 20);
+    },
+  ],
+  [
+    "the keys End, Home and End",
+    async ({ page }) => {
+      await slider(page).focus();
+      for (const key of ["End", "Home", "End"]) {
+        await page.keyboard.press(key);
+      }
+    },
+  ],
+  [
+    "another client, twice",
+    async ({ send }) => {
+      await send("seek", { fraction: 0.3 });
+      await send("seek", { fraction: 0.2 });
+    },
+  ],
+  ["run slowly by another client", ({ send }) => send("run", { rate: 0.2 })],
+  [
+    "dragged while it runs",
+    async ({ page, swarm }) => {
+      await press(page, 0.1, 0.05);
+      const at = await value(page);
+      const { step } = await daemon.get<{ step: number }>(`${swarm}/get/status`);
+      await until("later steps", async () => {
+        const number = page.locator('dd[data-number="step"]').first();
+        return Number(await number.textContent()) > step + 5;
+      });
+      assert.equal(await value(page), at);
+      await page.mouse.up();
+    },
+  ],
+  ["paused", ({ page }) => click(page, "❚❚ Pause")],
+  [
+    "a lost connection, meanwhile another client",
+    async ({ page, jumble, send }) => {
+      await jumble.lose();
+      await page.getByText("No connection to the daemon, reconnecting").first().waitFor();
+      await send("seek", { fraction: 0.8 });
+      jumble.mend();
+    },
+  ],
+];
+
+test("the slider of a playback follows the daemon again, and not while it is moved", async (t) => {
+  await daemon.create("filmed", { n: 10, seed: 4, rate: 20, publish_every: 1 });
+  const recorded = daemon.jostle("record", "filmed", "-o", "film.mcap", "--steps", "400");
+  await daemon.command("filmed", "run");
+  await recorded;
+  await daemon.command("filmed", "delete");
+  await daemon.jostle("replay", "film.mcap", "--as", "film", "--paused");
+  const bench = await openBehind(await openTab(), daemon, "film");
+  await actAndCompare(t, bench, SEEKS);
+});
+
+interface Listed {
+  swarm: string;
+  phase: string;
+  step: number;
+  time: number;
+  n: number;
+  informed: number;
+  order: number;
+}
+
+/** What the list shows of each swarm, without the time of a picture of what runs. */
+const listed = (page: Page) =>
+  page.evaluate(() =>
+    [...document.querySelectorAll<HTMLElement>(".swarm-card")].map((card) => ({
+      swarm: card.querySelector("h2")?.textContent,
+      phase: card.querySelector<HTMLElement>(".phase")?.dataset.phase,
+      order: card.querySelector(".order b")?.textContent,
+      facts: [...card.querySelectorAll(".facts span")].slice(0, 3).map((it) => it.textContent),
+      drawn: Number(card.querySelector("canvas")?.dataset.step),
+    })),
+  );
+
+test("the list shows the last state of each swarm, also in its thumbnails", async (t) => {
+  await daemon.create("one", { n: 12, seed: 1 });
+  await daemon.create("two", { n: 12, seed: 2, rate: 5 });
+  const tab = await openTab();
+  tab.allowsError(/^404 GET \/api\/get\/two\//);
+  const jumble = await Jumble.before(tab.page);
+  await tab.page.goto(`${daemon.link}&/`);
+  const actions: [string, () => Promise<unknown>][] = [
+    ["opened", async () => undefined],
+    [
+      "steps",
+      async () => {
+        for (let k = 0; k < 5; k += 1) {
+          await daemon.command("one", "step", { steps: 9 });
+          await daemon.command("two", "step", { steps: 7 });
+        }
+      },
+    ],
+    [
+      "informed and injected",
+      async () => {
+        await daemon.command("one", "inform", { select: { count: 4 }, direction: 1 });
+        await daemon.command("two", "inject", { count: 3 });
+      },
+    ],
+    [
+      "run and paused",
+      async () => {
+        await daemon.command("two", "run");
+        await tab.page.locator('[data-swarm="two"] [data-phase="running"]').waitFor();
+        await daemon.command("two", "pause");
+      },
+    ],
+    ["reset", () => daemon.command("one", "reset")],
+    [
+      "replaced",
+      async () => {
+        await daemon.command("two", "delete");
+        await daemon.create("two", { n: 5, seed: 7, pi1: 1 });
+        await daemon.command("two", "step", { steps: 3 });
+      },
+    ],
+    [
+      "another one",
+      async () => {
+        await daemon.create("three", { n: 3 });
+      },
+    ],
+    ["deleted", () => daemon.command("one", "delete")],
+  ];
+  for (const [name, act] of actions) {
+    const began = Date.now();
+    await act();
+    let is: unknown;
+    let wanted: unknown;
+    await until(`the list after: ${name}`, async () => {
+      const { result } = await daemon.get<{ result: { swarms: Listed[] } }>("@node/get/swarms");
+      const rows = result.swarms.filter((it) => it.swarm !== "film");
+      wanted = rows.map((it) => ({
+        swarm: it.swarm,
+        phase: it.phase,
+        order: it.order.toFixed(2),
+        facts: [`n ${it.n}`, `informed ${it.informed}`, `time ${it.time.toFixed(2)}`],
+        drawn: it.step,
+      }));
+      is = (await listed(tab.page)).filter((it) => it.swarm !== "film");
+      return jumble.isSilent && JSON.stringify(is) === JSON.stringify(wanted);
+    }).catch(() => assert.deepEqual(is, wanted, name));
+    t.diagnostic(`${name}: ${Date.now() - began} ms`);
+  }
+});
+
+test("the numbers of an animation are those of its last state", async () => {
+  await daemon.create("animation-1", { n: 50, seed: 3 });
+  const { page } = await openTab();
+  const jumble = await Jumble.before(page);
+  await page.goto(`${daemon.link}&/gallery/animation-1`);
+  const shown = async (of: Page) => of.locator("dd").allTextContents();
+  await until("numbers", async () => (await shown(page))[4] === "0.00");
+  // Three states at once: none of them is the last that is counted.
+  for (const steps of [400, 1, 400]) {
+    await daemon.command("animation-1", "step", { steps });
+  }
+  const { result, time } = await daemon.get<{
+    time: number;
+    result: { order: { order: number }; certificate: { contacts: number } };
+  }>("animation-1/get/status");
+  const numbers = [
+    result.order.order.toFixed(3),
+    "undefined",
+    (result.certificate.contacts / 50).toFixed(2),
+  ];
+  await until("its last time", async () => (await shown(page))[4] === time.toFixed(2));
+  await until("quiet", async () => jumble.isQuiet);
+  const other = (await openTab()).page;
+  await other.goto(`${daemon.link}&/gallery/animation-1`);
+  await until("numbers", async () => /%/.test((await shown(other))[3] ?? ""));
+  await until(
+    "the same numbers",
+    async () => {
+      const [now, fresh] = [await shown(page), await shown(other)];
+      return now.join() === fresh.join() && now.slice(0, 3).join() === numbers.join();
+    },
+    3000,
+  );
+});
+
+test("a chart of a measure is drawn although the daemon was busy", async () => {
+  await daemon.create("busy", { n: 12, seed: 1 });
+  const tab = await openTab();
+  const { page } = tab;
+  tab.expectsError(/^503 GET \/api\/get\/busy\/get\/measures/);
+  let asked = 0;
+  await page.route(/measures\?names/, async (route) => {
+    asked += 1;
+    const error = { code: "busy", message: "busy: wait", details: {}, step: null };
+    await (asked === 1 ? route.fulfill({ status: 503, json: error }) : route.continue());
+  });
+  await page.goto(`${daemon.link}&/swarm/busy`);
+  await page.locator(".chart-menu summary").click();
+  await page.getByLabel("clusters.count", { exact: true }).check();
+  await page.locator(".chart .none", { hasText: "busy: wait" }).waitFor();
+  await page.locator(".chart output", { hasText: /^\d+ clusters$/ }).waitFor();
+  await page.goto("about:blank");
+});
