@@ -28,20 +28,24 @@ impl FrameFilter {
     /// Whether a state is to be recorded.
     pub fn accepts(&mut self, state: &State) -> bool {
         let position = (state.epoch, state.step, state.frame);
+        let mut newest = state.frame;
         if let Some((epoch, step, frame)) = self.newest {
             // Published before the first queried state was taken.
             if position <= (epoch, step, frame) {
                 self.newest = Some((epoch, step, state.frame.max(frame)));
                 return false;
             }
-            // A restarted daemon counts from 0.
-            let before = if state.frame > frame { frame } else { 0 };
-            self.missed += (state.frame - before).saturating_sub(1);
+            // A restarted daemon counts from 0, in a later epoch. In the same one nothing is missing: an
+            // earlier daemon numbers a queried state after it took it.
+            let is_restarted = state.epoch > epoch && state.frame <= frame;
+            let before = if is_restarted { 0 } else { frame };
+            self.missed += state.frame.saturating_sub(before.saturating_add(1));
+            newest = newest.max(before);
             if state.epoch == epoch {
                 self.steps += state.step - step;
             }
         }
-        self.newest = Some(position);
+        self.newest = Some((state.epoch, state.step, newest));
         let is_far = match (self.every, self.recorded) {
             (Some(every), Some((epoch, step))) if epoch == state.epoch => {
                 state.step - step >= every
@@ -88,6 +92,22 @@ mod tests {
         assert_eq!(filter.missed, 2);
         filter.accepts(&state(1, 25, 2));
         assert_eq!((filter.missed, filter.steps), (3, 25));
+    }
+
+    #[test]
+    fn a_state_without_a_higher_number_than_the_queried_one_misses_none() {
+        for frame in [113, 114] {
+            let mut filter = FrameFilter::new(None);
+            assert!(filter.accepts(&state(0, 12, 114)));
+            assert!(filter.accepts(&state(0, 15, frame)));
+            assert!(filter.accepts(&state(0, 18, 115)));
+            assert_eq!((filter.missed, filter.steps), (0, 6), "{frame}");
+            filter.accepts(&state(0, 24, 117));
+            assert_eq!(filter.missed, 1, "116 is missing");
+            // The daemon is restarted: 1 to 3 are missing.
+            filter.accepts(&state(1, 20, 4));
+            assert_eq!(filter.missed, 4);
+        }
     }
 
     #[test]
