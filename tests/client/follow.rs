@@ -13,6 +13,7 @@ use jostle_proto::verbs::{
 use jostle_proto::{EventKind, Spec, keys};
 use tempfile::TempDir;
 use zenoh::Session;
+use zenoh::bytes::Encoding;
 use zenoh::liveliness::LivelinessToken;
 
 use crate::daemon::{Daemon, serve};
@@ -372,7 +373,7 @@ async fn what_is_received_before_the_token_of_a_swarm_that_is_back_follows_the_n
     }
     let update = next(&mut updates).await.unwrap().unwrap();
     assert!(matches!(update, Update::Away), "{update:?}");
-    let event = include_str!("../../proto/fixtures/event.phase.json");
+    let event = include_str!("../../proto/fixtures/event.phase.json").replace("school", "demo");
     session
         .put(keys::event(PREFIX, "demo"), event)
         .await
@@ -426,5 +427,112 @@ async fn a_published_state_has_its_times_and_one_that_was_queried_has_none() {
             break;
         }
     }
+    client.close().await;
+}
+
+/// The encoding of states.
+const CBOR: Encoding = Encoding::APPLICATION_CBOR;
+
+/// Publishes what belongs on other keys, as zenoh sometimes delivers it after a connection was restored.
+async fn misdeliver(session: &Session) {
+    let event = include_str!("../../proto/fixtures/event.phase.json");
+    let order = include_str!("../../proto/fixtures/order.json");
+    let state: &[u8] = include_bytes!("../../proto/fixtures/state.cbor");
+    let event = event.replace("\"school\"", "\"demo\"");
+    let order = order.replace("\"school\"", "\"demo\"");
+    assert!(event.contains("\"demo\"") && order.contains("\"demo\""));
+    for (key, others) in [
+        (keys::state(PREFIX, "demo"), [&event, &order]),
+        (keys::order(PREFIX, "demo"), [&event, &event]),
+        (keys::event(PREFIX, "demo"), [&order, &order]),
+    ] {
+        for other in others {
+            let put = session.put(&key, other.as_str());
+            put.encoding(Encoding::APPLICATION_JSON).await.unwrap();
+        }
+        // Of another swarm too; on the key of the states it is a state.
+        session.put(&key, state).encoding(CBOR).await.unwrap();
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_belongs_on_another_key_is_left_out_and_what_it_may_have_replaced_is_queried() {
+    let (_folder, _daemon, endpoint, other) = daemon_with_a_swarm().await;
+    // A daemon passes on nothing that others put on its keys, a router does.
+    let mut config = zenoh::Config::default();
+    for (key, value) in [
+        ("mode", "\"router\"".to_owned()),
+        ("connect/endpoints", format!("[\"{endpoint}\"]")),
+        ("listen/endpoints", "[\"tcp/127.0.0.1:0\"]".to_owned()),
+        ("scouting/multicast/enabled", "false".to_owned()),
+    ] {
+        config.insert_json5(key, &value).unwrap();
+    }
+    let session = zenoh::open(config).await.unwrap();
+    let endpoint = session.info().locators().await[0].to_string();
+    let client = Client::connect(ConnectOptions {
+        timeout: TIMEOUT,
+        ..ConnectOptions::to(endpoint)
+    });
+    let client = client.await.unwrap();
+    let began = Instant::now();
+    while client.status("demo").await.is_err() {
+        assert!(
+            began.elapsed() < TIMEOUT,
+            "the router does not reach the daemon"
+        );
+    }
+    let options = FollowOptions {
+        states: Some(64),
+        order: Some(64),
+        events: Some(EventsFrom::After(0)),
+        ..FollowOptions::default()
+    };
+    let mut updates = client.follow("demo", options).await.unwrap();
+    let mut numbers = Vec::new();
+    let mut step = |update: &Update| match update {
+        Update::Event(event) => {
+            assert_eq!(event.swarm, "demo");
+            numbers.push(event.number);
+            None
+        }
+        Update::State(state) => {
+            assert_eq!((&*state.swarm, state.x.len()), ("demo", 10));
+            Some(state.step)
+        }
+        Update::Order(order) => {
+            assert_eq!((&*order.swarm, order.n), ("demo", 10));
+            None
+        }
+        update => panic!("{update:?}"),
+    };
+    assert_eq!(until(&mut updates, &mut step).await, 0);
+    for round in 0..3 {
+        misdeliver(&session).await;
+        // It is paused and publishes nothing: this state was queried.
+        until(&mut updates, |it| step(it).filter(|it| *it == round)).await;
+        other.execute("demo", &note("lost")).await.unwrap();
+        let args = StepArgs {
+            steps: 1,
+            return_: Return::None,
+        };
+        other.execute("demo", &args).await.unwrap();
+        until(&mut updates, |it| step(it).filter(|it| *it == round + 1)).await;
+    }
+    other.execute("demo", &note("last")).await.unwrap();
+    until(&mut updates, |it| {
+        step(it);
+        is_note(it, "last")
+    })
+    .await;
+    let expected: Vec<u64> = (1..=numbers.len() as u64).collect();
+    assert_eq!(numbers, expected);
+    other.execute("demo", &DeleteArgs {}).await.unwrap();
+    until(&mut updates, |it| {
+        matches!(it, Update::Deleted).then_some(())
+    })
+    .await;
+    session.close().await.unwrap();
+    other.close().await;
     client.close().await;
 }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import subprocess
 import sys
@@ -15,9 +16,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import zenoh
 
 import jostle
-from conftest import MAX_WAIT_SECS, Daemon, Wire, eventually
+from conftest import MAX_WAIT_SECS, Daemon, Router, Wire, eventually, zenoh_session
 from jostle._state import FrameReader
 
 Create = Callable[..., jostle.Swarm]
@@ -62,6 +64,56 @@ def test_states_older_than_the_first_one_are_not_skipped(create: Create) -> None
     reader = FrameReader(lambda payload: states[int(payload)], lambda: states[0])
     read = reader.first() + reader.read(b"1") + reader.read(b"2")
     assert [(state.step, state.skipped) for state in read] == [(5, 0), (6, 0)]
+
+
+def _misdeliver(session: zenoh.Session, swarm: str) -> None:
+    """Publishes what belongs on other keys, as zenoh does at times after an outage."""
+    fixtures = Path(__file__).parents[3] / "proto" / "fixtures"
+    state = (fixtures / "state.cbor").read_bytes()
+    ours = [(fixtures / it).read_text() for it in ("event.phase.json", "order.json")]
+    event, order = (it.replace('"school"', f'"{swarm}"') for it in ours)
+    deleted = (fixtures / "event.deleted.json").read_text()
+    assert all('"school"' in it for it in [*ours, deleted])
+    for noun, others in [
+        ("state", [event, order]),
+        ("order", [event, ours[1]]),
+        ("event", [order, ours[0], deleted]),
+    ]:
+        key = f"jostle/{swarm}/{noun}"
+        for other in others:
+            session.put(key, other, encoding=zenoh.Encoding.APPLICATION_JSON)
+        # Of another swarm, too: on the key of the states it is a state.
+        session.put(key, state, encoding=zenoh.Encoding.APPLICATION_CBOR)
+
+
+def test_what_belongs_on_another_key_is_left_out_and_what_was_lost_is_queried(
+    create: Create, daemon: Daemon
+) -> None:
+    name = create(n=3).name
+    # A daemon passes on nothing that others put on its keys, a router does.
+    router = Router(daemon.endpoint)
+    with (
+        contextlib.closing(router),
+        zenoh_session(router.endpoint) as session,
+        jostle.connect(router.endpoint) as client,
+        client.swarm(name) as swarm,
+        swarm.states(timeout=MAX_WAIT_SECS) as states,
+        swarm.orders(timeout=MAX_WAIT_SECS) as orders,
+        swarm.events(after=0, timeout=MAX_WAIT_SECS) as events,
+    ):
+        assert next(states).step == 0
+        for step in range(1, 4):
+            _misdeliver(session, swarm.name)
+            swarm.step()
+            state, order = next(states), next(orders)
+            while state.step < step:
+                state = next(states)
+            while order.step < step:
+                order = next(orders)
+            assert (state.swarm, state.n, state.step) == (swarm.name, 3, step)
+            assert (order.swarm, order.n, order.step) == (swarm.name, 3, step)
+        numbers = [next(events).number for _ in range(4)]
+        assert numbers == [1, 2, 3, 4]
 
 
 def test_a_command_shows_in_a_paused_swarm(create: Create) -> None:

@@ -21,6 +21,7 @@ use crate::discovery::node_of;
 use crate::error::Error;
 use crate::payload::{Message, Payload};
 use crate::presence::{Change, Presence};
+use crate::published::{Publication, Published, publication};
 use crate::retry::Delays;
 
 /// The queue of events. Events that are dropped are queried again.
@@ -309,7 +310,7 @@ impl Follower {
                 {
                     match received? {
                         Publication::Event(event) => self.event(event).await?,
-                        Publication::State(state) => self.state(state)?,
+                        Publication::State(state) => self.received_state(state)?,
                         Publication::Order(order) => self.order(order)?,
                     }
                 }
@@ -347,7 +348,7 @@ impl Follower {
         if self.options.states.is_some() {
             let key = keys::state(self.client.prefix(), &self.swarm);
             let state = self.query(&key, failing).await?;
-            self.state(state)?;
+            self.state(state.try_into()?);
         }
         self.query_events(failing).await?;
         self.connections_lost = connections_lost;
@@ -372,15 +373,39 @@ impl Follower {
         self.epoch = self.epoch.max(epoch);
     }
 
-    fn state(&mut self, payload: Payload) -> Result<(), Error> {
-        let state: Message<State> = payload.try_into()?;
+    /// Decodes a message that was published. `None` if it belongs on another key: after a connection was
+    /// restored, zenoh 1.10 sometimes delivers a message under the key of another subscription. What
+    /// belongs on this key may then have gone elsewhere, so that it is queried, as after an interruption.
+    fn decode<T: Published>(&mut self, payload: Payload) -> Result<Option<Message<T>>, Error> {
+        match payload.read::<T>() {
+            Ok(value) if value.swarm() == self.swarm => {
+                return Ok(Some(Message { value, payload }));
+            }
+            Err(error) if !T::is_of_another_key(&payload) => return Err(error),
+            Ok(_) | Err(_) => {}
+        }
+        if self.refresh_at.is_none() {
+            self.refresh_at = Some(Instant::now() + self.delays.next());
+        }
+        Ok(None)
+    }
+
+    fn state(&mut self, state: Message<State>) {
         self.see_epoch(state.epoch);
         self.updates.push_back(Update::State(Box::new(state)));
+    }
+
+    fn received_state(&mut self, payload: Payload) -> Result<(), Error> {
+        if let Some(state) = self.decode(payload)? {
+            self.state(state);
+        }
         Ok(())
     }
 
     fn order(&mut self, payload: Payload) -> Result<(), Error> {
-        let order: Message<OrderSample> = payload.try_into()?;
+        let Some(order) = self.decode::<OrderSample>(payload)? else {
+            return Ok(());
+        };
         self.see_epoch(order.epoch);
         self.updates.push_back(Update::Order(Box::new(order)));
         Ok(())
@@ -388,13 +413,16 @@ impl Follower {
 
     async fn event(&mut self, payload: Payload) -> Result<(), Error> {
         if self.options.events.is_none() {
-            let event = payload.read::<Event>();
-            if event.is_ok_and(|event| matches!(event.event, EventKind::Deleted { .. })) {
+            let is_deleted =
+                |it: Event| it.swarm == self.swarm && matches!(it.event, EventKind::Deleted { .. });
+            if payload.read().is_ok_and(is_deleted) {
                 self.finish()?;
             }
             return Ok(());
         }
-        let event: Message<Event> = payload.try_into()?;
+        let Some(event) = self.decode::<Event>(payload)? else {
+            return Ok(());
+        };
         let is_last = matches!(event.event, EventKind::Deleted { .. });
         if self.last_event.is_some_and(|last| event.number > last + 1) {
             match self.query_events(Duration::ZERO).await {
@@ -506,7 +534,7 @@ impl Follower {
     /// Yields what was received before the deletion, and the deletion.
     fn finish(&mut self) -> Result<(), Error> {
         while let Some(state) = self.states.as_ref().and_then(Subscription::try_next) {
-            self.state(state)?;
+            self.received_state(state)?;
         }
         while let Some(order) = self.order.as_ref().and_then(Subscription::try_next) {
             self.order(order)?;
@@ -530,38 +558,10 @@ fn tolerate(outcome: Result<(), Error>) -> Result<(), Error> {
     })
 }
 
-/// What a swarm publishes.
-enum Publication {
-    Event(Payload),
-    State(Payload),
-    Order(Payload),
-}
-
-/// The next publication; in random order, so that a frequent one does not starve the others.
-async fn publication(
-    events: &Subscription,
-    states: Option<&Subscription>,
-    order: Option<&Subscription>,
-) -> Result<Publication, Error> {
-    tokio::select! {
-        event = events.next() => Ok(Publication::Event(event?)),
-        state = next(states) => Ok(Publication::State(state?)),
-        order = next(order) => Ok(Publication::Order(order?)),
-    }
-}
-
 /// Completes at `deadline`, never without one.
 async fn reach(deadline: Option<Instant>) {
     match deadline {
         Some(deadline) => sleep_until(deadline).await,
-        None => pending().await,
-    }
-}
-
-/// The next sample, never without a subscription.
-async fn next(subscription: Option<&Subscription>) -> Result<Payload, Error> {
-    match subscription {
-        Some(subscription) => subscription.next().await,
         None => pending().await,
     }
 }

@@ -129,6 +129,7 @@ mod error;
 mod follow;
 mod payload;
 mod presence;
+mod published;
 mod requests;
 mod retry;
 mod tls;

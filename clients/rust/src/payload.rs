@@ -44,11 +44,15 @@ impl Payload {
     ///
     /// [`Error::Decode`].
     pub fn read<T: DeserializeOwned>(&self) -> Result<T, Error> {
-        if self.encoding == Encoding::from(CBOR) {
+        if self.is_cbor() {
             ciborium::from_reader(self.bytes.as_slice()).map_err(Error::decode)
         } else {
             serde_json::from_slice(&self.bytes).map_err(Error::decode)
         }
+    }
+
+    pub(crate) fn is_cbor(&self) -> bool {
+        self.encoding == Encoding::from(CBOR)
     }
 
     /// Its bytes.

@@ -18,6 +18,7 @@ from ._link import LIVELINESS_TIMEOUT_SECS
 from ._node import Swarms
 from ._outage import Outage
 from ._presence import Presence, State
+from ._published import belongs
 from ._session import Session
 from ._threads import listen
 
@@ -65,7 +66,8 @@ class _Inbox:
     The threads reference this and not the stream, so that an unreferenced stream is collected.
     """
 
-    def __init__(self, capacity: int) -> None:
+    def __init__(self, capacity: int, swarm: str) -> None:
+        self.swarm = swarm
         self.changed = threading.Condition()
         self.samples: deque[tuple[zenoh.Sample, int]] = deque(maxlen=capacity)
         self.closed = False
@@ -78,6 +80,8 @@ class _Inbox:
             self.changed.notify_all()
 
     def on_end(self, sample: zenoh.Sample) -> None:
+        if not belongs(sample, self.swarm, "event"):
+            return
         try:
             kind = read_event(sample.payload.to_bytes()).kind
         except Internal:
@@ -146,7 +150,8 @@ class Stream(Generic[T]):
         self._session = session
         self._swarm = swarm
         self._reader = reader
-        self._inbox = _Inbox(capacity)
+        self._noun = noun
+        self._inbox = _Inbox(capacity, swarm)
         self._presence = Presence()
         self._outage = Outage(session.endpoint, f"the stream of {noun}s of swarm {swarm!r}")
         # The daemon of the swarm, once its token is known; any until then.
@@ -232,6 +237,10 @@ class Stream(Generic[T]):
             if received is not None:
                 self._silent_since = time.monotonic()
                 sample, unix_nanos = received
+                if not belongs(sample, self._swarm, self._noun):
+                    # What belongs here may have gone elsewhere, as in an interruption.
+                    self._is_stale = True
+                    continue
                 attachment = None if sample.attachment is None else sample.attachment.to_bytes()
                 arrival = Arrival(unix_nanos, attachment)
                 return self._reader.read(sample.payload.to_bytes(), arrival)
