@@ -115,30 +115,6 @@ fn time_taken_while_no_swarm_waited_is_not_charged() {
     assert!(a.0.may_compute(now, Need::Behind), "it asked before c");
 }
 
-#[test]
-fn a_swarm_behind_its_rate_comes_before_one_without_a_rate() {
-    let scheduler = Arc::new(CpuScheduler::with_turns(1));
-    let until = Instant::now() + 100 * TURN;
-    let threads = [Need::Behind, Need::Unpaced].map(|need| {
-        let (mut share, called) = share(&scheduler);
-        thread::spawn(move || {
-            let before = thread_time();
-            while Instant::now() < until {
-                if share.may_compute(Instant::now(), need) {
-                    let end = thread_time() + TURN / 3;
-                    while thread_time() < end {}
-                } else {
-                    let _ = called.recv_timeout(TURN);
-                }
-            }
-            thread_time() - before
-        })
-    });
-    let [behind, unpaced] = threads.map(|it| it.join().unwrap());
-    assert!(behind > 5 * unpaced, "{behind:?} and {unpaced:?}");
-    assert!(!unpaced.is_zero(), "none of the turns");
-}
-
 /// A field of `/proc/thread-self/sched`, which only kernels with `SCHED_DEBUG` have.
 fn field(name: &str) -> Option<u64> {
     let text = read_to_string("/proc/thread-self/sched").unwrap_or_default();
@@ -364,6 +340,32 @@ fn without_users_shares_are_equal_by_swarm() {
     let taken = Simulation::new(2, &[Simulated(None, None, STEP); 5]).run(1.0);
     let taken: Vec<f64> = taken.into_iter().map(|it| it.0).collect();
     assert_near(&taken, &[0.4; 5], 0.01);
+}
+
+/// Time of two swarms in cores, one behind a rate that it cannot reach, and one without a rate, that
+/// compute one at a time.
+fn with_and_without_a_rate(step: Duration) -> Vec<f64> {
+    let mut simulation = Simulation {
+        scheduler: Arc::new(CpuScheduler::with_turns(1)),
+        ..Simulation::new(1, &[])
+    };
+    simulation.add(&[
+        Simulated(None, Some(1e6), step),
+        Simulated(None, None, step),
+    ]);
+    // It falls behind in this time.
+    simulation.run(0.2);
+    let taken = simulation.run(2.0);
+    taken.into_iter().map(|it| it.0).collect()
+}
+
+#[test]
+fn a_swarm_behind_its_rate_comes_before_one_without_a_rate() {
+    for step in [TURN / 3, TURN, 5 * TURN] {
+        let taken = with_and_without_a_rate(step);
+        // 16 turns of 17.
+        assert_near(&taken, &[16.0 / 17.0, 1.0 / 17.0], 0.02);
+    }
 }
 
 #[test]

@@ -192,7 +192,7 @@ async fn whoever_counts_the_states_of_a_paused_swarm_does_not_wait_for_ever() {
         "--json watch demo --count 3",
         "watch demo --frames --count 3",
     ] {
-        let ended = daemon.jostle(&format!("{line} --timeout 1")).await;
+        let ended = daemon.jostle(&format!("{line} --timeout 3")).await;
         ended.assert_stderr(4, "demo does not run: 1 of 3 came");
         assert!(
             ended.stderr.contains("`jostle run demo` runs it"),

@@ -126,9 +126,9 @@ async fn output_without_json_is_text_and_tables() {
 async fn what_ends_a_wait_says_that_the_swarm_continues_and_how_to_pause_it() {
     let daemon = Daemon::start().await;
     daemon.said("create demo --n 10").await;
-    let line = "run demo --until-step 100000000 --wait --timeout 0.5";
+    let line = "run demo --until-step 100000000 --wait --timeout 3";
     let ended = daemon.jostle(line).await;
-    ended.assert_stderr(6, "did not reach step 100000000 within 0.5 s (--timeout)");
+    ended.assert_stderr(6, "did not reach step 100000000 within 3 s (--timeout)");
     let left = "runs on until step 100000000; `jostle pause demo` pauses it";
     assert!(ended.stderr.contains(left), "{ended:?}");
     daemon.until_running("demo").await;
@@ -202,7 +202,7 @@ async fn each_kind_of_error_has_its_exit_code_and_a_json_object() {
             "resource_exhausted",
         ),
         // Last, since the daemon continues to execute it.
-        ("step demo 1000000000 --timeout 0.1", 6, "deadline_exceeded"),
+        ("step demo 1000000000 --timeout 3", 6, "deadline_exceeded"),
     ] {
         let ended = daemon.jostle(&format!("--json {line}")).await;
         assert_eq!(
@@ -269,7 +269,7 @@ async fn a_query_without_a_reply_is_explained_by_the_tokens() {
         ("pause mute", 5, "permission_denied", "mute exists"),
         ("pause nobody", 3, "not_found", "no swarm nobody"),
         ("status odd", 1, "internal", "unreadable reply"),
-        ("status slow --timeout 0.1", 6, "timeout", "did not reply"),
+        ("status slow --timeout 3", 6, "timeout", "did not reply"),
     ] {
         let ended = impostor.jostle(&format!("--json {line}")).await;
         assert_eq!(ended.code, Some(exit_code), "{ended:?}");
