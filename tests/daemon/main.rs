@@ -3,6 +3,7 @@
 #![expect(clippy::unwrap_used, reason = "tests")]
 
 mod abuse;
+mod afterwards;
 mod annotate;
 mod attachments;
 mod audit;
@@ -32,6 +33,7 @@ mod measures;
 mod once;
 mod operator;
 mod page;
+mod paged;
 mod pages;
 mod parts;
 mod process;

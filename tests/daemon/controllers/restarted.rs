@@ -5,11 +5,11 @@ use std::path::Path;
 use std::process::Stdio;
 use std::time::{Duration, Instant};
 
-use jostle_proto::keys;
+use jostle_proto::{ErrorCode, keys};
 use serde_json::{Value, json};
 
 use super::suspended::{again, controller_process, removals};
-use super::{advance, join, token};
+use super::{advance, join, token, weights};
 use crate::contested::fleet::Router;
 use crate::harness::free_ports;
 use crate::support::daemon_process::DaemonProcess;
@@ -206,4 +206,144 @@ async fn a_controller_that_has_joined_again_is_not_lost_by_its_first_token() {
     .await;
     assert_eq!(controllers(&client, "a").await, ["ada"]);
     drop(process);
+}
+
+/// The misses of a controller in a row.
+async fn misses(client: &Client, controller: &str) -> Value {
+    recovered(client).await;
+    let listed = client.get("a", "controllers").await;
+    let mut listed = listed["result"]["controllers"].as_array().unwrap().iter();
+    let found = listed.find(|it| it["controller"] == controller);
+    found.map_or(Value::Null, |it| it["misses"].clone())
+}
+
+/// Waits until the daemon has the swarm `a`.
+async fn recovered(client: &Client) {
+    let key = keys::get(PREFIX, "a", "status");
+    until("the swarm is recovered", async || {
+        matches!(&client.query_all(&key, None).await[..], [Ok(_)])
+    })
+    .await;
+}
+
+/// Kills a daemon with the swarm `a`, or ends it as an operator does.
+async fn ended(mut process: DaemonProcess, client: &Client, is_killed: bool) {
+    // What was done is durable then.
+    client.ok("a", "annotate", json!({"text": "here"})).await;
+    if is_killed {
+        process.kill();
+    } else {
+        process.stop();
+        assert_eq!(process.end(), Some(0));
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_deadlines_that_a_controller_has_missed_count_after_a_restart() {
+    for is_killed in [true, false] {
+        let (folder, endpoint) = (tempfile::tempdir().unwrap(), endpoint());
+        let mut process = started(folder.path(), &endpoint, "");
+        let client = Client::open(&endpoint).await;
+        client.create("a", json!({"n": 6})).await;
+        let [ada, bob] = [Client::open(&endpoint).await, Client::open(&endpoint).await];
+        join(&ada, "ada", &[0], json!({"deadline_secs": 60})).await;
+        join(&bob, "bob", &[1], json!({"deadline_secs": 0.2})).await;
+        for step in 0..3 {
+            let client = Client::open(&endpoint).await;
+            assert_eq!(misses(&client, "bob").await, step);
+            let request = json!({"request_id": step.to_string(), "expect_step": step,
+                "timeout_secs": 60, "args": {"controller": "ada"}});
+            assert_eq!(again(&ada, "advance", &request).await["step"], step + 1);
+            if step < 2 {
+                ended(process, &Client::open(&endpoint).await, is_killed).await;
+                process = started(folder.path(), &endpoint, "");
+            }
+        }
+        let client = Client::open(&endpoint).await;
+        until("bob is removed", async || {
+            controllers(&client, "a").await == ["ada"]
+        })
+        .await;
+        let missed = ("deadline".to_owned(), "bob".to_owned());
+        assert_eq!(removals(&client).await, vec![missed; 3]);
+        drop(process);
+    }
+}
+
+/// How the client of a controller, or its daemon, ends before the controller joins again.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Cause {
+    /// Neither does: another process takes its name.
+    Taken,
+    /// The token is lost.
+    Lost,
+    Stopped,
+    Killed,
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_controller_that_joins_again_with_others_has_those_and_leaves_those_alone() {
+    for cause in [Cause::Taken, Cause::Lost, Cause::Stopped, Cause::Killed] {
+        let (folder, endpoint) = (tempfile::tempdir().unwrap(), endpoint());
+        let mut process = started(folder.path(), &endpoint, "");
+        let first = Client::open(&endpoint).await;
+        let client = Client::open(&endpoint).await;
+        client.create("a", json!({"n": 6})).await;
+        let free = json!({"on_timeout": "free"});
+        join(&first, "ada", &[0, 1], free.clone()).await;
+        let set = json!({"set": {"ids": [0, 1], "direction": [0.1, 0.2], "weight": [1.0, 2.0]}});
+        advance(&first, "ada", 0, set).await.unwrap();
+        assert_eq!(weights(&client).await, [1.0, 2.0, 0.0, 0.0, 0.0, 0.0]);
+        // Those that it no longer has keep their set-points, unless it was removed: then it left.
+        let kept = match cause {
+            Cause::Lost => 0.0,
+            _ => 1.0,
+        };
+        let mut is_again = true;
+        match cause {
+            Cause::Taken => {}
+            Cause::Lost => {
+                first.session.close().await.unwrap();
+                until("ada is lost", async || {
+                    controllers(&client, "a").await.is_empty()
+                })
+                .await;
+                is_again = false;
+            }
+            Cause::Stopped | Cause::Killed => {
+                ended(process, &client, cause == Cause::Killed).await;
+                process = started(folder.path(), &endpoint, "");
+            }
+        }
+        let (ada, client) = (Client::open(&endpoint).await, Client::open(&endpoint).await);
+        recovered(&client).await;
+        let more = json!({"on_timeout": "free", "again": is_again});
+        let joined = join(&ada, "ada", &[1, 2], more).await;
+        assert_eq!(joined["result"]["ids"], json!([1, 2]), "{cause:?}");
+        let before = weights(&client).await;
+        assert_eq!(before, [kept, 2.0 * kept, 0.0, 0.0, 0.0, 0.0], "{cause:?}");
+        // It no longer has the first, which another one may have.
+        let set = |id: u32| json!({"set": {"ids": [id], "direction": [0.3], "weight": [3.0]}});
+        let error = advance(&ada, "ada", 1, set(0)).await.unwrap_err();
+        assert_eq!(error.code, ErrorCode::InvalidArgument, "{cause:?}");
+        let bob = json!({"controller": "bob", "mode": "free_running", "select": {"ids": [0]}});
+        let joined = client.ok("a", "join", bob).await;
+        assert_eq!(joined["result"]["ids"], json!([0]), "{cause:?}");
+        let taken = json!({"controller": "eve", "mode": "free_running", "select": {"ids": [2]}});
+        let (code, _) = client.err("a", "join", taken).await;
+        assert_eq!(code, ErrorCode::Conflict, "{cause:?}");
+        advance(&ada, "ada", 1, set(2)).await.unwrap();
+        ended(process, &client, cause == Cause::Killed).await;
+        let process = started(folder.path(), &endpoint, "");
+        let client = Client::open(&endpoint).await;
+        recovered(&client).await;
+        let after = weights(&client).await;
+        assert_eq!(after, [kept, 2.0 * kept, 3.0, 0.0, 0.0, 0.0], "{cause:?}");
+        client.ok("a", "leave", json!({"controller": "ada"})).await;
+        let left = weights(&client).await;
+        assert_eq!(left, [kept, 0.0, 0.0, 0.0, 0.0, 0.0], "{cause:?}");
+        let verified = client.get("a", "verify").await;
+        assert_eq!(verified["result"]["differs_at"], Value::Null, "{cause:?}");
+        drop((first, process));
+    }
 }

@@ -370,3 +370,38 @@ async fn what_a_dropping_recording_dropped_and_lost_is_missed_once() {
     assert_eq!(abouts.last().unwrap()["missed"], missed.to_string());
     drop(process);
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_limit_of_steps_goes_on_over_orderly_restarts() {
+    for every in [1, 5] {
+        let data = tempfile::tempdir().unwrap();
+        let data = data.path();
+        let (mut process, mut client) = start_daemon(data, "").await;
+        create(&client).await;
+        steps(&client, 7).await;
+        let args = json!({"swarm": "school", "recording": "take", "every": every, "steps": 40});
+        begin(&client, args).await;
+        for _ in 0..3 {
+            steps(&client, 6).await;
+            (process, client) = restart(data, process, "").await;
+        }
+        // 22 are left.
+        steps(&client, 21).await;
+        assert_eq!(
+            recording_status(&client, "take").await["phase"],
+            "recording"
+        );
+        steps(&client, 1).await;
+        until("it is over", async || {
+            recording_status(&client, "take").await["phase"] == "ended"
+        })
+        .await;
+        steps(&client, 1000).await;
+        let ended = recording_status(&client, "take").await;
+        assert_eq!(ended["reason"], "all its steps are recorded", "{ended}");
+        assert_eq!(ended["missed"], 0, "{ended}");
+        let wanted = (7..=47).filter(|step| step % every == 0);
+        assert_eq!(distinct(&read(data, "take").0), wanted.collect());
+        drop(process);
+    }
+}

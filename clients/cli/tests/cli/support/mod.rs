@@ -3,6 +3,7 @@
 pub mod canned;
 mod impostor;
 mod link;
+pub mod relay;
 mod terminal;
 
 use std::collections::BTreeMap;
