@@ -72,7 +72,11 @@ impl Axis {
             let ticks = (0..).map(|index| (first + f64::from(index)) * step);
             return (ticks.take_while(within).collect(), vec![]);
         }
-        let decades = (-12..=12).map(|power| libm::pow(10.0, f64::from(power)));
+        let powers = [self.ends.0, self.ends.1].map(|end| libm::floor(libm::log10(end)));
+        let powers = (0..)
+            .map(|index| powers[0] + f64::from(index))
+            .take_while(|it| *it <= powers[1]);
+        let decades = powers.map(|power| libm::pow(10.0, power));
         // Over many decades only the powers of ten have space for labels.
         let labelled: &[u8] = if self.ends.1 / self.ends.0 > 2e3 {
             &[1]
@@ -93,6 +97,11 @@ impl Axis {
                 }
             }
         }
+        // One label says nothing of other places on a logarithmic axis.
+        if with.len() < 2 {
+            with.append(&mut without);
+            with.sort_by(f64::total_cmp);
+        }
         (with, without)
     }
 }
@@ -100,6 +109,12 @@ impl Axis {
 /// Formats the value of a tick, without trailing zeros.
 pub fn tick_label(value: f64) -> String {
     // Twelve digits are more than an axis resolves, and hide the rounding error of 3 · 0.1.
+    if value != 0.0 && !(1e-7..1e15).contains(&value.abs()) {
+        let rounded = format!("{value:.11e}");
+        let (digits, power) = rounded.split_once('e').unwrap_or((&rounded, "0"));
+        let digits = digits.trim_end_matches('0').trim_end_matches('.');
+        return format!("{digits}e{power}");
+    }
     let rounded = format!("{value:.12}");
     match rounded.trim_end_matches('0').trim_end_matches('.') {
         "-0" => "0".to_owned(),

@@ -2,14 +2,15 @@
 
 use crate::axis::{Axis, tick_label};
 use crate::plot::{Curve, Mark, Panel, Point, Style};
-use crate::svg::{GREY, PALETTE};
-use jostle_results::statistics::{Condition, Summary};
+use crate::svg::{GREY, PALETTE, literal};
+use jostle_results::statistics::{Condition, Summary, compare_others};
 
 /// The approximate maximum number of points of a guide over n.
 const GUIDE_POINTS: u64 = 150;
 
-/// Builds a panel for each contact rule and time step, and for each `pi2`, `pi3` and `pi4` if the
-/// table holds several. The summaries must be ordered by these parameters first.
+/// Builds a panel for each contact rule and time step, for each `pi2`, `pi3` and `pi4` if the table holds
+/// several, and for each combination of the other values that vary. The summaries must be ordered by these
+/// parameters first.
 pub fn panels(summaries: &[Summary], curves: impl Fn(&[Summary]) -> Vec<Curve>) -> Vec<Panel> {
     let family = |summary: &Summary| {
         let Condition {
@@ -19,28 +20,38 @@ pub fn panels(summaries: &[Summary], curves: impl Fn(&[Summary]) -> Vec<Curve>) 
     };
     let (_, _, first) = family(&summaries[0]);
     let several = summaries.iter().any(|summary| family(summary).2 != first);
-    summaries
-        .chunk_by(|one, two| family(one) == family(two))
-        .map(|summaries| {
-            let (contacts, dt, others) = family(&summaries[0]);
-            let mut title = format!("{contacts}, dt = {}", tick_label(dt));
-            if several {
-                let [pi2, pi3, pi4] = others.map(tick_label);
-                // Without informed individuals it has no meaning.
-                if summaries[0].condition.informed > 0 {
-                    title += &format!(", π_2 = {pi2}");
-                }
-                title += &format!(", π_3 = {pi3}, π_4 = {pi4}");
+    let mut groups: Vec<Vec<Summary>> = Vec::new();
+    for summaries in summaries.chunk_by(|one, two| family(one) == family(two)) {
+        // The other values are the last in the order of conditions: without panels of their own a curve
+        // would have several points at one place.
+        let mut all = summaries.to_vec();
+        all.sort_by(|one, two| compare_others(&one.condition.others, &two.condition.others));
+        let same = |one: &Summary, two: &Summary| one.condition.others == two.condition.others;
+        groups.extend(all.chunk_by(same).map(<[Summary]>::to_vec));
+    }
+    let panels = groups.iter().map(|summaries| {
+        let (contacts, dt, others) = family(&summaries[0]);
+        let mut title = format!("{contacts}, dt = {}", tick_label(dt));
+        if several {
+            let [pi2, pi3, pi4] = others.map(tick_label);
+            // Without informed individuals it has no meaning.
+            if summaries[0].condition.informed > 0 {
+                title += &format!(", π_2 = {pi2}");
             }
-            Panel {
-                title,
-                remark: crossed(summaries),
-                curves: curves(summaries),
-                bands: Vec::new(),
-                marks: Vec::new(),
-            }
-        })
-        .collect()
+            title += &format!(", π_3 = {pi3}, π_4 = {pi4}");
+        }
+        for other in summaries[0].condition.others.split_whitespace() {
+            title += &literal(&format!(", {}", other.replace('=', " = ")));
+        }
+        Panel {
+            title,
+            remark: crossed(summaries),
+            curves: curves(summaries),
+            bands: Vec::new(),
+            marks: Vec::new(),
+        }
+    });
+    panels.collect()
 }
 
 /// Describes for how long bodies were crossed, which limits the validity of a contact rule.

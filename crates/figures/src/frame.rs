@@ -127,7 +127,7 @@ impl<'a> Frame<'a> {
             let points = [(x + 2.0, y), (x + 12.0, y - 5.0), (x + 12.0, y + 5.0)];
             canvas.polygon(&points, colour);
         }
-        let opacity = BAND_OPACITY / (panel.bands.len() as f64 / BANDS).max(1.0);
+        let opacity = BAND_OPACITY / (panel.curves.len() as f64 / BANDS).max(1.0);
         for band in &panel.bands {
             self.draw_band(canvas, band, opacity);
         }
@@ -207,8 +207,13 @@ impl<'a> Frame<'a> {
         let place = |point: &Point| (self.x(point.x) + curve.aside, self.y(point.y));
         for stretch in curve.points.split(Option::is_none) {
             let points: Vec<(f64, f64)> = stretch.iter().flatten().map(place).collect();
-            if points.len() > 1 {
-                canvas.line(&points, stroke);
+            match points[..] {
+                // It has no length, and would not be seen.
+                [one] if curve.measured && mark == Mark::None => {
+                    canvas.circle(one, width, colour, Stroke::solid(colour, 0.0));
+                }
+                [] | [_] => {}
+                _ => canvas.line(&points, stroke),
             }
         }
         let thin = Stroke::solid(colour, 1.0);

@@ -13,6 +13,12 @@ mod intervals;
 mod layout;
 mod order;
 mod plot;
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod readback;
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod reading;
 mod snapshot;
 mod svg;
 mod text;
@@ -175,7 +181,7 @@ mod tests {
     use jostle_results::{Cell, ExtraValue, table};
 
     /// A stored row, in which the group was ordered for three intervals.
-    fn sample() -> ResultRow {
+    pub(crate) fn sample() -> ResultRow {
         let stored = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/stored/bf41dde");
         let row = table::read(&stored.join("results/results.csv"))
             .unwrap()
@@ -188,7 +194,7 @@ mod tests {
         with(row, Measure::UNORDERED_TIME, 50.0)
     }
 
-    fn with(mut row: ResultRow, measure: Measure, value: impl Into<Cell>) -> ResultRow {
+    pub(crate) fn with(mut row: ResultRow, measure: Measure, value: impl Into<Cell>) -> ResultRow {
         row.set(measure, value.into());
         row
     }

@@ -15,6 +15,8 @@ pub struct Mean {
     pub spread: Spread,
     /// The number of these runs.
     pub runs: usize,
+    /// Whether the curve has entries without a value between the point before and this one.
+    pub after_gap: bool,
 }
 
 impl Mean {
@@ -254,8 +256,9 @@ pub fn over_value(rows: &[ResultRow], y: &str, x: Option<&str>) -> Result<Chart,
             Some((_, value)) => Some(parse(&x, value)?),
             None => number(row, &x),
         };
-        let (Some(at), Some(value)) = (at, number(row, y)) else {
-            left_out += 1;
+        let value = number(row, y);
+        left_out += usize::from(at.is_none() || value.is_none());
+        let Some(at) = at else {
             continue;
         };
         let others = values.into_iter().filter(|(name, _)| *name != x);
@@ -265,9 +268,15 @@ pub fn over_value(rows: &[ResultRow], y: &str, x: Option<&str>) -> Result<Chart,
             curves.push((others, BTreeMap::new()));
             curves.len() - 1
         });
-        curves[index].1.entry(Ordered(at)).or_default().push(value);
+        curves[index]
+            .1
+            .entry(Ordered(at))
+            .or_default()
+            .extend(value);
     }
-    let mut shown = curves.iter().flat_map(|(_, points)| points.keys());
+    curves.retain(|(_, points)| points.values().any(|values| !values.is_empty()));
+    let points = curves.iter().flat_map(|(_, points)| points);
+    let mut shown = points.filter_map(|(at, values)| (!values.is_empty()).then_some(at));
     if let Some(Ordered(value)) = shown.next()
         && rows.len() > 1
         && shown.all(|Ordered(other)| other == value)
@@ -281,10 +290,9 @@ pub fn over_value(rows: &[ResultRow], y: &str, x: Option<&str>) -> Result<Chart,
             varied,
         });
     }
-    let curves = curves.into_iter().map(|(others, points)| {
-        let points = points.into_iter().map(|(x, values)| mean(x.0, &values));
-        (others, points.collect())
-    });
+    let curves = curves
+        .into_iter()
+        .map(|(others, points)| (others, means(points.into_iter().map(|(x, it)| (x.0, it)))));
     finish(Chart {
         x,
         y: y.to_owned(),
@@ -412,35 +420,45 @@ fn values_over_time<'a>(series: &'a Series, y: &str) -> impl Iterator<Item = (u6
 }
 
 fn means_over_time(series: &[&Series], y: &str) -> Vec<Mean> {
-    let mut values: BTreeMap<u64, (f64, Vec<f64>)> = BTreeMap::new();
-    let mut entries: BTreeMap<u64, usize> = BTreeMap::new();
+    // The time, the number of entries and the values of each step.
+    let mut entries: BTreeMap<u64, (f64, usize, Vec<f64>)> = BTreeMap::new();
     for series in series {
-        for &step in &series.steps {
-            *entries.entry(step).or_default() += 1;
+        for (&step, &time) in series.steps.iter().zip(&series.times) {
+            entries.entry(step).or_insert((time, 0, Vec::new())).1 += 1;
         }
-        for (step, time, value) in values_over_time(series, y) {
-            values
-                .entry(step)
-                .or_insert((time, Vec::new()))
-                .1
-                .push(value);
+        for (step, _, value) in values_over_time(series, y) {
+            if let Some((.., values)) = entries.get_mut(&step) {
+                values.push(value);
+            }
         }
     }
     let every = series
         .iter()
         .filter_map(|it| Some(it.steps.get(1)? - it.steps[0]));
     let every = every.max().unwrap_or(1).max(1);
-    values.retain(|step, _| step.is_multiple_of(every) || entries[step] == series.len());
-    let points = values.into_values();
-    points.map(|(time, values)| mean(time, &values)).collect()
+    entries.retain(|step, (_, count, _)| step.is_multiple_of(every) || *count == series.len());
+    means(
+        entries
+            .into_values()
+            .map(|(time, _, values)| (time, values)),
+    )
 }
 
-fn mean(x: f64, values: &[f64]) -> Mean {
-    Mean {
-        x,
-        spread: mean_of(values),
-        runs: values.len(),
+/// Returns the means of the entries that have values.
+fn means(entries: impl Iterator<Item = (f64, Vec<f64>)>) -> Vec<Mean> {
+    let (mut means, mut after_gap) = (Vec::new(), false);
+    for (x, values) in entries {
+        if !values.is_empty() {
+            means.push(Mean {
+                x,
+                spread: mean_of(&values),
+                runs: values.len(),
+                after_gap,
+            });
+        }
+        after_gap = values.is_empty() && !means.is_empty();
     }
+    means
 }
 
 /// Orders curves by their values, numbers by size.

@@ -22,7 +22,7 @@ pub struct Condition {
     pub n: u64,
     /// Number of informed individuals.
     pub informed: u64,
-    /// The weight of the informed individuals' preference; 0 without informed individuals.
+    /// The weight of the informed individuals' preference; 0 if no run ever has informed individuals.
     pub pi2: f64,
     /// The other varied values, as in the names of the runs: `noise=0.1 share=0.05`.
     pub others: String,
@@ -85,8 +85,8 @@ pub struct ExtraSummary {
 }
 
 impl Condition {
-    /// Returns the condition of `run`.
-    pub fn of(run: &ResultRow) -> Self {
+    /// Returns the condition of `run`, with the weight that it was given.
+    fn given(run: &ResultRow) -> Self {
         Self {
             contacts: run.contacts.clone(),
             dt: run.dt,
@@ -95,12 +95,16 @@ impl Condition {
             pi1: run.pi1,
             n: run.n,
             informed: run.informed,
-            // A protocol may inform individuals later: the run then has a drift.
-            pi2: match run.informed == 0 && run.optional_number(Measure::V_PD).is_none() {
-                true => 0.0,
-                false => run.pi2,
-            },
+            pi2: run.pi2,
             others: others(&run.run),
+        }
+    }
+
+    /// Returns the same without the weight, if nobody is informed at the start.
+    fn at_the_start(&self) -> Self {
+        Self {
+            pi2: if self.informed == 0 { 0.0 } else { self.pi2 },
+            ..self.clone()
         }
     }
 
@@ -152,8 +156,9 @@ fn others(run: &str) -> String {
     others.join(" ")
 }
 
-/// Compares varied values, numbers by size.
-fn compare_others(one: &str, two: &str) -> Ordering {
+/// Compares [`Condition::others`], numbers by size.
+#[must_use]
+pub fn compare_others(one: &str, two: &str) -> Ordering {
     let split = |text: &str| -> Vec<(String, String)> {
         let pairs = text.split(' ').filter_map(|pair| pair.split_once('='));
         pairs
@@ -181,8 +186,25 @@ pub fn compare_values(one: &[(String, String)], two: &[(String, String)]) -> Ord
 /// Summarises each condition of `runs`, ordered by rule, `dt`, `pi3`, `pi4`, `pi2`, `pi1`,
 /// `n` and informed. Sums follow the order of `runs`.
 pub fn summarise(runs: &[ResultRow]) -> Vec<Summary> {
-    let mut rows: Vec<(Condition, &ResultRow)> =
-        runs.iter().map(|run| (Condition::of(run), run)).collect();
+    let mut rows: Vec<(Condition, &ResultRow)> = runs
+        .iter()
+        .map(|run| (Condition::given(run), run))
+        .collect();
+    // Without informed individuals their weight makes no difference, so that runs of several weights are
+    // of one condition. A protocol may inform some later, perhaps not in every run: it is all runs
+    // together that have a weight or none, since the runs of one condition stay together.
+    let starts = |(one, _): &(Condition, &ResultRow), (two, _): &(Condition, &ResultRow)| {
+        one.at_the_start().compare(&two.at_the_start())
+    };
+    rows.sort_by(starts);
+    for rows in rows.chunk_by_mut(|one, two| starts(one, two).is_eq()) {
+        let is_informed = |run: &ResultRow| run.optional_number(Measure::V_PD).is_some();
+        if !rows.iter().any(|(_, run)| is_informed(run)) {
+            for (condition, _) in rows {
+                *condition = condition.at_the_start();
+            }
+        }
+    }
     rows.sort_by(|(one, _), (two, _)| one.compare(two));
     rows.chunk_by(|(one, _), (two, _)| one.compare(two).is_eq())
         .map(|rows| {
@@ -348,168 +370,4 @@ fn mean_interval(runs: &[(f64, f64)]) -> Option<Interval> {
 
 #[cfg(test)]
 #[expect(clippy::unwrap_used, reason = "tests")]
-mod tests {
-    use super::*;
-    use crate::samples::{sample, with};
-
-    #[test]
-    fn quantiles_of_student_t_are_those_of_tables() {
-        // scipy.stats.t.ppf(0.975, freedom)
-        for (freedom, expected) in [
-            (1, 12.706_204_736_174_694),
-            (2, 4.302_652_729_749_462),
-            (3, 3.182_446_305_283_708),
-            (4, 2.776_445_105_197_793),
-            (9, 2.262_157_162_798_205),
-            (30, 2.042_272_456_301_238),
-            (200, 1.971_896_224_154_653),
-            (201, 1.971_836_5),
-            (1000, 1.962_339_080_826_409),
-        ] {
-            let quantile = student_t(freedom);
-            assert!((quantile - expected).abs() < 1e-6, "{freedom}: {quantile}");
-        }
-    }
-
-    #[test]
-    fn runs_that_differ_in_any_parameter_are_of_two_conditions() {
-        type Change = (&'static str, fn(&mut ResultRow));
-        let changes: [Change; 8] = [
-            ("n", |run| run.n = 20),
-            ("pi1", |run| run.pi1 = 2.0),
-            ("pi2", |run| run.pi2 = 2.0),
-            ("pi3", |run| run.pi3 = 2.0),
-            ("pi4", |run| run.pi4 = 2.0),
-            ("informed", |run| run.informed = 2),
-            ("contacts", |run| run.contacts = "closest".to_owned()),
-            ("dt", |run| run.dt = 0.01),
-        ];
-        for (name, change) in changes {
-            let one = ResultRow {
-                informed: 1,
-                ..sample()
-            };
-            let mut other = one.clone();
-            change(&mut other);
-            let runs = [one.clone(), other.clone(), one, other];
-            let counts: Vec<_> = summarise(&runs).iter().map(|it| it.runs).collect();
-            assert_eq!(counts, [2, 2], "{name}");
-        }
-    }
-
-    #[test]
-    fn runs_are_grouped_by_all_but_their_seed() {
-        let changed = |change: fn(&mut ResultRow)| {
-            let mut run = sample();
-            change(&mut run);
-            run
-        };
-        let runs = [
-            changed(|run| run.contacts = "closest".to_owned()),
-            changed(|run| run.n = 20),
-            changed(|run| run.seed = 7),
-            // Without informed individuals their weight makes no difference.
-            changed(|run| run.pi2 = 0.5),
-            changed(|run| run.dt = 0.01),
-        ];
-        let summaries = summarise(&runs);
-        let found: Vec<_> = summaries
-            .iter()
-            .map(|summary| {
-                let condition = &summary.condition;
-                (
-                    &*condition.contacts,
-                    condition.dt,
-                    condition.n,
-                    summary.runs,
-                )
-            })
-            .collect();
-        assert_eq!(
-            found,
-            [
-                ("endpoints", 0.01, 10, 1),
-                ("endpoints", 0.02, 10, 2),
-                ("endpoints", 0.02, 20, 1),
-                ("closest", 0.02, 10, 1),
-            ]
-        );
-        assert!(summarise(&[]).is_empty());
-    }
-
-    #[test]
-    fn variables_and_other_axes_make_conditions_and_measures_are_averaged() {
-        let run = |name: &str, share: f64, stopped_at: Option<f64>, milling: f64| ResultRow {
-            run: name.to_owned(),
-            extra: [
-                ("share", Some(share)),
-                ("stopped_at", stopped_at),
-                ("milling", Some(milling)),
-            ]
-            .map(|(name, value)| ExtraValue {
-                name: name.to_owned(),
-                value,
-            })
-            .into(),
-            ..sample()
-        };
-        let summaries = summarise(&[
-            run("pi1=4 noise=0.1 share=0.2 #0", 0.2, Some(3.0), 0.5),
-            run("pi1=4 noise=0.1 share=0.05 #0", 0.05, None, 0.0),
-            run("pi1=4 noise=0.1 share=0.2 #1", 0.2, None, 0.25),
-        ]);
-        let names: Vec<&str> = summaries.iter().map(|it| &*it.condition.others).collect();
-        assert_eq!(names, ["noise=0.1 share=0.05", "noise=0.1 share=0.2"]);
-        let found = |index: usize| -> Vec<(&str, usize, Option<f64>)> {
-            let extra = summaries[index].extra.iter();
-            extra
-                .map(|it| (&*it.name, it.runs, it.spread.map(|it| it.mean)))
-                .collect()
-        };
-        assert_eq!(
-            found(0),
-            [("stopped_at", 0, None), ("milling", 1, Some(0.0))]
-        );
-        assert_eq!(
-            found(1),
-            [("stopped_at", 1, Some(3.0)), ("milling", 2, Some(0.375))]
-        );
-        assert_eq!(others("#0"), "");
-    }
-
-    #[test]
-    fn deviations_are_normalised_by_the_runs_minus_one() {
-        let values = [1.0, 2.0, 3.0, 6.0];
-        let found = mean_of(&values);
-        assert_eq!(found.mean, 3.0);
-        assert_eq!(found.deviation, Some((14.0_f64 / 3.0).sqrt()));
-        assert_eq!(found.error, Some((14.0_f64 / 3.0).sqrt() / 2.0));
-        assert_eq!(mean_of(&[0.5]).deviation, None);
-    }
-
-    #[test]
-    fn interval_lengths_are_time_over_intervals() {
-        let found = mean_interval(&[(30.0, 3.0), (10.0, 1.0), (20.0, 4.0)]).unwrap();
-        assert_eq!(found.mean, 7.5);
-        // Residuals 7.5, 2.5, -10; squares sum to 162.5, over 3 · 2; 8/3 intervals a run.
-        let expected = (162.5_f64 / 6.0).sqrt() / (8.0 / 3.0);
-        assert!((found.error.unwrap() - expected).abs() < 1e-12);
-        assert_eq!(mean_interval(&[(30.0, 3.0)]).unwrap().error, None);
-        assert_eq!(mean_interval(&[(0.0, 0.0), (0.0, 0.0)]), None);
-    }
-
-    #[test]
-    fn intervals_are_shown_only_if_every_run_reached_order() {
-        let reached = sample();
-        let never = with(sample(), Measure::ORDERED_INTERVALS, 0);
-        let never = with(never, Measure::ORDERED_TIME, 0.0);
-        let both = &summarise(&[reached.clone(), never])[0];
-        assert_eq!((both.build_up, both.breakdown), (None, None));
-
-        let alone = &summarise(&[reached])[0];
-        assert_eq!(alone.build_up.unwrap().mean, 25.0);
-        assert_eq!(alone.breakdown.unwrap().mean, 950.0 / 3.0);
-        assert_eq!(alone.v_pd, None);
-        assert!(alone.n_eff.unwrap() > 5.0);
-    }
-}
+mod tests;

@@ -164,3 +164,37 @@ fn means_over_time_leave_out_the_last_entries_of_runs_that_end_early() {
     let unknown = over_time(&all, "ordr").unwrap_err().to_string();
     assert!(unknown.contains("use one of order"), "{unknown}");
 }
+
+#[test]
+fn a_curve_is_interrupted_where_none_of_its_runs_has_a_value() {
+    let gap = |points: &[Mean]| -> Vec<(f64, bool)> {
+        points.iter().map(|it| (it.x, it.after_gap)).collect()
+    };
+    let values = [None, Some(1.0), Some(1.0), None, None, Some(2.0), Some(3.0)];
+    let steps = [0, 10, 20, 30, 40, 50, 60];
+    let other = [None, None, None, Some(4.0), None, None, None];
+    let all = [series("n=3 #0", &steps, &values)];
+    let chart = over_time(&all, "order").unwrap();
+    let expected = [(5.0, false), (10.0, false), (25.0, true), (30.0, false)];
+    assert_eq!(gap(&chart.curves[0].points), expected);
+    // Another run has a value at step 30, but none has at 40.
+    let both = [all[0].clone(), series("n=3 #1", &steps, &other)];
+    let chart = over_time(&both, "order").unwrap();
+    let expected = [5.0, 10.0, 15.0, 25.0, 30.0].map(|x| (x, x == 25.0));
+    assert_eq!(gap(&chart.curves[0].points), expected);
+    // The same over a value: no run of share=0.2 has one.
+    let rows = [
+        row("share=0.1 #0", Some(1.0)),
+        row("share=0.2 #0", None),
+        row("share=0.3 #0", Some(1.0)),
+        row("share=0.3 #1", None),
+        row("share=0.4 #0", Some(2.0)),
+    ];
+    let chart = over_value(&rows, "milling", None).unwrap();
+    let expected = [(0.1, false), (0.3, true), (0.4, false)];
+    assert_eq!(gap(&chart.curves[0].points), expected);
+    assert_eq!(
+        (chart.left_out, &chart.empty[..]),
+        (2, &["share=0.2".to_owned()][..])
+    );
+}
