@@ -4,9 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import csv
+import fcntl
 import os
+import pty
 import re
+import select
+import struct
 import subprocess
+import termios
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -360,3 +365,59 @@ def test_the_command_line_draws_a_far_group_as_one_at_the_origin(
     shapes = [re.sub(r"-?\d+(?:\.\d+)?", "#", text) for text in texts]
     assert shapes[0] == shapes[1]
     assert numbers[1] == pytest.approx(numbers[0], abs=0.021)
+
+
+class Screen:
+    """`jostle watch` on a terminal of 30 lines of 100 columns."""
+
+    def __init__(self, endpoint: str, swarm: str) -> None:
+        self._ours, theirs = pty.openpty()
+        fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 30, 100, 0, 0))
+        line = [str(JOSTLED.with_name("jostle")), "-e", endpoint, "watch", swarm]
+        self._process = subprocess.Popen(
+            line,
+            stdin=theirs,
+            stdout=theirs,
+            stderr=theirs,
+            env={**os.environ, "TERM": "xterm-256color"},
+        )
+        os.close(theirs)
+        self._written = b""
+
+    def bodies(self) -> dict[tuple[int, int], str]:
+        """The cells of dots that are shown now, by line and column."""
+        while select.select([self._ours], [], [], 0.05)[0]:
+            self._written += os.read(self._ours, 65536)
+        cells: dict[tuple[int, int], str] = {}
+        row = column = 1
+        text = self._written.decode(errors="ignore")
+        for place, letter in re.findall(r"\x1b\[([\d;?]*[A-Za-z])|([^\x1b])", text):
+            if match := re.fullmatch(r"(\d+);(\d+)H", place):
+                row, column = int(match[1]), int(match[2])
+            if letter:
+                cells[row, column] = letter
+                column += 1
+        return {at: it for at, it in cells.items() if "\u2800" < it <= "\u28ff"}
+
+    def close(self) -> None:
+        """Leaves it with its key."""
+        os.write(self._ours, b"q")
+        assert self._process.wait(MAX_WAIT_SECS) == 0
+        os.close(self._ours)
+
+
+@pytest.mark.parametrize("place", [(1e4, -3e3), (-9e5, 7e5)])
+def test_the_terminal_shows_a_far_group_as_one_at_the_origin(
+    place: tuple[float, float], daemon: Daemon, create: Create
+) -> None:
+    shown = []
+    for where in (None, np.array(place)):
+        # Dots that are fixed in the plane are at the same places of both: at multiples of 1,000.
+        swarm = create(9, seed=5, start=start(9, where))
+        swarm.inform(jostle.ids([2]), direction=1.0)
+        swarm.step(20)
+        shown.append(Screen(daemon.endpoint, swarm.name))
+    here, there = shown
+    eventually("the same dots", lambda: len(here.bodies()) > 40 and here.bodies() == there.bodies())
+    for screen in shown:
+        screen.close()
