@@ -44,11 +44,11 @@ async function still(page: Page, swarm: string): Promise<void> {
   }).catch((error: Error) => assert.deepEqual(found, [], error.message));
 }
 
-/** The plane's coordinates of the vertical and the horizontal lines of the grid. */
+/** The plane's coordinates of the vertical and the horizontal lines of the grid, and of a corner of the picture. */
 function gridOf(
   { segments, scale, size }: Awaited<ReturnType<typeof picture>>,
   { x, y, alpha, origin }: StateJson,
-): { right: number[]; up: number[]; px: number } {
+): { right: number[]; up: number[]; px: number; edge: [number, number] } {
   const half = (3 / 5) * scale;
   // Any body gives the place of the camera.
   const [c, s] = [half * Math.cos(alpha[0]!), half * Math.sin(alpha[0]!)];
@@ -64,6 +64,7 @@ function gridOf(
     right: lines(1).map((it) => 1024 * origin[0] + x[0]! + (it[0] - left) / scale),
     up: lines(0).map((it) => 1024 * origin[1] + y[0]! - (it[1] - top) / scale),
     px: 1 / scale,
+    edge: [1024 * origin[0] + x[0]! - left / scale, 1024 * origin[1] + y[0]! + top / scale],
   };
 }
 
@@ -93,7 +94,7 @@ test("a swarm far away is shown, followed, selected and informed as one at (0, 0
       y: column((i) => 2 * Math.floor(i / 4) + k * FAR[1]),
       alpha: column((i) => 0.3 * i),
     };
-    await daemon.create(name, { n: 16, seed: 1, start, publish_every: 5 });
+    await daemon.create(name, { n: 16, seed: 1, start, publish_every: 1000 });
   }
   const pages = { near: await open("near"), far: await open("far") };
   const both = async (act: (page: Page, name: string) => Promise<unknown>) => {
@@ -127,19 +128,31 @@ test("a swarm far away is shown, followed, selected and informed as one at (0, 0
   await same("opened");
   await both((page) => page.keyboard.press("f"));
   await same("fitted");
-  await both((_, name) => daemon.command(name, "step", { steps: 100 }));
+  // Each state is drawn before the next one, so that both trails have the same points.
+  const walk = async (times: number) => {
+    for (let k = 0; k < times; k += 1) {
+      await both(async (page, name) => {
+        await daemon.command(name, "step", { steps: 20 });
+        await still(page, name);
+      });
+    }
+  };
+  const refit = () => both((page) => page.keyboard.press("f"));
+  await both((page) => page.keyboard.press("t"));
+  await walk(3);
+  await refit();
   await same("after the first steps, which move the origin");
   assert.deepEqual((await state("far")).origin, [10, -3]);
   // A picture that does not follow keeps its place.
   await both(async (page) => {
-    for (const key of ["+", "+", "ArrowLeft", "ArrowUp", "t", "k", "c"]) {
+    for (const key of ["+", "+", "ArrowLeft", "ArrowUp", "k", "c"]) {
       await page.keyboard.press(key);
     }
   });
   await same("zoomed and panned");
-  await both((_, name) => daemon.command(name, "step", { steps: 100 }));
+  await walk(2);
   await same("with trails");
-  await both((page) => page.keyboard.press("f"));
+  await refit();
   await same("followed again");
 
   // A click at a body, and a lasso around some.
@@ -174,7 +187,8 @@ test("a swarm far away is shown, followed, selected and informed as one at (0, 0
   );
   const [near, far] = [await state("near"), await state("far")];
   assert.deepEqual(far.weight, near.weight);
-  await both((_, name) => daemon.command(name, "step", { steps: 50 }));
+  await walk(1);
+  await refit();
   await same("informed");
 });
 
@@ -184,14 +198,23 @@ test("the grid and a picture that does not follow keep their place on a long wal
   const page = await open("walk");
   const origins = new Set<string>();
   const places: number[] = [];
-  await daemon.command("walk", "step", { steps: 33_000 });
+  await daemon.command("walk", "step", { steps: 33_600 });
   await still(page, "walk");
-  await page.keyboard.press("-");
-  for (let k = 0; k < 12; k += 1) {
+  // The lines are 10 apart then, which is no divisor of the unit of the origin.
+  for (let k = 0; k < 9; k += 1) {
+    await page.keyboard.press("-");
+  }
+  await page.keyboard.press("ArrowLeft");
+  let before: [number, number] | null = null;
+  for (let k = 0; k < 8; k += 1) {
     await still(page, "walk");
     const now = await state("walk");
     origins.add(String(now.origin));
-    isFixed(gridOf(await picture(page), now));
+    const grid = gridOf(await picture(page), now);
+    isFixed(grid);
+    const [right, up] = before ?? grid.edge;
+    assert(Math.hypot(grid.edge[0] - right, grid.edge[1] - up) < 0.1 * grid.px, `${grid.edge}`);
+    before = grid.edge;
     places.push(1024 * now.origin[0] + now.x[0]!);
     await daemon.command("walk", "step", { steps: 100 });
   }

@@ -5,7 +5,7 @@
 import type { Page, Request, Route, WebSocketRoute } from "playwright-core";
 
 /** The time for which a reply is held. If the same was requested again until then, that reply overtakes. */
-const REPLY_MS = 150;
+const REPLY_MS = 250;
 /** The time for which each message of the WebSocket is held. */
 const MESSAGE_MS = 80;
 
@@ -17,6 +17,8 @@ const kindOf = (request: Request) => new URL(request.url()).pathname;
 export class Jumble {
   /** Replies that the page has not received yet. */
   private held = 0;
+  /** The number of replies that the daemon has sent. */
+  private replied = 0;
   /** Of each kind the newest request, until the page has its reply. */
   private readonly newest = new Map<string, { request: Request; passed: Promise<void> }>();
   private readonly sockets = new Set<WebSocketRoute>();
@@ -44,6 +46,7 @@ export class Jumble {
   private async pass(route: Route): Promise<void> {
     try {
       const response = await route.fetch();
+      this.replied += 1;
       await wait(REPLY_MS);
       const newest = this.newest.get(kindOf(route.request()));
       if (newest && newest.request !== route.request()) {
@@ -54,6 +57,17 @@ export class Jumble {
       // The daemon is gone, or the page.
       await route.abort("connectionrefused");
     }
+  }
+
+  /** Acts twice: the second time as soon as the daemon has replied to a request that the first caused, and
+   * before the page has this reply. */
+  async twice(first: () => Promise<unknown>, second: () => Promise<unknown>): Promise<void> {
+    const { replied } = this;
+    await first();
+    while (this.replied === replied) {
+      await wait(5);
+    }
+    await second();
   }
 
   /** Whether the page has everything that the daemon has sent. */

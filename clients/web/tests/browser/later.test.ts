@@ -8,7 +8,6 @@ import type { Page } from "playwright-core";
 import { type Action, actAndCompare, openBehind } from "./bench.ts";
 import { tabsOfEachTest, until } from "./browser.ts";
 import { Daemon } from "./daemon.ts";
-import { Jumble } from "./jumble.ts";
 import { drag } from "./site.ts";
 
 const openTab = tabsOfEachTest();
@@ -61,6 +60,9 @@ const ACTIONS: Action[] = [
   ["run", ({ page, swarm }) => click(page, "▶ Run").then(() => phaseIs(swarm, "running"))],
   ["a rate, while it runs", ({ page }) => enter(page, "rate time units / s", "3", "Run at rate")],
   ["a rate of another client", ({ send }) => send("run", { rate: 2 })],
+  ["no rate, of another client", ({ send }) => send("run", { rate: null })],
+  ["a rate again", ({ page }) => enter(page, "rate time units / s", "2.5", "Run at rate")],
+  ["no rate", ({ page }) => enter(page, "rate time units / s", "", "Run at rate")],
   ["pause", ({ page, swarm }) => click(page, "❚❚ Pause").then(() => phaseIs(swarm, "paused"))],
   [
     "run and pause, before the page knows that it runs",
@@ -106,10 +108,11 @@ const ACTIONS: Action[] = [
   ],
   [
     "a parameter that another client sets twice",
-    async ({ send }) => {
-      await send("set", { noise: 0.2 });
-      await send("set", { noise: 0.4, pi1: 3, make_room: true });
-    },
+    ({ jumble, send }) =>
+      jumble.twice(
+        () => send("set", { noise: 0.2 }),
+        () => send("set", { noise: 0.4, pi1: 3, make_room: true }),
+      ),
   ],
   [
     "a number that the daemon rejects",
@@ -201,9 +204,20 @@ const ACTIONS: Action[] = [
   ],
   [
     "conditions of another client",
+    async ({ jumble, send }) => {
+      await jumble.twice(
+        () => send("when", { condition: "order > 0.998 for 20", pause: true }),
+        () => send("when", { condition: "order > 0.997 for 20", pause: true }),
+      );
+      await jumble.twice(
+        () => send("annotate", { text: "two wait" }),
+        () => send("when", { condition: "order > 0.999 for 20", pause: true }),
+      );
+    },
+  ],
+  [
+    "conditions removed by another client",
     async ({ send }) => {
-      await send("when", { condition: "order > 0.998 for 20", pause: true });
-      await send("when", { condition: "order > 0.997 for 20", pause: true });
       await send("when", { cancel: true });
     },
   ],
@@ -287,7 +301,8 @@ const ACTIONS: Action[] = [
   [
     "the daemon killed and started again",
     async ({ page, tab, send }) => {
-      // It rejects WebSockets until it has recovered its swarms.
+      // It rejects requests and WebSockets until it has recovered its swarms.
+      tab.allowsError(/^429 GET \/api\/get\/later\//);
       tab.allowsError(
         /^WebSocket connection to \S+ failed: .*(code: 429|net::ERR_CONNECTION_REFUSED)$/,
       );
@@ -299,6 +314,7 @@ const ACTIONS: Action[] = [
       await send("step", { steps: 30 });
     },
   ],
+  ["opened again, with events of before the restart", ({ page }) => page.reload()],
 ];
 
 test("after each action, once all replies are there, the page is as the daemon is", async (t) => {
@@ -360,10 +376,11 @@ const SEEKS: Action[] = [
   ],
   [
     "another client, twice",
-    async ({ send }) => {
-      await send("seek", { fraction: 0.3 });
-      await send("seek", { fraction: 0.2 });
-    },
+    ({ jumble, send }) =>
+      jumble.twice(
+        () => send("seek", { fraction: 0.3 }),
+        () => send("seek", { fraction: 0.2 }),
+      ),
   ],
   ["run slowly by another client", ({ send }) => send("run", { rate: 0.2 })],
   [
@@ -401,152 +418,4 @@ test("the slider of a playback follows the daemon again, and not while it is mov
   await daemon.jostle("replay", "film.mcap", "--as", "film", "--paused");
   const bench = await openBehind(await openTab(), daemon, "film");
   await actAndCompare(t, bench, SEEKS);
-});
-
-interface Listed {
-  swarm: string;
-  phase: string;
-  step: number;
-  time: number;
-  n: number;
-  informed: number;
-  order: number;
-}
-
-/** What the list shows of each swarm, without the time of a picture of what runs. */
-const listed = (page: Page) =>
-  page.evaluate(() =>
-    [...document.querySelectorAll<HTMLElement>(".swarm-card")].map((card) => ({
-      swarm: card.querySelector("h2")?.textContent,
-      phase: card.querySelector<HTMLElement>(".phase")?.dataset.phase,
-      order: card.querySelector(".order b")?.textContent,
-      facts: [...card.querySelectorAll(".facts span")].slice(0, 3).map((it) => it.textContent),
-      drawn: Number(card.querySelector("canvas")?.dataset.step),
-    })),
-  );
-
-test("the list shows the last state of each swarm, also in its thumbnails", async (t) => {
-  await daemon.create("one", { n: 12, seed: 1 });
-  await daemon.create("two", { n: 12, seed: 2, rate: 5 });
-  const tab = await openTab();
-  tab.allowsError(/^404 GET \/api\/get\/two\//);
-  const jumble = await Jumble.before(tab.page);
-  await tab.page.goto(`${daemon.link}&/`);
-  const actions: [string, () => Promise<unknown>][] = [
-    ["opened", async () => undefined],
-    [
-      "steps",
-      async () => {
-        for (let k = 0; k < 5; k += 1) {
-          await daemon.command("one", "step", { steps: 9 });
-          await daemon.command("two", "step", { steps: 7 });
-        }
-      },
-    ],
-    [
-      "informed and injected",
-      async () => {
-        await daemon.command("one", "inform", { select: { count: 4 }, direction: 1 });
-        await daemon.command("two", "inject", { count: 3 });
-      },
-    ],
-    [
-      "run and paused",
-      async () => {
-        await daemon.command("two", "run");
-        await tab.page.locator('[data-swarm="two"] [data-phase="running"]').waitFor();
-        await daemon.command("two", "pause");
-      },
-    ],
-    ["reset", () => daemon.command("one", "reset")],
-    [
-      "replaced",
-      async () => {
-        await daemon.command("two", "delete");
-        await daemon.create("two", { n: 5, seed: 7, pi1: 1 });
-        await daemon.command("two", "step", { steps: 3 });
-      },
-    ],
-    [
-      "another one",
-      async () => {
-        await daemon.create("three", { n: 3 });
-      },
-    ],
-    ["deleted", () => daemon.command("one", "delete")],
-  ];
-  for (const [name, act] of actions) {
-    const began = Date.now();
-    await act();
-    let is: unknown;
-    let wanted: unknown;
-    await until(`the list after: ${name}`, async () => {
-      const { result } = await daemon.get<{ result: { swarms: Listed[] } }>("@node/get/swarms");
-      const rows = result.swarms.filter((it) => it.swarm !== "film");
-      wanted = rows.map((it) => ({
-        swarm: it.swarm,
-        phase: it.phase,
-        order: it.order.toFixed(2),
-        facts: [`n ${it.n}`, `informed ${it.informed}`, `time ${it.time.toFixed(2)}`],
-        drawn: it.step,
-      }));
-      is = (await listed(tab.page)).filter((it) => it.swarm !== "film");
-      return jumble.isSilent && JSON.stringify(is) === JSON.stringify(wanted);
-    }).catch(() => assert.deepEqual(is, wanted, name));
-    t.diagnostic(`${name}: ${Date.now() - began} ms`);
-  }
-});
-
-test("the numbers of an animation are those of its last state", async () => {
-  await daemon.create("animation-1", { n: 50, seed: 3 });
-  const { page } = await openTab();
-  const jumble = await Jumble.before(page);
-  await page.goto(`${daemon.link}&/gallery/animation-1`);
-  const shown = async (of: Page) => of.locator("dd").allTextContents();
-  await until("numbers", async () => (await shown(page))[4] === "0.00");
-  // Three states at once: none of them is the last that is counted.
-  for (const steps of [400, 1, 400]) {
-    await daemon.command("animation-1", "step", { steps });
-  }
-  const { result, time } = await daemon.get<{
-    time: number;
-    result: { order: { order: number }; certificate: { contacts: number } };
-  }>("animation-1/get/status");
-  const numbers = [
-    result.order.order.toFixed(3),
-    "undefined",
-    (result.certificate.contacts / 50).toFixed(2),
-  ];
-  await until("its last time", async () => (await shown(page))[4] === time.toFixed(2));
-  await until("quiet", async () => jumble.isQuiet);
-  const other = (await openTab()).page;
-  await other.goto(`${daemon.link}&/gallery/animation-1`);
-  await until("numbers", async () => /%/.test((await shown(other))[3] ?? ""));
-  await until(
-    "the same numbers",
-    async () => {
-      const [now, fresh] = [await shown(page), await shown(other)];
-      return now.join() === fresh.join() && now.slice(0, 3).join() === numbers.join();
-    },
-    3000,
-  );
-});
-
-test("a chart of a measure is drawn although the daemon was busy", async () => {
-  await daemon.create("busy", { n: 12, seed: 1 });
-  const tab = await openTab();
-  const { page } = tab;
-  tab.expectsError(/^503 GET \/api\/get\/busy\/get\/measures/);
-  let asked = 0;
-  await page.route(/measures\?names/, async (route) => {
-    asked += 1;
-    const error = { code: "busy", message: "busy: wait", details: {}, step: null };
-    await (asked === 1 ? route.fulfill({ status: 503, json: error }) : route.continue());
-  });
-  await page.goto(`${daemon.link}&/swarm/busy`);
-  await page.locator(".chart-menu summary").click();
-  await page.getByLabel("clusters.count", { exact: true }).check();
-  await page.locator(".chart .none", { hasText: "busy: wait" }).waitFor();
-  await page.locator(".chart output", { hasText: /^\d+ clusters$/ }).waitFor();
-  await page.goto("about:blank");
 });
