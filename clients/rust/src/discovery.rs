@@ -304,6 +304,18 @@ impl Client {
     /// The error for a query without a reply, whose cause zenoh does not report: derived from the
     /// tokens, and from the daemon's reply to `whoami`.
     pub(crate) async fn explain_silence(&self, target: Target<'_>, key: &str) -> Error {
+        loop {
+            let error = self.cause_of_silence(target, key).await;
+            // A daemon may recover, or a connection be made, after the tokens were looked for.
+            let is_there = matches!(error, Error::NoNode { .. })
+                && self.nodes().await.is_ok_and(|it| !it.is_empty());
+            if !is_there {
+                return error;
+            }
+        }
+    }
+
+    async fn cause_of_silence(&self, target: Target<'_>, key: &str) -> Error {
         let (hosts, there) = match self.hosts_and_nodes(target).await {
             Ok(found) => found,
             Err(error) => return error,
@@ -318,23 +330,18 @@ impl Client {
         {
             return Error::rejected(error);
         }
-        let silent = || Error::Silent {
-            target: target.to_string(),
-        };
         match target {
-            _ if there.is_empty() => match self.no_node().await {
-                // It has recovered meanwhile.
-                Error::NoNode { .. } if self.nodes().await.is_ok_and(|it| !it.is_empty()) => {
-                    silent()
-                }
-                error => error,
-            },
+            _ if there.is_empty() => self.no_node().await,
             Target::Swarm(_) if !hosts.is_empty() => {
                 self.explain_refusal(target, &hosts[0], key).await
             }
             Target::Swarm(swarm) => match self.no_swarm(swarm).await {
                 // Its token came last.
-                Error::NoSwarm { there, .. } if there.iter().any(|it| it == swarm) => silent(),
+                Error::NoSwarm { there, .. } if there.iter().any(|it| it == swarm) => {
+                    Error::Silent {
+                        target: target.to_string(),
+                    }
+                }
                 error => error,
             },
             Target::Node(node) if there.iter().any(|name| name == node) => {
