@@ -10,7 +10,7 @@ import { icon } from "./ui/icons.ts";
 import { type Page, parseRoute } from "./ui/router.ts";
 import { Session } from "./ui/session.ts";
 import { isDark, onTheme, startTheme, switchTheme } from "./ui/theme.ts";
-import { openTokenDialog, remedy } from "./ui/token_dialog.ts";
+import { lostText, openTokenDialog, remedy } from "./ui/token_dialog.ts";
 import { findToken } from "./wire/token.ts";
 
 findToken();
@@ -83,7 +83,7 @@ function showConnection(): void {
   if (!isLost) {
     setText(connectionNotice, "");
   } else if (session.mayWatch) {
-    setText(connectionNotice, "No connection to the daemon, reconnecting …");
+    setText(connectionNotice, lostText(session));
   } else {
     connectionNotice.replaceChildren(...remedy(session));
   }

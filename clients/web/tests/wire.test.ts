@@ -59,6 +59,11 @@ test("every kind of event has a text", () => {
   // As earlier versions send it.
   forked.event = { kind: "created" };
   assert.equal(describe(forked), "created");
+  const informed = json<SwarmEvent>("event.command.json");
+  informed.event.verb = "inform";
+  informed.event.args = { direction: 1.5708, select: { foremost: { count: 3, along: -0.5 } } };
+  const said = "inform direction 90.0°, select foremost count 3, along −28.6° · by ada@lab";
+  assert.equal(describe(informed), said);
   const noted = json<SwarmEvent>("event.command.json");
   noted.event.verb = "annotate";
   noted.event.args = json<object>("annotate.args.json");
@@ -126,10 +131,10 @@ test("the direction of the informed is shown, and its strength if they disagree"
   const newest = momentOfOrder(json<OrderMessage>("order.json"));
   const shown = (direction: number | null, direction_strength: number | null) =>
     directionOf({ ...newest, direction, direction_strength });
-  assert.equal(shown(-1.5708, 1), "−1.57 rad");
-  assert.equal(shown(-1.5708, null), "−1.57 rad");
-  assert.equal(shown(0.5, 0.996), "0.50 rad");
-  assert.equal(shown(0.5, 0.714), "0.50 rad, strength 0.71");
+  assert.equal(shown(1.5708, 1), "90.0°");
+  assert.equal(shown(-1.5708, null), "−90.0°");
+  assert.equal(shown(0.5, 0.996), "28.6°");
+  assert.equal(shown(0.5, 0.714), "28.6°, strength 0.71");
   assert.equal(shown(null, 0.02), "none, strength 0.02");
   assert.equal(shown(null, null), "–");
 });

@@ -35,7 +35,7 @@ export function swarmPage(name: string, session: Session): Page {
     events = new Events(name, () => takeAnother(newest));
     log.replaceChildren(events.element);
   };
-  const controls = new Controls(name, session);
+  const controls = new Controls(name, session, () => events.isSame());
   const playback = new Playback(name, session);
   const conditions = new Conditions(name, session);
   const conditionPanel = panel("When a condition holds", "", innerWidth > 900, conditions.element);
@@ -63,6 +63,7 @@ export function swarmPage(name: string, session: Session): Page {
       charts.add(its);
     }
     watch.view.forget();
+    controls.forget();
     replaceEvents();
     catchUp();
   };
@@ -180,6 +181,7 @@ export function swarmPage(name: string, session: Session): Page {
     end: () => {
       forget();
       watch.end();
+      controls.end();
       playback.end();
       charts.end();
       events.end();

@@ -1,5 +1,5 @@
 /** Run, pause, step, rate, inject, fork, reset, delete, annotate. */
-import { announce, attempt, checkMayCommand } from "../ui/announce.ts";
+import { announce, announceError, attempt, checkMayCommand } from "../ui/announce.ts";
 import { confirmDialog } from "../ui/dialog.ts";
 import { button, el, setText } from "../ui/dom.ts";
 import {
@@ -27,9 +27,15 @@ export class Controls {
   private phase: Phase = "paused";
   private there = false;
   private rateShown = "";
-  /** The phase in the reply to the newest command, and until when an older list may contradict it. */
-  private told: { phase: Phase; until: number } | null = null;
+  /** The phase in the reply to the newest command and its step, and until when an older list may contradict it. */
+  private told: { phase: Phase; step: number; until: number } | null = null;
+  private stepShown = 0;
+  private isReplay = false;
   private readonly rateFollows: Followed;
+  /** The steps that were asked for and not replied to. */
+  private stepsDue = 0;
+  /** Closes the dialog that asks for a confirmation, while it is open. */
+  private asking: AbortController | null = null;
   private readonly runs = button("▶ Run", () => this.toggle(), "primary wide");
   private readonly steps = countField("steps");
   private readonly rate = numberField({
@@ -50,6 +56,8 @@ export class Controls {
   constructor(
     private readonly swarm: string,
     private readonly session: Session,
+    /** Whether the swarm of this name is still the one that the page shows. */
+    private readonly isSame: () => Promise<boolean>,
   ) {
     this.note = tokenNote(session);
     const count = countField("individuals to inject");
@@ -94,8 +102,11 @@ export class Controls {
   }
 
   /** Enables what the phase permits; nothing if there is no such swarm. */
-  show(row: Pick<SwarmRow, "phase" | "rate" | "replay"> | undefined): void {
+  show(row: Pick<SwarmRow, "phase" | "step" | "rate" | "replay"> | undefined): void {
     this.there = row !== undefined;
+    if (!row) {
+      this.forget();
+    }
     // The individuals of a recording cannot be changed.
     for (const part of this.changing) {
       part.hidden = row?.replay ?? false;
@@ -103,7 +114,14 @@ export class Controls {
     this.notes.hidden = row?.replay ?? false;
     if (row) {
       this.showRate(row.rate);
-      if (this.told && (this.told.phase === row.phase || this.told.until < performance.now())) {
+      this.stepShown = row.step;
+      this.isReplay = row.replay ?? false;
+      const { told } = this;
+      // At a later step the list is newer than the reply.
+      if (
+        told &&
+        (told.phase === row.phase || told.step < row.step || told.until < performance.now())
+      ) {
         this.told = null;
       }
       this.showPhase(this.told?.phase ?? row.phase);
@@ -121,8 +139,9 @@ export class Controls {
   /** Sends a command, and shows the phase in its reply before the next list does. */
   private async change(verb: string, args: object, done: string): Promise<boolean> {
     const reply = await attempt(() => command(this.swarm, verb, args), done);
-    if (reply) {
-      this.told = { phase: reply.phase, until: performance.now() + TOLD_MS };
+    // A slow reply is older than what the list has told. A playback may begin again.
+    if (reply && (this.isReplay || reply.step >= this.stepShown)) {
+      this.told = { phase: reply.phase, step: reply.step, until: performance.now() + TOLD_MS };
       this.showPhase(reply.phase);
     }
     return reply !== null;
@@ -156,9 +175,18 @@ export class Controls {
       return;
     }
     const steps = Math.max(1, numberIn(this.steps.input) ?? 1);
-    const reply = await attempt(() => command(this.swarm, "step", { steps }));
-    if (reply) {
-      announce(`at step ${reply.step}`);
+    this.stepsDue += steps;
+    // While a step is executed, the swarm rejects another one: it follows the reply.
+    if (this.stepsDue > steps) {
+      return;
+    }
+    while (this.stepsDue > 0) {
+      const sent = this.stepsDue;
+      const reply = await attempt(() => command(this.swarm, "step", { steps: sent }));
+      this.stepsDue = reply ? this.stepsDue - sent : 0;
+      if (reply) {
+        announce(`at step ${reply.step}`);
+      }
     }
   }
 
@@ -184,17 +212,44 @@ export class Controls {
 
   private async reset(): Promise<void> {
     const text = `${this.swarm} returns to step 0, as it was created.`;
-    if (await confirmDialog(`Reset ${this.swarm}?`, text, "Reset")) {
-      await attempt(() => command(this.swarm, "reset"), "reset to step 0");
-    }
+    await this.confirmed("Reset", text, "reset to step 0");
   }
 
   private async delete(): Promise<void> {
     const text = `${this.swarm} and its history are removed from the daemon. This cannot be undone.`;
-    if (await confirmDialog(`Delete ${this.swarm}?`, text, "Delete")) {
-      if (await attempt(() => command(this.swarm, "delete"), `${this.swarm} is deleted`)) {
-        location.hash = "#/";
-      }
+    if (await this.confirmed("Delete", text, `${this.swarm} is deleted`)) {
+      location.hash = "#/";
     }
+  }
+
+  /** Sends a command after a confirmation, if the swarm is still the one that the dialog was about. */
+  private async confirmed(verb: string, text: string, done: string): Promise<boolean> {
+    this.asking = new AbortController();
+    const agreed = await confirmDialog(`${verb} ${this.swarm}?`, text, verb, this.asking.signal);
+    this.asking = null;
+    // The daemon cannot tell: epoch and step of another swarm may be the same.
+    const send = async () => {
+      if (!(await this.isSame())) {
+        throw this.replaced();
+      }
+      return command(this.swarm, verb.toLowerCase());
+    };
+    return agreed && (await attempt(send, done)) !== null;
+  }
+
+  private replaced(): Error {
+    return new Error(`the ${this.swarm} that you saw was deleted meanwhile: no command was sent`);
+  }
+
+  /** The swarm was deleted: a dialog about it closes. */
+  forget(): void {
+    if (this.asking) {
+      this.end();
+      announceError(this.replaced());
+    }
+  }
+
+  end(): void {
+    this.asking?.abort();
   }
 }

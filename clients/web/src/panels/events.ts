@@ -1,6 +1,6 @@
 /** The event log. Events that the WebSocket skipped are requested over HTTP. */
 import { el } from "../ui/dom.ts";
-import { short, time, when } from "../ui/format.ts";
+import { angle, short, time, when } from "../ui/format.ts";
 import { get } from "../wire/http.ts";
 import type { EventsResult, SwarmEvent } from "../wire/messages.ts";
 
@@ -9,7 +9,10 @@ const MAX_LINES = 300;
 /** Events per request. The daemon keeps about a thousand, with a gap in their numbers at each restart. */
 const MAX_EVENTS = 256;
 
-/** An event as text. */
+/** Arguments that are angles. */
+const ANGLES = ["direction", "along"];
+
+/** An event as text; angles in degrees. */
 export function describe({ event, phase }: SwarmEvent): string {
   const field = (name: string) =>
     event[name] === null || event[name] === undefined ? "" : String(event[name]);
@@ -39,8 +42,8 @@ export function describe({ event, phase }: SwarmEvent): string {
     case "lapsed":
       return `inform expired, uninformed: ${brief(event.ids)}`;
     default: {
-      const rest = Object.entries(event).filter(([name]) => name !== "kind");
-      return `${event.kind} ${rest.map(([name, value]) => `${name} ${brief(value)}`).join(", ")}`;
+      const { kind, ...rest } = event;
+      return `${kind} ${args(rest)}`;
     }
   }
 }
@@ -58,7 +61,13 @@ function brief(value: unknown): string {
 
 function args(value: unknown): string {
   const entries = Object.entries((value ?? {}) as Record<string, unknown>);
-  return entries.map(([name, it]) => `${name} ${brief(it)}`).join(", ");
+  return entries
+    .map(([name, it]) =>
+      ANGLES.includes(name) && typeof it === "number"
+        ? `${name} ${angle(it)}`
+        : `${name} ${brief(it)}`,
+    )
+    .join(", ");
 }
 
 export class Events {
@@ -121,21 +130,37 @@ export class Events {
     this.ended = true;
   }
 
+  /** Asks whether the swarm of this name is still the one whose events are shown. */
+  async isSame(): Promise<boolean> {
+    return (await this.request()) !== null;
+  }
+
+  /** The events from the last one that is shown; null if they are those of another swarm. */
+  private async request(): Promise<EventsResult | null> {
+    // With the last one: the event of its number may be one of another swarm.
+    const { last, lastAt } = this;
+    const noun = `events?after=${Math.max(0, last - 1)}&limit=${MAX_EVENTS}`;
+    const { result } = await get<EventsResult>(this.swarm, noun);
+    if (this.ended) {
+      return null;
+    }
+    const again = result.events.find((it) => it.number === last)?.unix_secs ?? null;
+    if (result.newest < last || (again !== null && lastAt !== null && again !== lastAt)) {
+      this.end();
+      this.replaced();
+      return null;
+    }
+    return result;
+  }
+
   private async read(): Promise<void> {
     for (;;) {
-      // With the last one that is shown: the event of its number may be one of another swarm.
-      const { last, lastAt } = this;
-      const noun = `events?after=${Math.max(0, last - 1)}&limit=${MAX_EVENTS}`;
-      const { events, newest } = (await get<EventsResult>(this.swarm, noun)).result;
-      if (this.ended) {
+      const { last } = this;
+      const result = await this.request();
+      if (!result) {
         return;
       }
-      const again = events.find((it) => it.number === last)?.unix_secs ?? null;
-      if (newest < last || (again !== null && lastAt !== null && again !== lastAt)) {
-        this.end();
-        this.replaced();
-        return;
-      }
+      const { events, newest } = result;
       for (const event of events) {
         this.add(event);
       }

@@ -55,10 +55,11 @@ function changed(count: number): string {
 /** Uninforms individuals; fails after a reset, which assigns the ids to other individuals. */
 async function undo(swarm: string, { epoch }: Reply<Chosen>, ids: number[]): Promise<void> {
   await attempt(async () => {
-    const present = new Set((await currentState(swarm)).id);
-    const left = ids.filter((id) => present.has(id));
+    const { id, weight } = await currentState(swarm);
+    const informed = new Set(id.filter((_, i) => weight[i]! > 0));
+    const left = ids.filter((id) => informed.has(id));
     if (left.length === 0) {
-      announce("none of these individuals is left in the swarm");
+      announce("none of these individuals is informed any longer");
       return;
     }
     await command(swarm, "uninform", { select: { ids: left } }, { expect_epoch: epoch });

@@ -1,12 +1,13 @@
 /** The current numbers of a swarm. */
 import { el, setText } from "../ui/dom.ts";
-import { fixed, signed, time } from "../ui/format.ts";
+import { angle, fixed, signed, time } from "../ui/format.ts";
 import type { Moment } from "./history.ts";
 
 const NAMES = {
   order: "alignment of the group, from 0 to 1",
   drift: "speed along the common direction of the informed",
-  direction: "common direction of the informed, and its strength if they disagree",
+  direction:
+    "common direction of the informed, counter-clockwise from +x, and its strength if they disagree",
   contacts: "pairs near enough to constrain, of the last step",
   n: "individuals",
   informed: "individuals with a preferred direction",
@@ -23,8 +24,9 @@ const AGREED = 0.995;
 /** The common direction of the informed, in words if there is none. */
 export function directionOf({ direction, direction_strength: strength }: Moment): string {
   const agreement = strength !== null && strength < AGREED ? `strength ${fixed(strength, 2)}` : "";
-  if (direction !== null)
-    return [`${fixed(direction, 2)} rad`, agreement].filter(Boolean).join(", ");
+  if (direction !== null) {
+    return [angle(direction), agreement].filter(Boolean).join(", ");
+  }
   return agreement === "" ? "–" : `none, ${agreement}`;
 }
 

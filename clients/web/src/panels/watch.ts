@@ -2,9 +2,10 @@
 
 import { View } from "../canvas/view.ts";
 import { announceError } from "../ui/announce.ts";
-import { button, el, setText } from "../ui/dom.ts";
+import { button, callAll, el, setText } from "../ui/dom.ts";
 import { fixed, plural, rates, time } from "../ui/format.ts";
 import type { Session } from "../ui/session.ts";
+import { lostText } from "../ui/token_dialog.ts";
 import { get } from "../wire/http.ts";
 import type { Connection } from "../wire/live.ts";
 import type { OrderMessage, Parameter, SwarmEvent, SwarmRow } from "../wire/messages.ts";
@@ -47,11 +48,11 @@ export class Watch {
   private readonly meter = el("p", { class: "meter", "data-fps": "0" });
   private readonly jumps = el("span", { class: "jumps", hidden: true });
   private readonly rates = el("span", { class: "rates" });
-  private readonly unlisten: () => void;
+  private readonly unlisten: (() => void)[];
   private readonly timer: ReturnType<typeof setInterval>;
   private counted = { drawn: 0, states: 0, at: performance.now() };
   private states = 0;
-  /** The longest simulated time between two states that were not interpolated. */
+  /** The longest simulated time between two states that were drawn one after the other, and not interpolated. */
   private jumped = 0;
   private missing = false;
   /** The other daemon that claims the name. */
@@ -82,7 +83,8 @@ export class Watch {
     this.mode.append(this.hint, " ", leave);
     this.jumps.title =
       "Straight lines between states so far apart would show bodies where they never were, so " +
-      "positions are not interpolated. A lower rate shows the motion.";
+      "positions are not interpolated. A lower rate shows the motion. If more states come than " +
+      "pictures are drawn, only the newest of them is drawn.";
     this.meter.append(this.jumps, this.rates);
     this.toolbar = new Toolbar(this.view, () => this.enter("lasso"));
     this.view.buttons = this.toolbar.element;
@@ -96,7 +98,7 @@ export class Watch {
       this.fault,
       this.meter,
     );
-    this.unlisten = live.listen({
+    const unlisten = live.listen({
       state: () => {
         this.states += 1;
         this.view.requestDraw();
@@ -127,15 +129,16 @@ export class Watch {
       connection: (connection) => {
         this.connection = connection;
         this.showAvailability();
-        if (connection === "open") {
+        // While the swarm is missing each connection ends at once.
+        if (connection === "open" && !this.missing) {
           void this.readParameters();
           events.catchUp?.();
         }
       },
     });
+    this.unlisten = [unlisten, session.onChange(() => this.showAvailability())];
     live.watch(swarm);
     this.timer = setInterval(() => this.measure(), METER_MS);
-    this.showAvailability();
   }
 
   enter(mode: "look" | "lasso" | "direct"): void {
@@ -189,7 +192,7 @@ export class Watch {
   end(): void {
     clearInterval(this.timer);
     clearTimeout(this.describing);
-    this.unlisten();
+    callAll(this.unlisten);
     this.view.end();
   }
 
@@ -222,6 +225,7 @@ export class Watch {
 
   private markMissing(): void {
     this.missing = true;
+    this.view.change(() => this.view.selected.clear());
     this.showAvailability();
   }
 
@@ -301,7 +305,7 @@ export class Watch {
       : missing
         ? `No swarm ${this.swarm} on this daemon.`
         : lost
-          ? "No connection to the daemon, reconnecting …"
+          ? lostText(this.session)
           : "Requesting the state …";
     setText(this.overlay, text);
   }
@@ -319,7 +323,7 @@ export class Watch {
       this.jumps,
       this.jumped === 0
         ? ""
-        : `positions not interpolated: states ${Number(jumped)} time units apart`,
+        : `positions not interpolated: drawn states up to ${Number(jumped)} time units apart`,
     );
     this.jumped = 0;
     setText(this.rates, drawn < 0.5 ? "" : rates(drawn, states));

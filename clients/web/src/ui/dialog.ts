@@ -29,8 +29,13 @@ export function openDialog(title: string, ...children: (Node | string)[]): HTMLD
   return dialog;
 }
 
-/** Asks for confirmation of an action that cannot be undone. */
-export function confirmDialog(title: string, text: string, verb: string): Promise<boolean> {
+/** Asks for confirmation of an action that cannot be undone; the signal closes the dialog. */
+export function confirmDialog(
+  title: string,
+  text: string,
+  verb: string,
+  signal: AbortSignal,
+): Promise<boolean> {
   return new Promise((resolve) => {
     const close = (agreed: boolean) => {
       resolve(agreed);
@@ -41,5 +46,6 @@ export function confirmDialog(title: string, text: string, verb: string): Promis
     no.autofocus = true;
     const dialog = openDialog(title, el("p", {}, text), el("p", { class: "buttons" }, no, yes));
     dialog.addEventListener("close", () => resolve(false));
+    signal.addEventListener("abort", () => close(false));
   });
 }

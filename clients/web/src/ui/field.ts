@@ -76,6 +76,8 @@ export function numberIn(input: HTMLInputElement): number | undefined {
 export class Followed {
   private typed = false;
   private overtaken = false;
+  /** Whether the daemon has told another value since what was typed was sent. */
+  private told = false;
 
   /** `fill` puts the daemon's value into the fields. */
   constructor(
@@ -84,6 +86,9 @@ export class Followed {
   ) {
     form.addEventListener("input", () => {
       this.typed = true;
+    });
+    form.addEventListener("submit", () => {
+      this.told = false;
     });
     form.addEventListener("focusout", ({ relatedTarget }) => {
       if (this.overtaken && !form.contains(relatedTarget as Node | null)) {
@@ -94,7 +99,10 @@ export class Followed {
 
   /** The daemon has replied to what was typed. */
   sent(accepted: boolean): void {
-    if (accepted) {
+    if (accepted && this.told) {
+      // The daemon has told its new value already, or one after it: the reply was slow.
+      this.follow();
+    } else if (accepted) {
       // The daemon tells its new value next.
       this.typed = false;
       this.overtaken = false;
@@ -107,6 +115,7 @@ export class Followed {
 
   /** The daemon has told its value. */
   show(changed: boolean): void {
+    this.told ||= changed;
     if (!this.typed) {
       this.fill();
     } else if (changed && this.form.contains(document.activeElement)) {

@@ -56,6 +56,11 @@ export function degrees(radians: number): number {
   return turned > 180 ? turned - 360 : turned <= -180 ? turned + 360 : turned;
 }
 
+/** An angle in degrees, from radians: 90.0°. */
+export function angle(radians: number): string {
+  return `${fixed(degrees(radians), 1)}°`;
+}
+
 export function plural(count: number, one: string, many = `${one}s`): string {
   return `${count} ${count === 1 ? one : many}`;
 }

@@ -55,8 +55,21 @@ function permissions(session: Session): string {
     : "This tab has a token that the daemon does not accept. ";
 }
 
+/** Why the page has no connection. */
+export function lostText(session: Session): string {
+  if (session.mayWatch) {
+    return "No connection to the daemon, reconnecting …";
+  }
+  return session.hasToken
+    ? "This daemon rejected the token of this tab."
+    : "This daemon requires a user's token.";
+}
+
 /** What this tab may not do, and what it needs. */
 function missing(session: Session): string {
+  if (session.hasUsers && !session.mayWatch && session.hasToken) {
+    return "This daemon rejected the token of this tab: its user was removed, or has got a new token.";
+  }
   if (session.hasUsers) {
     return "This daemon requires a user's token, also to watch.";
   }

@@ -11,8 +11,8 @@ const MIN_RETRY_MS = 500;
 const MAX_RETRY_MS = 4000;
 /** The daemon sends a message every second. */
 const SILENCE_TIMEOUT_MS = 6000;
-/** A missing swarm may be created later. */
-const MISSING_RETRY_MS = 2000;
+/** A missing swarm may be created later: until then the page shows the events of the former one. */
+const MISSING_RETRY_MS = 500;
 
 export type Connection = "connecting" | "open" | "lost";
 

@@ -5,7 +5,6 @@ import { mkdtempSync, readFileSync, rmSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { dirname, join } from "node:path";
 import { test } from "node:test";
-import type { Page } from "playwright-core";
 import { type Tab, until } from "./browser.ts";
 import { Daemon, DYNAMIC_USER, isRoot } from "./daemon.ts";
 import { Site, step } from "./site.ts";
@@ -131,25 +130,34 @@ test("with users the page permits what the role of each permits", async (t) => {
   });
   assert.equal(vera_link.toString().trim(), `${lab.addresses.http}/#token=${token("vera")}`);
 
-  const enter = async (person: string): Promise<Page> => {
+  const enter = async (person: string): Promise<Tab> => {
     const tab = await site.openTab();
     await tab.page.goto(`${lab.addresses.http}/#token=${token(person)}&/swarm/school`);
     await tab.page.getByText(`${person}, `).first().waitFor();
-    return tab.page;
+    return tab;
   };
-  const vera = await enter("vera");
+  const removed = await enter("vera");
+  const vera = removed.page;
   await vera
     .getByText("You are vera, viewer: commands require the role operator.")
     .first()
     .waitFor();
   await until("vera sees the swarm", async () => (await step(vera)) === 0);
-  const olga = await enter("olga");
+  const { page: olga } = await enter("olga");
   await olga.keyboard.press("s");
   await until("vera sees olga's step", async () => (await step(vera)) === 1);
   await vera.keyboard.press("s");
   await olga.keyboard.press("s");
   await until("only olga steps", async () => (await step(vera)) === 2);
   assert.equal((await lab.post("/api/cmd/school/pause", {}, token("vera"))).status, 403);
+
+  // The page of a removed user says why it is closed, in the picture and above it.
+  removed.allowsError(/^WebSocket connection to \S+ failed: HTTP Authentication failed/);
+  removed.allowsError(/^401 GET /);
+  execFileSync(jostled, ["auth", "--auth-dir", auth, "remove", "vera"]);
+  for (const place of [".overlay", ".notice"]) {
+    await vera.locator(place, { hasText: "rejected the token of this tab" }).waitFor();
+  }
 });
 
 async function visit(address: string): Promise<Tab> {

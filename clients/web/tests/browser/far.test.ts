@@ -48,7 +48,7 @@ async function still(page: Page, swarm: string): Promise<void> {
 function gridOf(
   { segments, scale, size }: Awaited<ReturnType<typeof picture>>,
   { x, y, alpha, origin }: StateJson,
-): { right: number[]; up: number[]; px: number; edge: [number, number] } {
+): { right: number[]; up: number[]; bar: number; px: number; edge: [number, number] } {
   const half = (3 / 5) * scale;
   // Any body gives the place of the camera.
   const [c, s] = [half * Math.cos(alpha[0]!), half * Math.sin(alpha[0]!)];
@@ -63,13 +63,25 @@ function gridOf(
   return {
     right: lines(1).map((it) => 1024 * origin[0] + x[0]! + (it[0] - left) / scale),
     up: lines(0).map((it) => 1024 * origin[1] + y[0]! - (it[1] - top) / scale),
+    // Above the lower left corner.
+    bar: Math.max(
+      ...segments
+        .filter((it) => it[0] < 20 && it[1] === it[3] && Math.abs(size[1] - it[1] - 14) < 1)
+        .map((it) => (it[2] - it[0]) / scale),
+    ),
     px: 1 / scale,
     edge: [1024 * origin[0] + x[0]! - left / scale, 1024 * origin[1] + y[0]! + top / scale],
   };
 }
 
-/** The lines of a grid are at multiples of their distance, up to a pixel. */
-function isFixed({ right, up, px }: ReturnType<typeof gridOf>): void {
+/** The lines of a grid are at multiples of their distance, and the bar has a round length, up to a pixel. */
+function isFixed({ right, up, bar, px }: ReturnType<typeof gridOf>): void {
+  const power = 10 ** Math.floor(Math.log10(bar));
+  const round = [1, 2, 5, 10].map((it) => it * power);
+  assert(
+    round.some((it) => Math.abs(it - bar) <= px),
+    `${bar} of ${px}`,
+  );
   for (const lines of [right, up]) {
     assert(lines.length >= 2, `${lines.length} lines`);
     const apart = Math.abs(lines.at(-1)! - lines[0]!) / (lines.length - 1);

@@ -36,6 +36,30 @@ const phaseIs = (swarm: string, phase: string) =>
     const { phase: now } = await daemon.get<{ phase: string }>(`${swarm}/get/status`);
     return now === phase;
   });
+const isShown = (page: Page, name: string, value: string) =>
+  parameter(page, name).locator(".value", { hasText: value }).waitFor();
+/** Acts, and holds the replies to commands of the page until `meanwhile` is over. */
+const slowly = async (
+  page: Page,
+  act: () => Promise<unknown>,
+  meanwhile: () => Promise<unknown>,
+) => {
+  let end: () => void = () => undefined;
+  const isOver = new Promise<void>((resolve) => {
+    end = resolve;
+  });
+  await page.route("**/api/cmd/**", async (route) => {
+    const response = await route.fetch();
+    await isOver;
+    await route.fulfill({ response });
+  });
+  const replied = page.waitForResponse(/\/api\/cmd\//);
+  await act();
+  await meanwhile();
+  end();
+  await replied;
+  await page.unroute("**/api/cmd/**");
+};
 const box = async (page: Page) => (await page.locator("canvas.picture").boundingBox())!;
 
 /** What one can do to a swarm that is simulated. Each begins where the one before has ended. */
@@ -43,10 +67,15 @@ const ACTIONS: Action[] = [
   ["nothing", async () => undefined],
   ["steps of the panel", ({ page }) => enter(page, "steps", "300", "Step")],
   [
-    "the key s, twice",
-    async ({ page }) => {
-      await page.keyboard.press("s");
-      await page.keyboard.press("s");
+    "the key s, three times",
+    async ({ page, swarm }) => {
+      const stepOf = async () => (await daemon.get<{ step: number }>(`${swarm}/get/status`)).step;
+      const before = await stepOf();
+      for (let k = 0; k < 3; k += 1) {
+        await page.keyboard.press("s");
+      }
+      // None is rejected because the one before is being executed: the field still has 300.
+      await until("all steps", async () => (await stepOf()) === before + 900);
     },
   ],
   [
@@ -113,6 +142,58 @@ const ACTIONS: Action[] = [
         () => send("set", { noise: 0.2 }),
         () => send("set", { noise: 0.4, pi1: 3, make_room: true }),
       ),
+  ],
+  [
+    "a number, set by another client before the reply",
+    ({ page, send }) =>
+      slowly(
+        page,
+        () => setField(page, "pi2", "0.45"),
+        async () => {
+          await isShown(page, "pi2", "0.45");
+          await send("set", { pi2: 0.75 });
+          await isShown(page, "pi2", "0.75");
+        },
+      ),
+  ],
+  [
+    "a choice, set by another client before the reply",
+    ({ page, send }) =>
+      slowly(
+        page,
+        async () => {
+          await parameter(page, "attraction").locator("select").selectOption("voronoi");
+          await click(page, "set attraction");
+        },
+        async () => {
+          await isShown(page, "attraction", "voronoi");
+          await send("set", { attraction: { kind: "metric", radius: 4 } });
+          await isShown(page, "attraction", "metric");
+        },
+      ),
+  ],
+  [
+    "paused, and run by another client before the reply",
+    async ({ page, send, swarm }) => {
+      await send("run", { rate: 2 });
+      await button(page, "❚❚ Pause").waitFor();
+      await slowly(
+        page,
+        () => click(page, "❚❚ Pause"),
+        async () => {
+          await phaseIs(swarm, "paused");
+          await button(page, "▶ Run").waitFor();
+          await send("run", { rate: 2 });
+          await button(page, "❚❚ Pause").waitFor();
+          // Some steps later than the reply.
+          await new Promise((resolve) => setTimeout(resolve, 500));
+        },
+      );
+      // Sooner than the page doubts a reply.
+      await new Promise((resolve) => setTimeout(resolve, 200));
+      assert.equal(await button(page, "❚❚ Pause").count(), 1);
+      await send("pause");
+    },
   ],
   [
     "a number that the daemon rejects",
@@ -276,9 +357,9 @@ const ACTIONS: Action[] = [
     },
   ],
   [
-    "deleted, and created as another swarm",
+    "deleted, and created as another swarm, which takes fewer steps",
     async ({ page, send, swarm }) => {
-      await send("step", { steps: 50 });
+      await send("step", { steps: 500 });
       await send("delete");
       await page.getByText(`No swarm ${swarm}`).waitFor();
       await daemon.create(swarm, { n: 24, seed: 5, pi1: 3 });

@@ -47,6 +47,79 @@ test("a deleted swarm is reported missing, and a new one of its name is shown", 
   await site.daemon.command("brief", "delete");
 });
 
+test("the fork of a swarm with the longest name has a name that is accepted", async () => {
+  const name = `l${"o".repeat(62)}ng`.slice(0, 64);
+  await site.daemon.create(name, { n: 3 });
+  const page = await site.open(`/swarm/${name}`);
+  await until("its size", async () => (await number(page, "n").textContent()) === "3");
+  await page.getByRole("button", { name: "Fork", exact: true }).click();
+  const fork = `${name.slice(0, 58)}-fork`;
+  const size = async () => (await site.daemon.get<{ n: number }>(`${fork}/get/status`)).n;
+  await until("the fork", async () => (await size().catch(() => 0)) === 3);
+  await site.daemon.command(name, "delete");
+  await site.daemon.command(fork, "delete");
+});
+
+for (const verb of ["Delete", "Reset"]) {
+  test(`${verb} … spares another swarm of the same name`, async () => {
+    await site.daemon.create("brief", { n: 12 });
+    await site.daemon.command("brief", "step", { steps: 5 });
+    const tab = await site.openTab();
+    // A request may be under way when its swarm is deleted.
+    tab.allowsError(/^404 GET \/api\/get\/brief\//);
+    const { page } = tab;
+    let isLate = false;
+    // Once it is late the page gets no more messages.
+    await page.routeWebSocket(/\/api\/ws/, (socket) => {
+      socket.connectToServer().onMessage((message) => {
+        if (!isLate) {
+          socket.send(message);
+        }
+      });
+    });
+    const sent: string[] = [];
+    page.on("request", (it) => {
+      if (it.method() === "POST") {
+        sent.push(it.url());
+      }
+    });
+    await page.goto(`${site.daemon.link}&/swarm/brief`);
+    const refusal = page.locator(".errors", { hasText: "brief that you saw was deleted" });
+    const another = async () => {
+      await site.daemon.command("brief", "delete");
+      if (!isLate) {
+        await page.getByText("No swarm brief on this daemon").waitFor();
+        assert.match((await page.locator(".selection").textContent()) ?? "", /^No individual/);
+      }
+      await site.daemon.create("brief", { n: 7 });
+      await site.daemon.command("brief", "step", { steps: 3 });
+    };
+
+    // The page gets the message that the swarm was deleted: the dialog closes.
+    await until("its size", async () => (await number(page, "n").textContent()) === "12");
+    await page.getByRole("button", { name: "Select all", exact: true }).click();
+    await page.locator(".selection", { hasText: "12 individuals" }).waitFor();
+    await page.getByRole("button", { name: `${verb} …` }).click();
+    await page.locator("dialog button.danger").waitFor();
+    await another();
+    await refusal.waitFor();
+    assert.equal(await page.locator("dialog").count(), 0);
+
+    // The message is late: the dialog stays, and sends nothing.
+    await until("its size", async () => (await number(page, "n").textContent()) === "7");
+    await until("its events", async () => (await page.locator(".events li").count()) === 2);
+    await page.locator(".errors").getByRole("button", { name: "close" }).click();
+    await page.getByRole("button", { name: `${verb} …` }).click();
+    isLate = true;
+    await another();
+    await page.locator("dialog button.danger").click();
+    await refusal.waitFor();
+    assert.deepEqual(sent, []);
+    assert.equal((await site.row("brief"))?.step, 3);
+    await site.daemon.command("brief", "delete");
+  });
+}
+
 test("no events of a deleted swarm are requested", async () => {
   await site.daemon.create("brief", { n: 12 });
   const tab = await site.openTab();

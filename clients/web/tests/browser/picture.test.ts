@@ -132,7 +132,7 @@ test("at full speed no picture has crossing bodies, and the page shows that it d
   t.diagnostic(`${pictures.length} pictures, ${crossed} with bodies that cross`);
   assert.equal(crossed, 0);
   const note = page.locator(".jumps");
-  await note.filter({ hasText: "time units apart" }).waitFor();
+  await note.filter({ hasText: "drawn states up to" }).waitFor();
   const apart = Number(/([\d.]+) time units apart/.exec((await note.textContent()) ?? "")?.[1]);
   assert(apart >= 10, `a state is published each 10 time units, not ${apart}`);
 
@@ -259,6 +259,18 @@ test("undo uninforms exactly the individuals that the command informed", async (
   await words.getByRole("button", { name: "Undo" }).click();
   await words.filter({ hasText: "undone: 1 individual uninformed" }).waitFor();
   assert.deepEqual(await informed("undo"), [2, 5, 13]);
+  // So is one that another client has uninformed.
+  await select("6, 7");
+  await words.getByRole("button", { name: "Undo" }).waitFor();
+  await daemon.command("undo", "uninform", { select: { ids: [7] } });
+  await words.getByRole("button", { name: "Undo" }).click();
+  await words.filter({ hasText: "undone: 1 individual uninformed" }).waitFor();
+  assert.deepEqual(await informed("undo"), [2, 5, 13]);
+  await select("6, 7");
+  await words.getByRole("button", { name: "Undo" }).waitFor();
+  await daemon.command("undo", "uninform", { select: { ids: [6, 7] } });
+  await words.getByRole("button", { name: "Undo" }).click();
+  await words.filter({ hasText: "none of these individuals is informed" }).waitFor();
   await select("1, 3");
   await words.getByRole("button", { name: "Undo" }).waitFor();
   await daemon.command("undo", "reset");

@@ -344,7 +344,8 @@ export async function differences(page: Page, daemon: Daemon, swarm: string): Pr
   same("contacts", shown.numbers.contacts, String(certificate.contacts));
   same("real-time factor", shown.numbers["real-time factor"], "–");
   if (order.direction !== null) {
-    same("direction", shown.numbers.direction?.startsWith(digits(order.direction, 2)), true);
+    const degrees = digits((order.direction * 180) / Math.PI, 1);
+    same("direction", shown.numbers.direction?.startsWith(`${degrees}°`), true);
   }
   same("label", shown.label.endsWith(`order ${digits(order.order, 2)}`), true);
   if (replay) {
