@@ -13,6 +13,9 @@ pub struct Axis {
     pub values: Vec<f64>,
 }
 
+/// The most decades that each have a tick on a logarithmic axis.
+const MAX_DECADES: f64 = 20.0;
+
 /// The margin beyond the outermost values, as a share of their distance.
 const MARGIN: f64 = 0.05;
 
@@ -31,9 +34,11 @@ impl Axis {
             (false, _) => (1.0, 10.0),
             (true, true) => {
                 // The ratio of the ends is at least 2.5, so that the axis contains a round tick.
-                let least = (2.5 * low / high).sqrt();
-                let ratio = libm::pow(high / low, MARGIN).max(least);
-                (low / ratio, high * ratio)
+                let least = (2.5 * (low / high)).sqrt();
+                let ratio = (libm::pow(high, MARGIN) / libm::pow(low, MARGIN)).max(least);
+                // The quotient or the product may be no positive double.
+                let smallest = f64::from_bits(1);
+                ((low / ratio).max(smallest), (high * ratio).min(f64::MAX))
             }
             (true, false) => {
                 let room = MARGIN * (high - low).max(0.1);
@@ -53,7 +58,8 @@ impl Axis {
     pub fn share(&self, value: f64) -> f64 {
         let (low, high) = self.ends;
         let share = if self.logarithmic {
-            libm::log(value.max(low) / low) / libm::log(high / low)
+            let [low, high, value] = [low, high, value.max(low)].map(libm::log);
+            (value - low) / (high - low)
         } else {
             (value - low) / (high - low)
         };
@@ -73,10 +79,13 @@ impl Axis {
             return (ticks.take_while(within).collect(), vec![]);
         }
         let powers = [self.ends.0, self.ends.1].map(|end| libm::floor(libm::log10(end)));
+        let stride = libm::ceil((powers[1] - powers[0]) / MAX_DECADES).max(1.0);
+        let first = libm::ceil(powers[0] / stride);
         let powers = (0..)
-            .map(|index| powers[0] + f64::from(index))
+            .map(|index| (first + f64::from(index)) * stride)
             .take_while(|it| *it <= powers[1]);
         let decades = powers.map(|power| libm::pow(10.0, power));
+        let digits = if stride > 1.0 { 1..2 } else { 1..10 };
         // Over many decades only the powers of ten have space for labels.
         let labelled: &[u8] = if self.ends.1 / self.ends.0 > 2e3 {
             &[1]
@@ -85,7 +94,7 @@ impl Axis {
         };
         let (mut with, mut without) = (vec![], vec![]);
         for decade in decades {
-            for digit in 1..10 {
+            for digit in digits.clone() {
                 let value = decade * f64::from(digit);
                 if within(&value) {
                     let ticks = if labelled.contains(&digit) {

@@ -41,6 +41,8 @@ pub struct Labels {
     pub title: String,
     /// The units of the vertical axis, and of a horizontal one that is not time; empty if it has none.
     pub units: (String, String),
+    /// What the note says of runs that the data does not contain, without the full stops.
+    pub missing: Vec<String>,
 }
 
 /// Draws a chart as SVG.
@@ -86,7 +88,7 @@ pub fn draw_chart(chart: &Chart, labels: &Labels) -> Result<String, TooManyCurve
         y: y_axis(chart, &labels.units.0, scale),
         panels: vec![panel],
         key: key(chart),
-        note: literal(&note(chart)),
+        note: literal(&note(chart, labels)),
     };
     Ok(plot.draw())
 }
@@ -124,8 +126,8 @@ fn explanation(chart: &Chart) -> String {
 const MAX_EMPTY: usize = 3;
 
 /// Describes what is left out.
-fn note(chart: &Chart) -> String {
-    let remarks = remarks(chart).into_iter();
+fn note(chart: &Chart, labels: &Labels) -> String {
+    let remarks = labels.missing.iter().cloned().chain(remarks(chart));
     let sentences: Vec<String> = remarks.map(|remark| remark + ".").collect();
     sentences.join(" ")
 }
@@ -210,7 +212,8 @@ fn scale(chart: &Chart) -> f64 {
     match largest {
         0.0 => 1.0,
         1e-3..1e5 => 1.0,
-        _ => libm::pow(10.0, libm::floor(libm::log10(largest))),
+        // Smaller powers are no normal doubles.
+        _ => libm::pow(10.0, libm::floor(libm::log10(largest)).max(-300.0)),
     }
 }
 
@@ -251,10 +254,14 @@ fn linear(label: &str, values: impl Iterator<Item = f64>) -> Axis {
         true => 0.05 * length,
         false => (0.1 * low.abs()).max(0.01),
     };
+    let ends = (low - room, (high + room).min(f64::MAX));
     Axis {
         label: label.to_owned(),
         logarithmic: false,
-        ends: (low - room, high + room),
+        ends: match (ends.1 - ends.0).is_finite() {
+            true => ends,
+            false => (low, high),
+        },
         values: Vec::new(),
     }
 }

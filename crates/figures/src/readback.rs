@@ -4,7 +4,7 @@ use jostle_results::disorder::v_ind;
 use jostle_results::{Measure, ResultRow};
 
 use crate::chart::readback::Numbers;
-use crate::reading::{PIXEL, Panel, Picture, styles};
+use crate::reading::{Line, PIXEL, Panel, Picture, styles};
 use crate::tests::{sample, with};
 use crate::{Kind, draw};
 
@@ -115,6 +115,62 @@ impl Point {
             .all(|row| row.number(Measure::ORDERED_INTERVALS) > 0.0);
         reached.then(|| counts(time) / counts(intervals))
     }
+
+    /// The standard error of a ratio of sums over N runs:
+    /// `sqrt(N / (N - 1) * sum((time - ratio * intervals)^2)) / sum(intervals)`.
+    fn interval_error(&self, time: Measure, intervals: Measure) -> Option<f64> {
+        let ratio = self.interval(time, intervals)?;
+        let runs = self.rows.len() as f64;
+        let numbers = self
+            .rows
+            .iter()
+            .map(|it| (it.number(time), it.number(intervals)));
+        let squares: f64 = numbers
+            .map(|(time, count)| (time - ratio * count).powi(2))
+            .sum();
+        let total: f64 = self.rows.iter().map(|it| it.number(intervals)).sum();
+        (runs > 1.0).then(|| (runs / (runs - 1.0) * squares).sqrt() / total)
+    }
+}
+
+/// An error bar: its length up and down, and the place of its mark.
+struct Bar {
+    value: f64,
+    half: f64,
+    at: (f64, f64),
+}
+
+impl Bar {
+    fn assert_drawn(&self, picture: &Picture, panel: &Panel, colour: &str, what: &str) {
+        let (left, up) = self.at;
+        let (low, high) = (self.value - self.half, self.value + self.half);
+        let is_there = |line: &&Line| {
+            let [bottom, top] = line.points[..] else {
+                return false;
+            };
+            let ends_at = |at: f64, value: f64| {
+                let expected = panel.y.position(value).map(|it| it.min(panel.bottom));
+                // Cut at the end of the axis; with one tick no other place is known.
+                expected.is_none_or(|it| (at - it).abs() <= panel.y.tolerance(it))
+            };
+            line.colour == *colour
+                && line.width == 1.0
+                && bottom.0 == left
+                && top.0 == left
+                && top.1 <= up + PIXEL
+                && bottom.1 >= up - PIXEL
+                && ends_at(top.1, high)
+                && (panel.y.logarithmic
+                    && low <= 0.0
+                    && (bottom.1 - panel.bottom).abs() < 2.0 * PIXEL
+                    || ends_at(bottom.1, low))
+        };
+        assert!(
+            picture.lines.iter().any(|it| is_there(&it)),
+            "{what}: no bar from {low} to {high} at {left}, {up}: {panel:?}, {:?}",
+            picture.lines
+        );
+    }
 }
 
 /// The panels with their noise, in the order of reading.
@@ -154,7 +210,7 @@ fn marks(picture: &Picture, panel: &Panel, colour: &str, is_filled: bool) -> Vec
 
 #[test]
 fn the_marks_of_random_figures_over_n_are_at_the_values_of_their_ticks() {
-    let mut bars = 0;
+    let mut bars = [0, 0];
     for seed in 0..200u64 {
         let mut numbers = Numbers(seed);
         let all = points(&mut numbers, false);
@@ -217,38 +273,33 @@ fn the_marks_of_random_figures_over_n_are_at_the_values_of_their_ticks() {
                                 continue;
                             }
                             panel.y.assert_at(value, up, &what);
-                            if kind != Kind::Order {
-                                continue;
-                            }
                             let point = these.iter().find(|it| it.n == n).unwrap();
-                            let Some(deviation) = point.spread(Measure::V).1 else {
-                                continue;
+                            let half = match (kind, is_filled) {
+                                (Kind::Order, _) => point.spread(Measure::V).1,
+                                (_, true) => point.interval_error(
+                                    Measure::UNORDERED_TIME,
+                                    Measure::UNORDERED_INTERVALS,
+                                ),
+                                (_, false) => point.interval_error(
+                                    Measure::ORDERED_TIME,
+                                    Measure::ORDERED_INTERVALS,
+                                ),
                             };
-                            let bar = picture.lines.iter().find(|it| {
-                                it.colour == *colour
-                                    && it.width == 1.0
-                                    && it.points.len() == 2
-                                    && it.points.iter().all(|at| at.0 == left)
-                                    && it.points[1].1 <= up + PIXEL
-                                    && it.points[0].1 >= up - PIXEL
-                            });
-                            let bar = bar.unwrap_or_else(|| panic!("{what}: {svg}"));
-                            panel.y.assert_at(value + deviation, bar.points[1].1, &what);
-                            // Cut at the end of the axis.
-                            match panel.y.position(value - deviation) {
-                                Some(at) if at < panel.bottom => {
-                                    panel.y.assert_at(value - deviation, bar.points[0].1, &what);
-                                }
-                                _ => assert!((bar.points[0].1 - panel.bottom).abs() < 2.0 * PIXEL),
-                            }
-                            bars += 1;
+                            let Some(half) = half else { continue };
+                            let bar = Bar {
+                                value,
+                                half,
+                                at: (left, up),
+                            };
+                            bar.assert_drawn(&picture, &panel, colour, &what);
+                            bars[usize::from(kind == Kind::Order)] += 1;
                         }
                     }
                 }
             }
         }
     }
-    assert!(bars > 500, "{bars}");
+    assert!(bars.iter().all(|it| *it > 500), "{bars:?}");
 }
 
 /// Checks that the size of clusters at a place gives the speed: `v_ind(n / n_eff) = v`.
@@ -278,6 +329,7 @@ fn assert_cluster(panel: &Panel, n: u64, speed: f64, up: f64, what: &str) {
 
 #[test]
 fn the_marks_of_random_drifts_are_at_the_values_of_their_ticks() {
+    let mut drawn = 0;
     for seed in 0..200u64 {
         let what = format!("seed {seed}");
         let mut numbers = Numbers(seed);
@@ -301,6 +353,11 @@ fn the_marks_of_random_drifts_are_at_the_values_of_their_ticks() {
                     .collect();
                 let found = marks(&picture, &panel, colour, true);
                 assert_eq!(found.len(), expected.len(), "{what}, {label}: {svg}");
+                let bars: Vec<(f64, Option<f64>)> = points
+                    .iter()
+                    .filter(of)
+                    .map(|it| it.spread(Measure::V_PD))
+                    .collect();
                 // Curves are beside each other by up to some pixels: each value has a mark of its own.
                 for (left, up) in found {
                     let at = expected.iter().position(|(pi1, drift)| {
@@ -316,7 +373,16 @@ fn the_marks_of_random_drifts_are_at_the_values_of_their_ticks() {
                             "{what}, {label}: nothing is at {left}, {up}: {expected:?}, {panel:?}"
                         )
                     });
-                    expected.swap_remove(at);
+                    let (_, drift) = expected.swap_remove(at);
+                    let of_it = bars.iter().find(|it| it.0 == drift).unwrap();
+                    let Some(half) = of_it.1 else { continue };
+                    let bar = Bar {
+                        value: drift,
+                        half,
+                        at: (left, up),
+                    };
+                    bar.assert_drawn(&picture, &panel, colour, &format!("{what}, {label}"));
+                    drawn += 1;
                 }
                 // The triangle at the right edge.
                 let up = panel.y.position(share).unwrap();
@@ -329,4 +395,5 @@ fn the_marks_of_random_drifts_are_at_the_values_of_their_ticks() {
             }
         }
     }
+    assert!(drawn > 500, "{drawn}");
 }

@@ -244,6 +244,7 @@ fn star(centre: (f64, f64), radius: f64, angle: f64) -> Vec<(f64, f64)> {
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
+    use crate::reading::{Line, Picture};
 
     fn group(members: usize) -> Group {
         let member = |index| Member {
@@ -269,6 +270,44 @@ mod tests {
         assert!(picture.contains("informed"), "{picture}");
         assert_eq!(picture, snapshot(&[group(3), group(2)]).unwrap());
         assert!(!snapshot(&[group(1)]).unwrap().contains("informed"));
+    }
+
+    #[test]
+    fn stars_point_along_the_headings_and_lines_along_the_preferred_directions() {
+        for (alpha, direction) in [(0.3, 1.2), (2.5, -0.7), (-1.9, 3.0), (-0.4, -2.2)] {
+            let member = Member {
+                x: 3.0,
+                y: 2.0,
+                alpha,
+                weight: 1.0,
+                direction,
+            };
+            let group = Group {
+                members: vec![member],
+                ..group(0)
+            };
+            let picture = Picture::read(&snapshot(&[group]).unwrap());
+            let [(star, _)] = &picture.polygons[..] else {
+                panic!("{picture:?}")
+            };
+            // y increases downwards.
+            let angle = |from: (f64, f64), to: (f64, f64)| (from.1 - to.1).atan2(to.0 - from.0);
+            let count = star.len() as f64;
+            let (x, y) = star
+                .iter()
+                .fold((0.0, 0.0), |sum, at| (sum.0 + at.0, sum.1 + at.1));
+            let centre = (x / count, y / count);
+            assert!((angle(centre, star[0]) - alpha).abs() < 0.02, "{star:?}");
+            let starts_there = |line: &&Line| {
+                let [from, _] = line.points[..] else {
+                    return false;
+                };
+                line.colour == INFORMED && (from.0 - centre.0).hypot(from.1 - centre.1) < 0.5
+            };
+            let line = picture.lines.iter().find(starts_there).unwrap();
+            let found = angle(line.points[0], line.points[1]);
+            assert!((found - direction).abs() < 0.02, "{found}, {direction}");
+        }
     }
 
     /// The centres of the stars, of which each body has one.

@@ -287,8 +287,8 @@ fn the_marks_and_bars_of_random_tables_are_at_the_values_of_their_ticks() {
 
 #[test]
 fn a_chart_of_one_run_has_its_mark_at_its_values() {
-    for value in [0.0, -3.0, 0.7, 1e-13, 2e9] {
-        for place in [0.0, -2.5, 1e-14, 3e17] {
+    for value in [0.0, -3.0, 0.7, 1e-13, 2e9, 5e-324, 1e308] {
+        for place in [0.0, -2.5, 1e-14, 3e17, 5e-324, 1e308] {
             let name = "share".to_owned();
             let mut row = ResultRow {
                 run: format!("share={place} #0"),
@@ -308,6 +308,78 @@ fn a_chart_of_one_run_has_its_mark_at_its_values() {
             panel.y.assert_at(value, mark.at.1, "y");
         }
     }
+}
+
+/// Rows with a value at each place, as the command line reads them.
+fn rows_at(places: &[f64]) -> Vec<ResultRow> {
+    let row = |(index, place): (usize, &f64)| {
+        let mut row = ResultRow {
+            run: format!("noise={place:e} #0"),
+            ..sample()
+        };
+        row.set(Measure::V, (index as f64).into());
+        row
+    };
+    places.iter().enumerate().map(row).collect()
+}
+
+#[test]
+fn points_of_extreme_ranges_are_in_the_frame_at_their_places() {
+    let least = f64::from_bits(1);
+    let mut all = vec![
+        vec![1e-300, 1e-200, 1e-10, 1.0],
+        vec![1e-290, 1e-100, 1.0],
+        vec![1e-300, 1.0, 1e300],
+        vec![least, 1e-150, f64::MAX],
+        vec![least, 3.0 * least, 40.0 * least],
+        vec![1e307, 1e308, f64::MAX],
+        vec![1e306, 1e308, f64::MAX],
+        vec![1e-300, f64::MAX],
+        vec![least, f64::MAX],
+        vec![least, 2.0 * least],
+        // More places than have a tick each.
+        (0..60).map(|power| 10f64.powi(10 * power - 300)).collect(),
+        (0..20)
+            .map(|index| 1e307 * f64::from(index % 17 + 1))
+            .collect(),
+    ];
+    let mut numbers = Numbers(3);
+    let mut random = || {
+        let count = 3 + numbers.below(20);
+        let mut place = || loop {
+            let bits = (numbers.below(1 << 31) << 32) | numbers.below(1 << 31);
+            let place = f64::from_bits(bits);
+            if place.is_finite() && place > 0.0 {
+                return place;
+            }
+        };
+        (0..count).map(|_| place()).collect::<Vec<f64>>()
+    };
+    all.extend((0..200).map(|_| random()));
+    let mut logarithmic = 0;
+    for places in all {
+        let chart = over_value(&rows_at(&places), "v", Some("noise")).unwrap();
+        let svg = draw_chart(&chart, &Labels::default()).unwrap();
+        let (picture, panel) = drawn(&svg);
+        logarithmic += usize::from(panel.x.logarithmic);
+        let mut sorted = places.clone();
+        sorted.sort_by(f64::total_cmp);
+        sorted.dedup();
+        assert_eq!(picture.circles.len(), sorted.len(), "{places:?}");
+        assert!(panel.x.ticks.len() > 1, "{places:?}: {svg}");
+        for (place, mark) in sorted.iter().zip(&picture.circles) {
+            let is_inside = (panel.left..=panel.right).contains(&mark.at.0);
+            assert!(is_inside, "{place} of {places:?}: {mark:?}");
+            panel.x.assert_at(*place, mark.at.0, &format!("{places:?}"));
+        }
+        let upright =
+            |it: &&crate::reading::Line| it.points.len() == 2 && it.points[0].0 == it.points[1].0;
+        assert!(
+            picture.lines.iter().filter(upright).count() < 200,
+            "{places:?}"
+        );
+    }
+    assert!(logarithmic > 200, "{logarithmic}");
 }
 
 /// The series of random conditions, and the values of each regular time.

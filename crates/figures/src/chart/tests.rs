@@ -131,6 +131,7 @@ fn axes_have_units_and_long_titles_several_lines() {
     let labels = Labels {
         title: "a_name".repeat(10),
         units: ("v0".to_owned(), "s/v0".to_owned()),
+        ..Labels::default()
     };
     let draw = |x| draw_chart(&chart(x, "v_pd", vec![("", points.clone())]), &labels).unwrap();
     let over_dt = draw("dt");
@@ -161,6 +162,7 @@ fn a_chart_names_its_curves_its_interval_and_what_is_left_out() {
     let labels = Labels {
         title: "my_runs".to_owned(),
         units: ("body sizes".to_owned(), String::new()),
+        missing: vec!["9 of 128 runs: my_runs is running".to_owned()],
     };
     let svg = draw_chart(&data, &labels).unwrap();
     for text in [
@@ -168,8 +170,9 @@ fn a_chart_names_its_curves_its_interval_and_what_is_left_out() {
         ">worst_residual (1e-12 body sizes)<",
         "95 % interval of the mean",
         "1 to 4 runs each",
-        "3 of 9 runs without worst_residual are left out, all of n=400 and of n=500. \
-         2 of 9 runs end before others.",
+        "9 of 128 runs: my_runs is running. 3 of 9 runs without worst_residual are left out, all of \
+         n=400 and of n=500.",
+        "2 of 9 runs end before others.",
         "pi1 = 4, share = 0.1",
         "pi1 = 8, share = 0.1",
     ] {
