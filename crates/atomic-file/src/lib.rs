@@ -2,10 +2,12 @@
 //!
 //! A file is written under a temporary name in the folder of its path, synced, and then renamed. After a
 //! crash the path has the old content or the new one, and a temporary file may be left: its name begins
-//! with [`PREFIX`] and the name of the file, and [`remove_unfinished`] removes it.
+//! with [`PREFIX`] and the name of the file, and [`remove_unfinished`] removes it. While a process writes
+//! one of [`begin`], it holds an advisory lock on it, if the file system has locks: [`remove_abandoned`]
+//! removes those without.
 
 use std::ffi::OsString;
-use std::fs::{self, File, Permissions};
+use std::fs::{self, File, OpenOptions, Permissions};
 use std::io::{self, ErrorKind, Write};
 use std::path::Path;
 
@@ -50,7 +52,14 @@ pub fn begin(path: &Path) -> io::Result<NamedTempFile> {
     // The permissions of a usual file, less the umask.
     #[cfg(unix)]
     builder.permissions(<Permissions as std::os::unix::fs::PermissionsExt>::from_mode(0o666));
-    builder.tempfile_in(folder_of(path))
+    loop {
+        let file = builder.tempfile_in(folder_of(path))?;
+        // Without a lock, no other process removes it.
+        if file.as_file().lock().is_err() || file.path().exists() {
+            return Ok(file);
+        }
+        // Another process has removed it before it was locked.
+    }
 }
 
 /// As [`begin`], with permissions for the owner only.
@@ -70,6 +79,25 @@ pub fn begin_private(path: &Path) -> io::Result<NamedTempFile> {
 ///
 /// If the folder cannot be read, or one of them cannot be removed.
 pub fn remove_unfinished(path: &Path) -> io::Result<()> {
+    for_each_unfinished(path, |unfinished| fs::remove_file(unfinished))
+}
+
+/// Removes temporary files of `path` that a crash left, as far as it can. Others may write to `path`: what
+/// they have begun with [`begin`] is not removed.
+pub fn remove_abandoned(path: &Path) {
+    // Each by itself: a file that cannot be removed does not keep the others.
+    let _ = for_each_unfinished(path, |unfinished| {
+        if let Ok(file) = OpenOptions::new().write(true).open(unfinished)
+            && file.try_lock().is_ok()
+        {
+            // While it is locked: `begin` then notices that its file is gone.
+            let _ = fs::remove_file(unfinished);
+        }
+        Ok(())
+    });
+}
+
+fn for_each_unfinished(path: &Path, each: impl Fn(&Path) -> io::Result<()>) -> io::Result<()> {
     let prefix = prefix_of(path);
     for entry in fs::read_dir(folder_of(path))? {
         let entry = entry?;
@@ -78,7 +106,7 @@ pub fn remove_unfinished(path: &Path) -> io::Result<()> {
             .as_encoded_bytes()
             .starts_with(prefix.as_encoded_bytes())
         {
-            fs::remove_file(entry.path())?;
+            each(&entry.path())?;
         }
     }
     Ok(())
@@ -172,6 +200,24 @@ mod tests {
         left.sort();
         assert!(left[0].to_str().unwrap().starts_with(".jostle-token.old-"));
         assert_eq!(left[1..], ["token"]);
+    }
+
+    #[test]
+    fn an_abandoned_file_is_removed_and_one_in_use_is_not() {
+        let folder = tempfile::tempdir().unwrap();
+        let [path, other] = ["series", "series.old"].map(|name| folder.path().join(name));
+        let mut in_use = begin(&path).unwrap();
+        for path in [&path, &other] {
+            // As after a crash.
+            begin(path).unwrap().keep().unwrap();
+        }
+        remove_abandoned(&path);
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 2);
+        in_use.write_all(b"new").unwrap();
+        publish(in_use, &path).unwrap();
+        assert_eq!(fs::read(&path).unwrap(), b"new");
+        remove_abandoned(&other);
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
     }
 
     #[cfg(unix)]

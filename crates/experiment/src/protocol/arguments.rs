@@ -3,6 +3,7 @@
 use jostle_convert::change;
 use jostle_physics::simulation::Change;
 use jostle_proto::verbs;
+use serde::Deserialize as _;
 use toml::Value;
 
 use crate::file::in_words;
@@ -15,10 +16,24 @@ pub fn to_change(verb: &str, args: &Value) -> Result<Change, String> {
     let mut table = toml::Table::new();
     table.insert("verb".to_owned(), Value::String(verb.to_owned()));
     table.insert("args".to_owned(), args.clone());
-    let message: verbs::Change = Value::Table(table)
-        .try_into()
-        .map_err(|error: toml::de::Error| format!("{verb}: {}", in_words(error.message())))?;
+    let message: verbs::Change =
+        Value::Table(table)
+            .try_into()
+            .map_err(|error: toml::de::Error| {
+                let select = args.get("select").and_then(Value::as_table);
+                match select.filter(|it| it.len() != 1).and(selectors()) {
+                    Some(selectors) => format!("{verb}: select has {selectors}"),
+                    None => format!("{verb}: {}", in_words(error.message())),
+                }
+            })?;
     change::change(message).map_err(|error| format!("{verb}: {error}"))
+}
+
+/// Returns the selectors as the error of an unknown one lists them: `one of …`.
+fn selectors() -> Option<String> {
+    let error = verbs::Select::deserialize(Value::String(String::new())).err()?;
+    let (_, selectors) = error.message().split_once(", expected ")?;
+    Some(selectors.trim_end().to_owned())
 }
 
 /// Returns the ends of a ramp, `{ ramp = [from, to] }`; none if the value is no ramp. The error is

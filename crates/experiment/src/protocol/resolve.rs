@@ -2,16 +2,17 @@
 
 use std::ops::Range;
 
-use jostle_conditions::{Condition, ConditionError};
+use jostle_conditions::{Condition, ConditionError, Problem};
 use jostle_physics::simulation::{Change, steps_in};
 use jostle_proto::verbs;
 use toml::{Spanned, Value};
 
-use super::arguments::check_ramps;
+use super::arguments::{check_ramps, to_change};
 use super::block::{Block, Changes, Timing, Trigger};
 use super::setting::Setting;
 use crate::error::PlanError;
 use crate::file::{Source, Table};
+use crate::grid::AXES;
 
 /// The keys of a block that say when it is executed, and the key of its draws.
 const KEYS: [&str; 7] = ["time", "step", "every", "from", "until", "when", "draw"];
@@ -25,6 +26,23 @@ pub fn first_span(table: &Spanned<Table>) -> Range<usize> {
     spans
         .min_by_key(|span| span.start)
         .unwrap_or_else(|| table.span())
+}
+
+/// Returns why an axis is no variable, and the remedy; none of another name.
+fn no_variable(name: &str) -> Option<String> {
+    if !AXES.contains(&name) {
+        return None;
+    }
+    let mut reason = format!(
+        "\"${name}\" is no variable: {name} is an axis, which gives a parameter its values; give a \
+         variable of another name the values in the [[grid]], such as my_{name} = [0.1, 0.2]"
+    );
+    let settings = toml::Table::from_iter([(name.to_owned(), Value::Float(1.0))]);
+    if to_change("set", &Value::Table(settings)).is_ok() {
+        reason +=
+            &format!(", and the parameter its value with set = {{ {name} = \"$my_{name}\" }}");
+    }
+    Some(reason)
 }
 
 /// Reads the blocks of one condition of a plan.
@@ -144,6 +162,11 @@ impl Resolver<'_> {
         let variables = self.setting.variables;
         Condition::parse_with(text, |name| variables.number(name)).map_err(|error| {
             let ConditionError { column, problem } = error;
+            let problem = match &problem {
+                Problem::Variable(name) => no_variable(name),
+                _ => None,
+            }
+            .unwrap_or_else(|| problem.to_string());
             let (line, start) = self.source.place(&value.span());
             // The column is known if the text stands in the file as it is, after a quote.
             let span = value.span();
@@ -278,10 +301,15 @@ impl Resolver<'_> {
             Value::Float(number) => number,
             _ => f64::NAN,
         };
-        if number.is_finite() && number >= 0.0 {
+        if number.is_finite() && (number > 0.0 || number == 0.0 && key != "every") {
             return Ok(number);
         }
-        let reason = format!("{key}: give a time in time units, 0 or more");
+        let least = if key == "every" {
+            "above 0"
+        } else {
+            "0 or more"
+        };
+        let reason = format!("{key}: give a time in time units, {least}");
         Err(self.source.reject(&value.span(), reason))
     }
 
@@ -297,10 +325,12 @@ impl Resolver<'_> {
     fn replaced(&self, value: &Spanned<Value>) -> Result<Value, PlanError> {
         let replaced = self.setting.variables.replace(value.get_ref());
         replaced.map_err(|variable| {
-            let reason = format!(
-                "unknown variable {variable:?}: a [[grid]] gives its values, such as {} = [0.1, 0.2]",
-                variable.trim_start_matches('$')
-            );
+            let name = variable.trim_start_matches('$');
+            let reason = no_variable(name).unwrap_or_else(|| {
+                format!(
+                    "unknown variable {variable:?}: a [[grid]] gives its values, such as {name} = [0.1, 0.2]"
+                )
+            });
             self.reject(value, &variable, reason)
         })
     }

@@ -230,7 +230,8 @@ fn by_id(
 /// [`SelectionError::Number`] for a fraction outside [0, 1].
 pub fn share(candidates: usize, fraction: f64) -> Result<usize, SelectionError> {
     if !(0.0..=1.0).contains(&fraction) {
-        let (field, value, range) = ("select.fraction", fraction, "[0, 1]");
+        let range = "[0, 1]: write 0.1 for 10 %";
+        let (field, value) = ("select.fraction", fraction);
         return Err(ParametersError::OutOfRange {
             field,
             value,

@@ -14,7 +14,7 @@ fn numbers_that_no_swarm_accepts_are_rejected_at_their_command() {
     for (command, part) in [
         (
             "inform = { select = { fraction = 1.5 }, direction = 0 }",
-            "select.fraction = 1.5",
+            "select.fraction = 1.5 is outside [0, 1]: write 0.1 for 10 %",
         ),
         (
             "inform = { select = { fraction = -0.1 }, direction = 0 }",
@@ -97,6 +97,56 @@ fn an_error_is_at_the_block_or_the_variable_that_it_is_about() {
     let (line, column, reason) = error(text);
     assert!(reason.contains("unknown variable \"$k\""), "{reason}");
     assert_eq!((line, column), (8, 31), "{reason}");
+}
+
+#[test]
+fn the_axis_of_a_parameter_is_no_variable() {
+    let whens = [
+        "every = \"$noise\"\nset = { pi2 = 3 }",
+        "when = \"order > $noise\"\nset = { pi2 = 3 }",
+    ];
+    for when in whens {
+        let (_, _, reason) = error(&format!("[[grid]]\nnoise = [0.1, 0.2]\n[[at]]\n{when}\n"));
+        let expected = "\"$noise\" is no variable: noise is an axis, which gives a parameter its \
+                        values; give a variable of another name the values in the [[grid]], such as \
+                        my_noise = [0.1, 0.2], and the parameter its value with set = { noise = \
+                        \"$my_noise\" }";
+        assert!(reason.contains(expected), "{reason}");
+    }
+    let text =
+        "[[grid]]\nn = [20, 30]\n[[at]]\ntime = 1\nremove = { select = { count = \"$n\" } }\n";
+    let (_, _, reason) = error(text);
+    assert!(reason.ends_with("such as my_n = [0.1, 0.2]"), "{reason}");
+}
+
+#[test]
+fn a_selection_by_several_or_none_names_the_selectors() {
+    for select in ["{ count = 1, informed = false }", "{}"] {
+        for verb in ["remove", "uninform"] {
+            let (_, _, reason) = error(&format!(
+                "[[at]]\ntime = 1\n{verb} = {{ select = {select} }}\n"
+            ));
+            let expected = format!(
+                "{verb}: select has one of `ids`, `count`, `fraction`, `within`, `informed`, `foremost`"
+            );
+            assert_eq!(reason, expected, "{select}");
+        }
+    }
+    let other = "[[at]]\ntime = 1\nset = { contacts = { a = 1, b = 2 } }\n";
+    assert!(!error(other).2.contains("select"));
+}
+
+#[test]
+fn a_period_is_above_0() {
+    for every in ["-5", "0", "nan", "\"x\""] {
+        let (_, _, reason) = error(&format!("[[at]]\nevery = {every}\n{INFORM}\n"));
+        assert_eq!(
+            reason, "every: give a time in time units, above 0",
+            "{every}"
+        );
+    }
+    let (_, _, reason) = error(&format!("[[at]]\ntime = -5\n{INFORM}\n"));
+    assert_eq!(reason, "time: give a time in time units, 0 or more");
 }
 
 #[test]
