@@ -36,7 +36,7 @@ pub fn outcome(swarm: &str, stamp: &Stamp, outcome: Outcome, frame: Option<u64>)
     let state_of = |seen: &Frame| frame.map(|frame| state(swarm, seen, frame));
     match outcome {
         Outcome::Done => json(swarm, stamp, EmptyResult {}),
-        Outcome::Waits { holds } => json(swarm, stamp, WhenResult { holds }),
+        Outcome::Waits { holds, id } => json(swarm, stamp, WhenResult { holds, id }),
         Outcome::Runs(until_step, rate) => json(swarm, stamp, RunResult { until_step, rate }),
         Outcome::Stepped {
             steps,

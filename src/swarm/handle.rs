@@ -95,6 +95,8 @@ pub enum Outcome {
     Waits {
         /// Whether it holds already.
         holds: bool,
+        /// The id of the condition that waits.
+        id: Option<String>,
     },
     /// The swarm runs to this step at this rate.
     Runs(Option<u64>, Rate),

@@ -73,6 +73,12 @@ impl Watch {
         }
     }
 
+    /// By which `when` with `cancel` removes it.
+    pub fn id(&self) -> String {
+        let hash = blake3::hash(self.fired.args.as_bytes()).to_hex();
+        hash[..ID_LENGTH].to_owned()
+    }
+
     /// Whether one of them replaces the other: they are equal and not of a protocol, or have the same
     /// event.
     pub fn is_same(&self, other: &Watch) -> bool {
@@ -109,9 +115,8 @@ impl Waiting {
             Action::Batch(..) => (WatchAction::Commands, None),
             Action::Event(event) => (WatchAction::Event, Some(event.clone())),
         };
-        let hash = blake3::hash(watch.fired.args.as_bytes()).to_hex();
         let summary = Arc::new(WatchSummary {
-            id: hash[..ID_LENGTH].to_owned(),
+            id: watch.id(),
             condition: watch.condition.to_string(),
             action,
             event,

@@ -61,10 +61,14 @@ pub struct WhenArgs {
 }
 
 /// The result of `when`.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct WhenResult {
     /// With `event` and `from_step`: whether the condition holds in the present state. It does not
     /// wait then.
     #[serde(default, skip_serializing_if = "is_false")]
     pub holds: bool,
+    /// The id of the condition that waits now, by which `when` with `cancel` removes it; left out if none does.
+    /// Daemons of earlier versions leave it out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub id: Option<String>,
 }

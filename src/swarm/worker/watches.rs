@@ -126,11 +126,15 @@ impl Worker {
         phase::next(&self.phase, PhaseInput::Change)?;
         self.check_watch(&watch)?;
         let is_event = matches!(watch.action, Action::Event(_));
+        let id = watch.id();
         let (watches, state) = (&mut self.watches, &self.simulation.state);
         let added = catch_unwind(AssertUnwindSafe(|| watches.add(watch, sender, state)));
         match added.unwrap_or(Err(SwarmError::Panicked))? {
             true if !is_event => Err(SwarmError::HoldsAlready),
-            holds => Ok(Outcome::Waits { holds }),
+            holds => Ok(Outcome::Waits {
+                holds,
+                id: (!holds).then_some(id),
+            }),
         }
     }
 
@@ -166,7 +170,10 @@ impl Worker {
             Which::Id(id) => self.watches.remove_id(id)?,
             Which::All => self.watches.clear(),
         }
-        Ok(Outcome::Waits { holds: false })
+        Ok(Outcome::Waits {
+            holds: false,
+            id: None,
+        })
     }
 
     /// Executes the action of a condition that holds.

@@ -23,7 +23,7 @@ async fn an_event_is_waited_for_across_a_kill_and_changes_nothing() {
         create_informed(&daemon.1, name).await;
         if name == "a" {
             let reply = daemon.1.ok(name, "when", event(&lasting, "mine")).await;
-            assert_eq!(reply["result"], json!({}));
+            assert_eq!(reply["result"]["holds"], Value::Null);
             // Of the same name it replaces the first one, of another name it does not.
             daemon.1.ok(name, "when", event("order > 1", "mine")).await;
             daemon.1.ok(name, "when", event(&lasting, "mine")).await;
@@ -193,5 +193,34 @@ async fn only_the_last_condition_with_an_event_is_waited_for() {
         client.ok("a", verb, args.clone()).await;
         assert_eq!(code().await, Some(ErrorCode::NotFound), "{verb} {args}");
     }
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_reply_has_the_id_by_which_the_condition_is_removed() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    create_informed(client, "a").await;
+    let changes = json!([{"verb": "set", "args": {"pi3": 2.0}}]);
+    for args in [
+        json!({"condition": "order > 1", "pause": true}),
+        json!({"condition": "order > 1", "commands": changes}),
+        json!({"condition": "order > 1", "event": "mine"}),
+    ] {
+        let request = json!({"client": "ada", "request_id": args.to_string(), "args": args});
+        let reply = client.cmd("a", "when", request.clone()).await.unwrap();
+        let id = &reply["result"]["id"];
+        let status = client.get("a", "status").await;
+        assert_eq!(status["result"]["conditions"][0]["id"], *id, "{status}");
+        assert_eq!(client.cmd("a", "when", request).await.unwrap(), reply);
+        let cancelled = client
+            .ok("a", "when", json!({"cancel": true, "id": id}))
+            .await;
+        assert_eq!(cancelled["result"], json!({}));
+        assert_eq!(waiting(client, "a").await, Value::Null);
+    }
+    let holds = json!({"condition": "order >= 0", "event": "mine", "from_step": 0});
+    let reply = client.ok("a", "when", holds).await;
+    assert_eq!(reply["result"], json!({"holds": true}));
     daemon.stop().await;
 }
