@@ -101,6 +101,12 @@ impl Failure {
         self
     }
 
+    /// Adds what remains after it.
+    pub fn leaving(mut self, left: impl Display) -> Self {
+        self.message.push_str(&format!("; {left}"));
+        self
+    }
+
     /// An argument is invalid; `problem` contains the remedy.
     pub fn argument(argument: impl Display, problem: impl Display) -> Self {
         let argument = argument.to_string();
@@ -124,11 +130,16 @@ impl Failure {
     }
 
     /// The swarm stopped before the step that was waited for.
-    pub fn stopped(swarm: &str, step: u64, target: Option<u64>, reason: Option<String>) -> Self {
-        let short = target.map_or_else(String::new, |target| format!(", short of {target}"));
+    pub fn stopped(swarm: &str, step: u64, end: &RunEnd, reason: Option<String>) -> Self {
+        let short = match end {
+            RunEnd::Pause => String::new(),
+            RunEnd::Step(target) => format!(", short of {target}"),
+            RunEnd::Condition { text, .. } => format!(", before {text}"),
+        };
         let message = format!(
-            "{swarm} was paused at step {step}{short}{}: `jostle run {swarm}` continues",
-            in_parentheses(reason.as_deref())
+            "{swarm} was paused at step {step}{short}{}: `jostle run {swarm}` continues{}",
+            in_parentheses(reason.as_deref()),
+            end.left_in(swarm)
         );
         Failure::new("incorrect_state", message)
             .with("reason", reason)
@@ -136,11 +147,15 @@ impl Failure {
     }
 
     /// The swarm has not reached its end within the timeout.
-    pub fn not_reached(swarm: &str, target: Option<u64>, secs: f64) -> Self {
-        let end = target.map_or_else(|| "a pause".to_owned(), |step| format!("step {step}"));
+    pub fn not_reached(swarm: &str, end: &RunEnd, secs: f64) -> Self {
+        let what = match end {
+            RunEnd::Pause => "a pause".to_owned(),
+            RunEnd::Step(step) => format!("step {step}"),
+            RunEnd::Condition { text, .. } => text.clone(),
+        };
         let message = format!(
-            "{swarm} did not reach {end} within {secs} s (--timeout): {}",
-            runs_on(swarm, target)
+            "{swarm} did not reach {what} within {secs} s (--timeout): {}",
+            end.runs_on(swarm)
         );
         Failure::new("deadline_exceeded", message)
     }
@@ -509,10 +524,44 @@ fn with_options(message: &str) -> String {
     })
 }
 
-/// That a swarm continues without the command line.
-pub fn runs_on(swarm: &str, target: Option<u64>) -> String {
-    let until = target.map_or_else(String::new, |step| format!(" until step {step}"));
-    format!("{swarm} runs on{until}; `jostle pause {swarm}` pauses it")
+/// The end of a run.
+#[derive(Clone, Debug)]
+pub enum RunEnd {
+    /// A `pause`.
+    Pause,
+    /// This step.
+    Step(u64),
+    /// The first step after which a condition holds.
+    Condition {
+        /// The condition.
+        text: String,
+        /// By which `when --cancel` removes it; daemons of earlier versions do not say it.
+        id: Option<String>,
+    },
+}
+
+impl RunEnd {
+    /// That a swarm continues without the command line.
+    pub fn runs_on(&self, swarm: &str) -> String {
+        let until = match self {
+            RunEnd::Pause => String::new(),
+            RunEnd::Step(step) => format!(" until step {step}"),
+            RunEnd::Condition { text, .. } => format!(" until {text}"),
+        };
+        let left = self.left_in(swarm);
+        format!("{swarm} runs on{until}; `jostle pause {swarm}` pauses it{left}")
+    }
+
+    /// That the condition is not removed with the wait, if there is one.
+    fn left_in(&self, swarm: &str) -> String {
+        match self {
+            RunEnd::Condition { id, .. } => {
+                let id = id.as_deref().unwrap_or("ID");
+                format!(", and `jostle when {swarm} --cancel {id}` removes the condition")
+            }
+            RunEnd::Pause | RunEnd::Step(_) => String::new(),
+        }
+    }
 }
 
 /// The wire name of a code.

@@ -1,8 +1,11 @@
-//! Statuses and states for tests, from the fixtures of the contract.
+//! Statuses, states and results for tests, from the fixtures of the contract and stored files.
 
 #![expect(clippy::unwrap_used, reason = "tests")]
 
+use std::path::Path;
+
 use jostle_proto::{Phase, Reply, State, Status};
+use jostle_results::{ResultRow, table};
 
 /// The status of the swarm `demo`, which has taken no step.
 pub fn status() -> Reply<Status> {
@@ -32,4 +35,11 @@ pub fn state() -> State {
         swarm: "demo".into(),
         ..state
     }
+}
+
+/// The results of a run.
+pub fn result_row() -> ResultRow {
+    let stored = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/stored/bf41dde");
+    let rows = table::read(&stored.join("results/results.csv"));
+    rows.unwrap().swap_remove(0)
 }

@@ -1,6 +1,7 @@
 //! Ctrl-C: ends the command line, never the swarm.
 
 use std::pin::pin;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{LazyLock, Once};
 use std::time::Duration;
 
@@ -11,7 +12,18 @@ use tokio::sync::watch;
 use crate::failure::Failure;
 
 /// How long a verb may take to end after Ctrl-C.
-pub const GRACE: Duration = Duration::from_millis(500);
+const GRACE: Duration = Duration::from_millis(500);
+
+/// How long it may take if it has begun a file: the whole file must be written, however slow the disk is.
+const FILE_GRACE: Duration = Duration::from_secs(3600);
+
+/// Whether the verb has begun a file, which it completes before it ends.
+static HAS_FILE: AtomicBool = AtomicBool::new(false);
+
+/// Has the first Ctrl-C leave the verb the time to complete what it has begun; a second one ends it.
+pub fn complete_first() {
+    HAS_FILE.store(true, Ordering::Relaxed);
+}
 
 /// The signals received so far. A verb that starts to wait after a signal arrived sees it too.
 static RECEIVED: LazyLock<watch::Sender<Received>> = LazyLock::new(watch::Sender::default);
@@ -40,9 +52,21 @@ pub fn catch_termination() {
     static INSTALLED: Once = Once::new();
     INSTALLED.call_once(|| {
         for kind in [SignalKind::terminate(), SignalKind::hangup()] {
-            catch(kind, |received| received.terminations += 1);
+            if !is_ignored(kind) {
+                catch(kind, |received| received.terminations += 1);
+            }
         }
     });
+}
+
+/// Whether the process was started with a signal ignored, as `nohup` does with that of a closed terminal.
+fn is_ignored(kind: SignalKind) -> bool {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let mut masks = status
+        .lines()
+        .filter_map(|line| line.strip_prefix("SigIgn:"));
+    let mask = masks.find_map(|mask| u64::from_str_radix(mask.trim(), 16).ok());
+    mask.is_some_and(|mask| mask >> (kind.as_raw_value() - 1) & 1 == 1)
 }
 
 /// Installs a handler. If that fails, the signal ends the process as without one.
@@ -117,12 +141,16 @@ where
     }
 }
 
+fn grace() -> Duration {
+    match HAS_FILE.load(Ordering::Relaxed) {
+        true => FILE_GRACE,
+        false => GRACE,
+    }
+}
+
 /// Runs a verb on its own thread, so that Ctrl-C works even while stdout blocks.
-/// Then it has `grace` to end, unless Ctrl-C is pressed again.
-pub async fn run_interruptible<V>(
-    grace: Duration,
-    verb: impl FnOnce() -> V + Send + 'static,
-) -> Result<(), Failure>
+/// Then it has a moment to end, or the time to complete its file unless Ctrl-C is pressed again.
+pub async fn run_interruptible<V>(verb: impl FnOnce() -> V + Send + 'static) -> Result<(), Failure>
 where
     V: Future<Output = Result<(), Failure>>,
 {
@@ -133,7 +161,7 @@ where
         ended = &mut task => Some(ended),
         () = interrupted() => tokio::select! {
             biased;
-            ended = tokio::time::timeout(grace, &mut task) => ended.ok(),
+            ended = tokio::time::timeout(grace(), &mut task) => ended.ok(),
             () = interrupted_again() => None,
         },
     };

@@ -58,12 +58,11 @@ fn execute(arguments: Arguments, output: Output) -> Result<(), Failure> {
         .map_err(Failure::output)?;
     let context = runtime.enter();
     interrupt::catch_interrupts();
-    if verbs::records_to_file(&arguments.verb) {
+    if verbs::writes_files(&arguments.verb) {
         interrupt::catch_termination();
     }
     drop(context);
-    let grace = verbs::grace(&arguments.verb);
-    let outcome = runtime.block_on(interrupt::run_interruptible(grace, move || {
+    let outcome = runtime.block_on(interrupt::run_interruptible(move || {
         verbs::execute(arguments, output)
     }));
     verbs::restore_terminal();

@@ -84,6 +84,15 @@ impl ConnectOptions {
         endpoint.unwrap_or_else(|| DEFAULT_ENDPOINT.to_owned())
     }
 
+    /// The token of the credentials, by which the page knows a user; `None` without credentials.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Option`] if the credentials cannot be read.
+    pub fn token(&self) -> Result<Option<String>, Error> {
+        Ok(self.identity()?.map(|it| it.credentials.token))
+    }
+
     /// The credentials, if a folder is given; an empty path is none.
     pub(crate) fn identity(&self) -> Result<Option<Identity>, Error> {
         let folder = self.credentials.as_deref();

@@ -21,6 +21,9 @@ const POLL_INTERVAL: Duration = Duration::from_millis(50);
 /// within 0.4 s; the rest is for a busy machine.
 const CONTEST_TIMEOUT: Duration = Duration::from_secs(1);
 
+/// How often the cause of a silence is looked for, since a daemon may come and go each time.
+const MAX_CAUSES: u32 = 4;
+
 impl Client {
     /// The daemons that host a swarm.
     ///
@@ -304,15 +307,17 @@ impl Client {
     /// The error for a query without a reply, whose cause zenoh does not report: derived from the
     /// tokens, and from the daemon's reply to `whoami`.
     pub(crate) async fn explain_silence(&self, target: Target<'_>, key: &str) -> Error {
-        loop {
-            let error = self.cause_of_silence(target, key).await;
+        let mut error = self.cause_of_silence(target, key).await;
+        for _ in 1..MAX_CAUSES {
             // A daemon may recover, or a connection be made, after the tokens were looked for.
             let is_there = matches!(error, Error::NoNode { .. })
                 && self.nodes().await.is_ok_and(|it| !it.is_empty());
             if !is_there {
-                return error;
+                break;
             }
+            error = self.cause_of_silence(target, key).await;
         }
+        error
     }
 
     async fn cause_of_silence(&self, target: Target<'_>, key: &str) -> Error {

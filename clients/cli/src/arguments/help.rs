@@ -95,8 +95,8 @@ Exit codes:
     7  a limit is exceeded (busy, resource_exhausted)
     8  the disk of the daemon or of this machine is full (storage_full)
     9  a replay has other hashes, or a mean is outside its band (mismatch)
-  130  interrupted by Ctrl-C; `record` to a file treats SIGTERM and SIGHUP like Ctrl-C, completes
-       the file and exits with 0";
+  130  interrupted by Ctrl-C; `record` and `experiment results` to files treat SIGTERM and SIGHUP
+       like Ctrl-C; `record` completes its file and exits with 0";
 
 const OVERVIEW: &str = "\
 Examples:

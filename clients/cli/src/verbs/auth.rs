@@ -2,20 +2,22 @@
 
 use std::net::IpAddr;
 
-use jostle_client::Client;
+use jostle_client::{Client, ConnectOptions};
 use jostle_proto::role::rejection;
 use jostle_proto::{Hello, NodeReply, WhoAmI};
 use serde_json::Value;
 
-use crate::arguments::{AuthVerb, READS};
+use crate::arguments::{AuthVerb, GlobalArguments, READS};
 use crate::context::Context;
 use crate::failure::Failure;
+use crate::output::Output;
 
 /// Executes a verb of `auth`.
 pub async fn auth(context: &Context, what: &AuthVerb) -> Result<(), Failure> {
     let Context { client, output } = context;
-    if let AuthVerb::Link { page } = what {
-        return link(context, page.as_deref()).await;
+    if let AuthVerb::Link { .. } = what {
+        let token = required(client.token())?;
+        return output.data(&link(&page_of(client).await?, token));
     }
     let answer = client.get_node("whoami").await?;
     let NodeReply { node, result: who } = answer.read::<NodeReply<WhoAmI>>()?;
@@ -54,20 +56,24 @@ fn describe(node: &str, who: &WhoAmI, has_token: bool) -> String {
     )
 }
 
-/// Prints the link to the page. It contains the token, so it is printed nowhere else.
-async fn link(context: &Context, page: Option<&str>) -> Result<(), Failure> {
-    let Context { client, output } = context;
-    let Some(token) = client.token() else {
-        return Err(Failure::argument(
-            "--credentials",
-            "is required: the link contains the token of the credentials",
-        ));
-    };
-    let page = match page {
-        Some(page) => page.trim_end_matches('/').to_owned(),
-        None => page_of(client).await?,
-    };
-    output.data(&format!("{page}/#token={token}"))
+/// Prints the link to a page whose address is given. It needs no daemon, which admits a new user over zenoh
+/// only after a restart.
+pub fn link_to(output: Output, global: &GlobalArguments, page: &str) -> Result<(), Failure> {
+    let token = ConnectOptions::from(global).token()?;
+    let token = required(token.as_deref())?;
+    output.data(&link(page.trim_end_matches('/'), token))
+}
+
+/// The link to the page. It contains the token, so no other verb prints it.
+fn link(page: &str, token: &str) -> String {
+    format!("{page}/#token={token}")
+}
+
+fn required(token: Option<&str>) -> Result<&str, Failure> {
+    token.ok_or_else(|| {
+        let problem = "is required: the link contains the token of the credentials";
+        Failure::argument("--credentials", problem)
+    })
 }
 
 /// The HTTP URL that the daemon reports, with a host that is reachable from this machine.

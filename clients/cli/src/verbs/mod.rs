@@ -30,11 +30,9 @@ mod watch;
 mod when;
 mod which;
 
-use std::time::Duration;
-
 use crate::arguments::{
-    Arguments, Experiment, ExperimentArguments, GlobalArguments, MeasuresArguments,
-    RecordArguments, Verb,
+    Arguments, AuthArguments, AuthVerb, Experiment, ExperimentArguments, GlobalArguments,
+    MeasuresArguments, RecordArguments, Verb,
 };
 use crate::connect::connect;
 use crate::context::Context;
@@ -62,6 +60,9 @@ pub async fn execute(arguments: Arguments, output: Output) -> Result<(), Failure
         Verb::Experiment(ExperimentArguments {
             what: Experiment::Run(arguments),
         }) if arguments.dry_run => return experiment::dry_run(output, &arguments),
+        Verb::Auth(AuthArguments {
+            what: AuthVerb::Link { page: Some(page) },
+        }) => return auth::link_to(output, &global, &page),
         Verb::Doctor => return interrupt::either(doctor::doctor(output, global)).await,
         Verb::Record(RecordArguments {
             recover: Some(file),
@@ -85,11 +86,21 @@ pub async fn execute(arguments: Arguments, output: Output) -> Result<(), Failure
 }
 
 /// Whether a verb records to a file, which it completes before it ends.
-pub fn records_to_file(verb: &Verb) -> bool {
+fn records_to_file(verb: &Verb) -> bool {
     let Verb::Record(arguments) = verb else {
         return false;
     };
     arguments.name.is_some() && arguments.out.is_some()
+}
+
+/// Whether a verb writes files whose temporary ones it removes when it is interrupted.
+pub fn writes_files(verb: &Verb) -> bool {
+    match verb {
+        Verb::Experiment(arguments) => {
+            matches!(&arguments.what, Experiment::Results(results) if results.out.is_some())
+        }
+        verb => records_to_file(verb),
+    }
 }
 
 /// Connects, executes a verb and closes the session.
@@ -112,16 +123,6 @@ async fn connected(global: GlobalArguments, output: Output, verb: Verb) -> Resul
         context.client.close().await;
     }
     outcome
-}
-
-/// How long a verb may take to end once it is interrupted.
-pub fn grace(verb: &Verb) -> Duration {
-    match verb {
-        // The whole file must be written, however slow the disk is. The first Ctrl-C fetches the rest,
-        // a second one leaves it on the daemon.
-        Verb::Record(_) => Duration::from_secs(3600),
-        _ => interrupt::GRACE,
-    }
 }
 
 /// The verbs that end at once when interrupted.

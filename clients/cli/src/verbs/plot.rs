@@ -54,22 +54,23 @@ pub fn without_daemon(output: Output, arguments: &PlotArguments) -> Result<bool,
             write(output, &arguments.out, &svg, &what)?;
         }
         Subject::Chart(Source::Files(path), y) => {
-            let (chart, faulted) = match arguments.over_time {
+            let (chart, faulted, missing) = match arguments.over_time {
                 true => {
                     let mut all = read_series(path, y)?;
                     let faulted = remove_faulted_series(path, &mut all)?;
-                    note_faulted(output, faulted);
-                    (over_time(&all, y)?, faulted)
+                    let missing = note_faulted(output, faulted);
+                    (over_time(&all, y)?, faulted, missing)
                 }
                 false => {
                     let mut rows = table::read(path).map_err(Failure::results)?;
-                    let faulted = chart::remove_faulted(&mut rows).map_err(rejected)?;
-                    note_faulted(output, faulted.len());
+                    let faulted = chart::remove_faulted(&mut rows).map_err(rejected)?.len();
+                    let missing = note_faulted(output, faulted);
                     let chart = chart::over_value(&rows, y, arguments.x.as_deref());
-                    (chart.map_err(rejected)?, faulted.len())
+                    (chart.map_err(rejected)?, faulted, missing)
                 }
             };
-            write_chart(output, arguments, (&chart, faulted), &title(path))?;
+            let missing = missing.into_iter().collect();
+            write_chart(output, arguments, (&chart, faulted, missing), &title(path))?;
         }
         Subject::Swarms(_) | Subject::Chart(Source::Experiment(_), _) => return Ok(false),
     }
@@ -83,9 +84,10 @@ pub async fn of_daemon(context: &Context, arguments: &PlotArguments) -> Result<(
         Subject::Swarms(swarms) => snapshot(context, swarms, &arguments.out).await,
         Subject::Chart(Source::Experiment(name), y) => {
             let mut rows = rows::fetch(client, name).await?.rows;
-            rows::note_missing(context, name, rows.len()).await?;
-            let faulted = chart::remove_faulted(&mut rows).map_err(rejected)?;
-            note_faulted(*output, faulted.len());
+            let unfinished = rows::note_missing(context, name, rows.len()).await?;
+            let faulted = chart::remove_faulted(&mut rows).map_err(rejected)?.len();
+            let faults = note_faulted(*output, faulted);
+            let missing = unfinished.into_iter().chain(faults).collect();
             let chart = match arguments.over_time {
                 true => match series::fetch_all(client, name, &rows).await? {
                     Some(all) => over_time(&all, y)?,
@@ -94,7 +96,7 @@ pub async fn of_daemon(context: &Context, arguments: &PlotArguments) -> Result<(
                 },
                 false => chart::over_value(&rows, y, arguments.x.as_deref()).map_err(rejected)?,
             };
-            write_chart(*output, arguments, (&chart, faulted.len()), name)
+            write_chart(*output, arguments, (&chart, faulted, missing), name)
         }
         Subject::Paper(..) | Subject::Chart(Source::Files(_), _) => {
             Err(Failure::defect("drawn without a daemon"))
@@ -130,14 +132,18 @@ fn subject(arguments: &PlotArguments) -> Result<Subject<'_>, Failure> {
     }
     let is_table = [".csv", ".parquet"].iter().any(|kind| what.ends_with(kind));
     let path = Path::new(what);
-    let source = match path.exists() || is_table || what.contains('/') {
-        true => Source::Files(path),
-        false => Source::Experiment(what),
-    };
-    if let Source::Experiment(name) = source {
-        values::name(name).map_err(|problem| Failure::argument("EXPERIMENT", problem))?;
+    if path.exists() || is_table {
+        return Ok(Subject::Chart(Source::Files(path), y));
     }
-    Ok(Subject::Chart(source, y))
+    let absent = "no such folder or file";
+    if what.contains('/') {
+        return Err(Failure::argument(what, absent));
+    }
+    values::name(what).map_err(|problem| {
+        let problem = format!("{absent}, and no name of an experiment: {problem}");
+        Failure::argument(what, problem)
+    })?;
+    Ok(Subject::Chart(Source::Experiment(what), y))
 }
 
 /// Describes that no column is named, with those that exist if they are known.
@@ -188,12 +194,14 @@ fn remove_faulted_series(path: &Path, all: &mut Vec<Series>) -> Result<usize, Fa
     Ok(count - all.len())
 }
 
-/// Says that faulted runs are left out.
-fn note_faulted(output: Output, faulted: usize) {
-    if faulted > 0 {
-        let runs = format::count(faulted as u64, "run");
-        output.note(&format!("left out: {runs} ended by a fault"));
+/// Says that faulted runs are left out; returns what a picture says of them.
+fn note_faulted(output: Output, faulted: usize) -> Option<String> {
+    if faulted == 0 {
+        return None;
     }
+    let runs = format::count(faulted as u64, "run");
+    output.note(&format!("left out: {runs} ended by a fault"));
+    Some(format!("Left out: {runs} ended by a fault"))
 }
 
 /// The experiment whose results these are, as far as its file is beside them.
@@ -264,12 +272,13 @@ fn rejected(error: ChartError) -> Failure {
 fn write_chart(
     output: Output,
     arguments: &PlotArguments,
-    (chart, faulted): (&Chart, usize),
+    (chart, faulted, missing): (&Chart, usize, Vec<String>),
     title: &str,
 ) -> Result<(), Failure> {
     let labels = Labels {
         title: title.to_owned(),
         units: (shown_unit(&chart.y), shown_unit(&chart.x)),
+        missing,
     };
     let svg = draw_chart(chart, &labels).map_err(Failure::results)?;
     save(&svg, &arguments.out).map_err(Failure::results)?;

@@ -4,19 +4,19 @@ use std::time::{Duration, Instant};
 
 use indicatif::ProgressBar;
 use jostle_client::{Client, Error, FollowOptions, Payload, Update};
-use jostle_proto::verbs::{RunArgs, RunResult};
+use jostle_proto::verbs::{RunArgs, RunResult, WhenResult};
 use jostle_proto::{ErrorCode, Phase, Reply, Status};
 
 use crate::arguments::RunArguments;
 use crate::context::Context;
-use crate::failure::{Failure, runs_on};
+use crate::failure::{Failure, RunEnd};
 use crate::format;
 use crate::interrupt;
 use crate::output::Output;
 use crate::progress;
 use crate::values::{End, Rate};
 use crate::verbs::outage::{Outage, RETRY_DELAY, is_missing, wait_for_deadline};
-use crate::verbs::when::pause_when;
+use crate::verbs::when;
 use crate::verbs::which;
 
 /// Runs swarms; waits for the end of one for at most `timeout` seconds, if it is given.
@@ -48,12 +48,19 @@ async fn run_one(
         Some(End::Condition(condition)) => (None, Some(condition)),
         None => (None, None),
     };
+    let mut watched = None;
     if let Some(condition) = condition {
         if sending.sender.request_id.is_some() {
             let problem = "names one request, and a run until a condition sends two: leave it out";
             return Err(Failure::argument("--request-id", problem));
         }
-        interrupt::either(pause_when(context, name, condition, sending)).await?;
+        let answer = interrupt::either(when::pause_when(context, name, condition, sending)).await?;
+        // A condition for a later step has no id yet.
+        let reply = answer.read::<Reply<WhenResult>>().ok();
+        watched = Some(RunEnd::Condition {
+            text: condition.clone(),
+            id: reply.and_then(|it| it.result.id),
+        });
     }
     let args = RunArgs {
         until_step: arguments.until_step,
@@ -63,23 +70,29 @@ async fn run_one(
     // A connection may be lost and restored between the reply and the first query.
     let lost_before = client.connections_lost();
     let began = Instant::now();
-    let answer = interrupt::either(client.command(name, "run", &args, sending)).await?;
+    let answer = match interrupt::either(client.command(name, "run", &args, sending)).await {
+        Ok(answer) => answer,
+        Err(error) => return Err(without_condition(context, name, watched, error).await),
+    };
     if !arguments.wait {
         return output.outcome(&answer, "run", describe);
     }
     let reply: Reply<RunResult> = answer.read()?;
     let end = timeout.map(|secs| (began + Duration::from_secs_f64(secs)).into());
-    let target = reply.result.until_step;
+    let run_end = watched.unwrap_or(match reply.result.until_step {
+        Some(step) => RunEnd::Step(step),
+        None => RunEnd::Pause,
+    });
     let bar = bar(*output, &reply);
     let outcome = tokio::select! {
         biased;
-        outcome = reached(context, &reply, lost_before, &bar) => outcome,
+        outcome = reached(context, &reply, &run_end, lost_before, &bar) => outcome,
         failure = follow(client, &reply, &bar) => Err(failure),
         () = wait_for_deadline(end) => {
-            Err(Failure::not_reached(name, target, timeout.unwrap_or_default()))
+            Err(Failure::not_reached(name, &run_end, timeout.unwrap_or_default()))
         }
         () = interrupt::interrupted() => {
-            Err(Failure::interrupted_leaving(runs_on(name, target)))
+            Err(Failure::interrupted_leaving(run_end.runs_on(name)))
         }
     };
     bar.finish_and_clear();
@@ -103,11 +116,29 @@ fn describe(reply: &Reply<RunResult>) -> String {
     text
 }
 
+/// The failure of a `run`; if it was rejected, the condition for its end is removed.
+async fn without_condition(
+    context: &Context,
+    swarm: &str,
+    watched: Option<RunEnd>,
+    failure: Failure,
+) -> Failure {
+    let Some(RunEnd::Condition { id: Some(id), .. }) = watched else {
+        return failure;
+    };
+    if failure.rejection().is_some() && when::cancel(context, swarm, &id).await.is_ok() {
+        return failure;
+    }
+    let left = format!("its condition may remain: `jostle when {swarm} --cancel {id}` removes it");
+    failure.leaving(left)
+}
+
 /// Waits until the swarm has reached its end or can no longer reach it; the last reply, and whether
 /// it is the one waited for.
 async fn reached(
     context: &Context,
     started: &Reply<RunResult>,
+    end: &RunEnd,
     mut lost_before: u64,
     bar: &ProgressBar,
 ) -> Result<(Payload, Result<(), Failure>), Failure> {
@@ -128,7 +159,7 @@ async fn reached(
                     epoch = epoch_after_a_loss(epoch, &reply);
                 }
                 outage.end(note);
-                if let Some(verdict) = verdict(started, epoch, &reply) {
+                if let Some(verdict) = verdict(end, epoch, &reply) {
                     return Ok((answer, verdict));
                 }
                 lost_before = client.connections_lost();
@@ -162,26 +193,28 @@ fn epoch_after_a_loss(epoch: u64, reply: &Reply<Status>) -> u64 {
 }
 
 /// The verdict of a status on a wait in `epoch`; `None` if the swarm still runs.
-fn verdict(
-    started: &Reply<RunResult>,
-    epoch: u64,
-    reply: &Reply<Status>,
-) -> Option<Result<(), Failure>> {
+fn verdict(end: &RunEnd, epoch: u64, reply: &Reply<Status>) -> Option<Result<(), Failure>> {
     let (swarm, step) = (&reply.swarm, reply.step);
     let reason = reply.result.reason.clone();
-    let target = started.result.until_step;
     if reply.epoch != epoch {
         let epoch = reply.epoch;
         return Some(Err(Failure::was_reset(swarm, step, epoch)));
     }
-    if target.is_some_and(|target| step >= target) {
-        return Some(Ok(()));
-    }
+    let is_paused = reply.phase == Phase::Paused;
+    let is_reached = match end {
+        RunEnd::Pause => is_paused,
+        RunEnd::Step(target) => step >= *target,
+        RunEnd::Condition { id, .. } => {
+            let mut waiting = reply.result.conditions.iter();
+            let is_waiting = waiting.any(|it| id.as_ref() == Some(&it.id));
+            is_paused && reason.as_deref() == Some("condition") && !is_waiting
+        }
+    };
     match reply.phase {
+        _ if is_reached => Some(Ok(())),
         Phase::Running => None,
         Phase::Faulted => Some(Err(Failure::faulted(swarm, step, reason))),
-        Phase::Paused if target.is_none() => Some(Ok(())),
-        Phase::Paused => Some(Err(Failure::stopped(swarm, step, target, reason))),
+        Phase::Paused => Some(Err(Failure::stopped(swarm, step, end, reason))),
     }
 }
 
@@ -237,13 +270,10 @@ fn bar(output: Output, started: &Reply<RunResult>) -> ProgressBar {
 
 #[cfg(test)]
 mod tests {
+    use jostle_proto::{WaitingAction, WaitingCondition};
+
     use super::*;
     use crate::fixtures;
-
-    fn started(until_step: Option<u64>) -> Reply<RunResult> {
-        let rate = Some(1.0);
-        fixtures::reply(RunResult { until_step, rate })
-    }
 
     fn status(step: u64, phase: Phase, epoch: u64) -> Reply<Status> {
         Reply {
@@ -255,7 +285,8 @@ mod tests {
     }
 
     fn exit_code(target: Option<u64>, status: &Reply<Status>) -> Option<u8> {
-        verdict(&started(target), 1, status)
+        let end = target.map_or(RunEnd::Pause, RunEnd::Step);
+        verdict(&end, 1, status)
             .map(|outcome| outcome.map_or_else(|failure| failure.exit_code(), |()| 0))
     }
 
@@ -270,6 +301,38 @@ mod tests {
     fn a_wait_without_an_end_ends_with_a_pause() {
         assert_eq!(exit_code(None, &status(12, Phase::Paused, 1)), Some(0));
         assert_eq!(exit_code(None, &status(12, Phase::Running, 1)), None);
+    }
+
+    #[test]
+    fn a_run_until_a_condition_is_over_when_that_has_paused_the_swarm_and_does_not_wait_any_more() {
+        let waiting = |id: &str| WaitingCondition {
+            id: id.to_owned(),
+            condition: "order > 0.9".to_owned(),
+            action: WaitingAction::Pause,
+            event: None,
+            client: None,
+            evaluated: true,
+        };
+        let exit_code = |id: Option<&str>, reason: &str, others: &[&str]| {
+            let end = RunEnd::Condition {
+                text: "order > 0.9".to_owned(),
+                id: id.map(str::to_owned),
+            };
+            let mut status = status(12, Phase::Paused, 1);
+            status.result.reason = Some(reason.to_owned());
+            status.result.conditions = others.iter().map(|it| waiting(it)).collect();
+            verdict(&end, 1, &status)
+                .map(|outcome| outcome.map_or_else(|failure| failure.exit_code(), |()| 0))
+        };
+        assert_eq!(exit_code(Some("0a"), "condition", &[]), Some(0));
+        assert_eq!(exit_code(Some("0a"), "condition", &["0b"]), Some(0));
+        assert_eq!(exit_code(None, "condition", &["0b"]), Some(0));
+        // Another condition has paused it, or a client.
+        assert_eq!(exit_code(Some("0a"), "condition", &["0a"]), Some(4));
+        assert_eq!(exit_code(Some("0a"), "requested", &["0a"]), Some(4));
+        assert_eq!(exit_code(Some("0a"), "lockstep", &["0a"]), Some(4));
+        // Somebody has removed it.
+        assert_eq!(exit_code(Some("0a"), "requested", &[]), Some(4));
     }
 
     #[test]

@@ -73,6 +73,18 @@ async fn list(context: &Context, swarm: &str) -> Result<(), Failure> {
     context.output.list(&answer, conditions, columns, &if_empty)
 }
 
+/// Removes the condition of this id.
+pub async fn cancel(context: &Context, swarm: &str, id: &str) -> Result<(), jostle_client::Error> {
+    let args = WhenArgs {
+        cancel: true,
+        id: Some(id.to_owned()),
+        ..WhenArgs::default()
+    };
+    let sending = &SendingArguments::default();
+    let answer = context.client.command(swarm, "when", &args, sending);
+    answer.await.map(|_| ())
+}
+
 /// Has a swarm pause once a condition holds.
 pub async fn pause_when(
     context: &Context,

@@ -4,7 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use crate::support::Daemon;
+use crate::support::{Daemon, until};
 
 const SMALL: &str = "name = \"my_small\"\nseed = 3\nreplicates = 2\nduration = 4\n\
                      grid = [{ n = 5, dt = [0.02, 0.04] }]\n\
@@ -124,6 +124,57 @@ async fn a_chart_has_the_name_of_the_experiment_and_the_units_of_its_columns() {
         for other in ["time units", "free speed"] {
             assert!(!picture.contains(other), "{line}, {other}: {picture}");
         }
+    }
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_chart_of_an_unfinished_experiment_says_so() {
+    let folder = tempfile::tempdir().unwrap();
+    let daemon = Daemon::start().await;
+    let file = folder.path().join("part.toml");
+    // The last two of the six runs do not end.
+    let text = "name = \"part\"\nreplicates = 2\nduration = 1e6\n\
+                grid = [{ n = 5, limit = [-2, -1, 2] }]\n\
+                [measure]\nseries_every = 50\ncolumns = [\"order\"]\n\
+                [stop]\nwhen = \"order > $limit\"\nfrom = 2\n";
+    fs::write(&file, text).unwrap();
+    daemon
+        .said(&format!("experiment run {} --detach", file.display()))
+        .await;
+    until("four runs are finished", async || {
+        daemon.reply("experiment status part").await["finished"] == 4
+    })
+    .await;
+    let note = |phase: &str| format!("4 of 6 runs: part is {phase}");
+    for phase in ["running", "cancelled"] {
+        for line in ["--y v --x limit", "--y order --over-time"] {
+            let picture = folder.path().join("part.svg");
+            let line = format!("plot part {line} -o {}", picture.display());
+            let ended = daemon.jostle(&line).await;
+            ended.assert_stderr(0, &note(phase));
+            let picture = fs::read_to_string(&picture).unwrap();
+            let note = format!(">{}.<", note(phase));
+            assert!(picture.contains(&note), "{note}: {picture}");
+        }
+        daemon.jostle("experiment cancel part").await;
+    }
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_is_no_folder_and_no_name_of_an_experiment_is_described_as_such() {
+    let daemon = Daemon::start().await;
+    for (what, problem) in [
+        (
+            "AX_many",
+            "no such folder or file, and no name of an experiment: ",
+        ),
+        ("./nope/", "no such folder or file"),
+        ("nope/more", "no such folder or file"),
+    ] {
+        let ended = daemon.jostle(&format!("plot {what} --y v -o a.svg")).await;
+        ended.assert_stderr(2, &format!("jostle: {what}: {problem}"));
     }
     daemon.stop().await;
 }

@@ -40,6 +40,8 @@ async fn faulted_runs_are_counted_and_left_out_of_charts() {
     for what in [
         format!("plot {out} --y v --x n"),
         format!("plot {out} --y order --over-time"),
+        format!("plot {out}/results.parquet --y v --x n"),
+        format!("plot {out}/series.parquet --y order --over-time"),
         "plot faulty --y v --x n".to_owned(),
     ] {
         let picture = folder.path().join("a.svg");
@@ -49,6 +51,9 @@ async fn faulted_runs_are_counted_and_left_out_of_charts() {
         assert_eq!(ended.code, Some(0), "{ended:?}");
         let note = "left out: 2 runs ended by a fault";
         assert!(ended.stderr.contains(note), "{what}: {ended:?}");
+        let drawn = fs::read_to_string(&picture).unwrap();
+        let note = "Left out: 2 runs ended by a fault.";
+        assert!(drawn.contains(note), "{what}: {drawn}");
         fs::remove_file(&picture).unwrap();
     }
 }

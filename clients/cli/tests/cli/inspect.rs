@@ -329,6 +329,17 @@ async fn events_are_listed_and_followed_until_the_swarm_is_deleted() {
     assert!(object(&ended)["unix_secs"].as_f64() > Some(1.7e9));
     let last = object(&ended)["number"].as_u64().unwrap();
 
+    // Of the past events the newest, then the next ones.
+    let mut following = daemon.begin("--json events demo --follow --limit 1");
+    let newest: Value = serde_json::from_str(&following.lines(1)[0]).unwrap();
+    assert_eq!(newest["number"], last);
+    daemon.said("set demo pi3=2.5").await;
+    let next: Value = serde_json::from_str(&following.lines(1)[0]).unwrap();
+    assert_eq!(next["number"], last + 1);
+    following.interrupt();
+    following.end().await;
+    let last = last + 1;
+
     let line = format!("--json events demo --follow --after {last}");
     let mut following = daemon.begin(&line);
     daemon.said("set demo pi3=3").await;

@@ -101,5 +101,29 @@ async fn pages_of_any_size_make_the_same_output() {
             }
         }
     }
+    // The same in files.
+    for (line, file) in [
+        ("experiment results run --trajectory #0 -o", "rows.csv"),
+        ("experiment results runs -o", "results/results.csv"),
+    ] {
+        let written = async |endpoint: &str| {
+            let folder = tempfile::tempdir().unwrap();
+            let place = folder.path().join(file.split('/').next().unwrap());
+            let line = format!("{line} {}", place.display());
+            let ended = Running::begin(endpoint, &line, "").end().await;
+            assert_eq!(ended.code, Some(0), "{line}: {ended:?}");
+            fs::read_to_string(folder.path().join(file)).unwrap()
+        };
+        relay.ask_for(100_000);
+        let whole = written(&relay.endpoint).await;
+        let header = whole.lines().next().unwrap();
+        assert_eq!(whole.matches(header).count(), 1, "{whole}");
+        for size in [1, 2, 5] {
+            relay.ask_for(size);
+            relay.asked();
+            assert_eq!(written(&relay.endpoint).await, whole, "{line}, {size}");
+            assert!(relay.asked() > 1, "{line}: nothing was paged");
+        }
+    }
     daemon.stop().await;
 }

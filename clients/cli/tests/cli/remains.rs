@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
 
-use crate::support::{Daemon, Ended, TIMEOUT, until};
+use crate::support::{Daemon, Ended, TIMEOUT, open_peer, until};
 
 /// How a command line ends.
 #[derive(Clone, Copy, Debug)]
@@ -27,6 +27,8 @@ enum Left {
     Run(u64),
     /// A condition that waits.
     Condition,
+    /// One that waits in a swarm that runs.
+    RunUntil,
     /// An experiment that is not over.
     Experiment,
     /// A recording that runs.
@@ -39,7 +41,7 @@ enum Left {
 const LAST: u64 = 50_000_000;
 
 /// Command lines on a paused swarm `demo`; `{}` is a folder.
-const LINES: [(&str, Way, Left); 32] = [
+const LINES: [(&str, Way, Left); 36] = [
     ("wait demo order>1", Interrupted(130), Left::Nothing),
     ("wait demo order>1 --timeout 0.5", Alone(6), Left::Nothing),
     ("wait demo order>1", Killed, Left::Nothing),
@@ -64,6 +66,22 @@ const LINES: [(&str, Way, Left); 32] = [
         Left::Nothing,
     ),
     ("run nobody --until 1e6 --wait", Alone(3), Left::Nothing),
+    ("run demo --until order>1", Alone(0), Left::RunUntil),
+    (
+        "run demo --until order>1 --wait",
+        Interrupted(130),
+        Left::RunUntil,
+    ),
+    (
+        "run demo --until order>1 --wait --timeout 5",
+        Alone(6),
+        Left::RunUntil,
+    ),
+    (
+        "run demo --until order>1 --expect-step 7",
+        Alone(4),
+        Left::Nothing,
+    ),
     ("when demo order>1 pause", Alone(0), Left::Condition),
     ("when demo order>>1 pause", Alone(2), Left::Nothing),
     (
@@ -176,6 +194,10 @@ fn expected(before: &Value, left: Left) -> Value {
             seen["phase"] = json!("running");
             seen["until_step"] = json!(step);
         }
+        Left::RunUntil => {
+            seen["phase"] = json!("running");
+            seen["conditions"] = json!([{"condition": "order > 1"}]);
+        }
         Left::Condition => seen["conditions"] = json!([{"condition": "order > 1"}]),
         Left::Experiment => {
             let endless = json!({"name": "endless", "swarm": null, "phase": "running"});
@@ -232,4 +254,76 @@ async fn each_end_of_each_verb_leaves_what_the_table_says() {
         assert_eq!(after, plain(expected), "{line}, {way:?}: {ended:?}");
         daemon.stop().await;
     }
+}
+
+/// Has a controller hold `demo` in lock-step, as long as the session lives.
+async fn hold(daemon: &Daemon) -> zenoh::Session {
+    let mut config = zenoh::Config::default();
+    let endpoints = json!([daemon.endpoint]).to_string();
+    config
+        .insert_json5("connect/endpoints", &endpoints)
+        .unwrap();
+    let session = open_peer(config).await;
+    let token = session
+        .liveliness()
+        .declare_token("jostle/demo/ctl/ada/alive");
+    // It lives as long as the session.
+    std::mem::forget(token.await.unwrap());
+    let args = json!({"args": {"controller": "ada"}}).to_string();
+    let joined = session.get("jostle/demo/cmd/join").payload(args);
+    let replies = joined.await.unwrap();
+    replies.recv_async().await.unwrap().into_result().unwrap();
+    session
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_run_that_a_controller_prevents_leaves_no_condition() {
+    let daemon = Daemon::start().await;
+    daemon.said("create demo --n 5").await;
+    let session = hold(&daemon).await;
+    let before = seen(&daemon).await;
+    assert_eq!(before["controllers"], 1);
+    for line in [
+        "run demo --until order>1",
+        "run demo --until order>1 --wait",
+    ] {
+        let ended = daemon.jostle(line).await;
+        assert_eq!(ended.code, Some(4), "{ended:?}");
+        assert_eq!(seen(&daemon).await, before, "{ended:?}");
+    }
+    // One that waited before is still there.
+    daemon.said("when demo order>0.999 pause").await;
+    daemon.jostle("run demo --until order>1").await;
+    assert_eq!(seen(&daemon).await["when"], json!(["order > 0.999"]));
+    session.close().await.unwrap();
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_run_that_is_paused_before_its_condition_holds_is_no_success() {
+    let daemon = Daemon::start().await;
+    daemon.said("create demo --n 5 --rate 1").await;
+    for (line, by) in [
+        ("pause demo", "requested"),
+        ("when demo order>=0 pause", "condition"),
+    ] {
+        let running = daemon.begin("run demo --until order>1 --wait");
+        daemon.until_running("demo").await;
+        daemon.said(line).await;
+        let ended = running.end().await;
+        assert_eq!(ended.code, Some(4), "{ended:?}");
+        let text = format!(
+            ", before order>1 ({by}): `jostle run demo` continues, and `jostle when demo --cancel "
+        );
+        assert!(ended.stderr.contains(&text), "{ended:?}");
+        // The command that it names removes the condition.
+        let (_, id) = ended.stderr.split_once("--cancel ").unwrap();
+        let id = id.split('`').next().unwrap();
+        daemon.said(&format!("when demo --cancel {id}")).await;
+        assert_eq!(seen(&daemon).await["when"], Value::Null);
+    }
+    // It pauses the swarm itself.
+    let ended = daemon.jostle("run demo --until order>=0 --wait").await;
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+    daemon.stop().await;
 }

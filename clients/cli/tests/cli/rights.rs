@@ -9,7 +9,7 @@ use jostled::auth::address::AddressChange;
 use jostled::auth::folder::Folder;
 use jostled::auth::issue;
 
-use crate::support::{Daemon, until};
+use crate::support::{Daemon, Running, until};
 
 const PEOPLE: [(&str, Role); 3] = [
     ("vera", Role::Viewer),
@@ -280,10 +280,20 @@ async fn the_link_names_the_address_that_is_served_on() {
             .said(&line("auth link --page https://lab.example/"))
             .await;
         assert_eq!(given.trim(), format!("https://lab.example/#token={token}"));
+        // Without a daemon, too: one that runs admits a new user over zenoh only after a restart.
+        let given = line("auth link --page https://lab.example/");
+        let given = Running::begin("tls/127.0.0.1:1", &given, "").end().await;
+        assert_eq!(given.code, Some(0), "{given:?}");
+        assert_eq!(
+            given.stdout.trim(),
+            format!("https://lab.example/#token={token}")
+        );
         daemon.stop().await;
     }
     let settings = [("listen", "tls/127.0.0.1:0"), ("auth_dir", auth)];
     let daemon = Daemon::with(&settings).await;
+    let unknown = daemon.jostle("auth link --page https://lab.example").await;
+    unknown.assert_stderr(2, "--credentials: is required");
     let ended = daemon.jostle(&line("auth link")).await;
     ended.assert_stderr(2, "reports no HTTP address");
     daemon.stop().await;

@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 use jostle_results::recording;
 use serde_json::Value;
 
-use crate::support::{Daemon, Link, TIMEOUT};
+use crate::support::{Canned, Daemon, Link, Running, TIMEOUT};
 
 /// The signals, with their numbers.
 const SIGNALS: [(&str, i32); 3] = [("INT", 2), ("TERM", 15), ("HUP", 1)];
@@ -275,5 +275,110 @@ async fn leftovers_of_a_killed_client_do_not_prevent_a_recording() {
     assert!(states(&file) > 0);
     let left = fs::read_dir(folder.path()).unwrap().count();
     assert_eq!(left, 1, "only the file");
+    daemon.stop().await;
+}
+
+#[test]
+fn a_client_that_waits_for_a_connection_ends_at_the_first_signal() {
+    // As a suspended daemon: it accepts connections, and sends nothing.
+    let silent = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let endpoint = format!("tcp/{}", silent.local_addr().unwrap());
+    for options in ["--timeout 30", "--timeout 30 --published"] {
+        let running = begin(&endpoint, options);
+        thread::sleep(Duration::from_secs(1));
+        send("INT", running.0.id());
+        let began = Instant::now();
+        let outcome = end(running);
+        let took = began.elapsed();
+        assert_eq!(outcome.status.code(), Some(130), "{}", outcome.stderr);
+        assert!(took < Duration::from_secs(10), "{took:?}");
+        assert_eq!(fs::read_dir(outcome.folder.path()).unwrap().count(), 0);
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_signal_ends_results_into_a_folder_like_ctrl_c() {
+    let canned = Canned::start().await;
+    canned.hold();
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("out");
+    for (signal, _) in SIGNALS {
+        canned.take();
+        let line = format!("experiment results order --timeout 60 -o {}", out.display());
+        let mut running = Running::begin(&canned.endpoint, &line, "");
+        canned.until_sent(1, &mut running).await;
+        running.signal(&format!("-{signal}"));
+        let ended = running.end().await;
+        assert_eq!(ended.code, Some(130), "{signal}: {ended:?}");
+        assert!(!out.exists(), "{signal}");
+    }
+    canned.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_client_under_nohup_ignores_that_its_terminal_is_closed() {
+    let canned = Canned::start().await;
+    canned.hold();
+    let folder = tempfile::tempdir().unwrap();
+    let mut client = Command::new("sh")
+        .args(["-c", "trap '' HUP; exec \"$0\" \"$@\""])
+        .arg(env!("CARGO_BIN_EXE_jostle"))
+        .args(["experiment", "results", "order", "--timeout", "60", "-o"])
+        .arg(folder.path().join("out"))
+        .env("JOSTLE_ENDPOINT", &canned.endpoint)
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    while canned.take().is_empty() {
+        assert!(client.try_wait().unwrap().is_none());
+        tokio::time::sleep(Duration::from_millis(5)).await;
+    }
+    send("HUP", client.id());
+    tokio::time::sleep(Duration::from_secs(1)).await;
+    assert!(client.try_wait().unwrap().is_none());
+    send("TERM", client.id());
+    assert_eq!(client.wait().unwrap().code(), Some(130));
+    canned.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn results_remove_what_a_killed_client_left_in_their_folder() {
+    let daemon = Daemon::start().await;
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("a.toml");
+    let text = "name = \"a\"\nduration = 2\nspec = { n = 5 }\n\
+                measure = { series_every = 50, columns = [\"drift\"] }\n";
+    fs::write(&file, text).unwrap();
+    daemon
+        .jostle(&format!("experiment run {}", file.display()))
+        .await;
+    let out = folder.path().join("out");
+    let path = |name: &str| out.join(name);
+    fs::create_dir(&out).unwrap();
+    for name in ["series.parquet", "results.parquet", "results.csv", "other"] {
+        fs::write(path(&format!(".jostle-{name}-x1y2z3")), "left").unwrap();
+    }
+    let in_use = jostle_atomic_file::begin(&path("series.parquet")).unwrap();
+    for table in ["", "/other.csv", "/other.parquet"] {
+        let line = format!("experiment results a -o {}{table}", out.display());
+        daemon.said(&line).await;
+    }
+    let entries = fs::read_dir(&out).unwrap();
+    let mut names: Vec<_> = entries.map(|it| it.unwrap().file_name()).collect();
+    names.sort();
+    let kept = in_use.path().file_name().unwrap().to_owned();
+    let mut expected: Vec<_> = [
+        "other.csv",
+        "other.parquet",
+        "results.csv",
+        "results.parquet",
+        "series.parquet",
+        ".jostle-other-x1y2z3",
+    ]
+    .map(std::ffi::OsString::from)
+    .into();
+    expected.push(kept);
+    expected.sort();
+    assert_eq!(names, expected);
     daemon.stop().await;
 }

@@ -64,12 +64,12 @@ async fn a_history_with_another_hash_ends_with_code_9() {
 async fn verify_ends_at_its_timeout_also_in_the_daemon() {
     let daemon = Daemon::start().await;
     daemon.said("create a --n 50 --seed 2").await;
-    daemon.said("step a 40000 --timeout 60").await;
+    daemon.said("step a 150000 --timeout 60").await;
     let began = Instant::now();
-    let ended = daemon.jostle("verify a --timeout 0.2").await;
+    let ended = daemon.jostle("verify a --timeout 1").await;
     assert!(began.elapsed() < Duration::from_secs(10), "{began:?}");
     assert_eq!(ended.code, Some(6), "{ended:?}");
-    let expected = "not done within 0.2 s: the replay has ended; a longer --timeout waits longer";
+    let expected = "not done within 1 s: the replay has ended; a longer --timeout waits longer";
     assert!(ended.stderr.contains(expected), "{ended:?}");
     // The replay ends at its next step.
     let is_over = async || {

@@ -71,6 +71,44 @@ async fn a_daemon_that_recovers_while_the_cause_is_looked_for_is_there() {
     client.close().await;
 }
 
+#[tokio::test(flavor = "multi_thread")]
+async fn the_cause_is_found_although_a_daemon_comes_and_goes() {
+    let (session, endpoint) = listening().await;
+    let client = Client::connect(ConnectOptions {
+        wait: Duration::ZERO,
+        ..ConnectOptions::to(endpoint)
+    });
+    let client = client.await.unwrap();
+    let hello = keys::node_get(&client.0.prefix, "lab", "hello");
+    let queries = session.declare_queryable(hello).await.unwrap();
+    let recovering =
+        json!({"code": "busy", "message": "recovering", "details": {"reason": "recovering"}});
+    let token = keys::node_alive(&client.0.prefix, "lab");
+    // Its token is there only from the end of a query for `hello` on until it is seen.
+    let come_and_go = async {
+        loop {
+            let query = queries.recv_async().await.unwrap();
+            let token = session.liveliness().declare_token(&token).await.unwrap();
+            query.reply_err(recovering.to_string()).await.unwrap();
+            drop(query);
+            while client.nodes().await.unwrap().is_empty() {}
+            tokio::time::sleep(Duration::from_millis(20)).await;
+            token.undeclare().await.unwrap();
+        }
+    };
+    let explain = client.explain_silence(Target::Swarm("demo"), "jostle/demo/get/status");
+    let explain = tokio::time::timeout(Duration::from_secs(20), explain);
+    let error = tokio::select! {
+        error = explain => error.unwrap(),
+        () = come_and_go => unreachable!(),
+    };
+    assert!(
+        matches!(error, Error::NoNode { .. } | Error::NoSwarm { .. }),
+        "{error}"
+    );
+    client.close().await;
+}
+
 #[test]
 fn keys_of_tokens_contain_the_node() {
     let node = |key: &str| node_of("a/jostle", key);

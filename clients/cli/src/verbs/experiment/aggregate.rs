@@ -216,3 +216,53 @@ fn compare(one: &Values, two: &Values) -> Ordering {
     let by_rule = rule(two).cmp(&rule(one));
     by_rule.then_with(|| compare_values(one, two))
 }
+
+#[cfg(test)]
+mod tests {
+    #![expect(clippy::unwrap_used, reason = "tests")]
+
+    use jostle_results::Measure;
+
+    use super::*;
+    use crate::fixtures;
+
+    #[test]
+    fn a_mean_is_over_the_runs_in_which_a_value_is_defined_and_says_how_many() {
+        let row = |n: u64, number: u32, drift: Option<f64>| {
+            let mut row = ResultRow {
+                run: format!("n={n} #{number}"),
+                n,
+                ..fixtures::result_row()
+            };
+            row.set(Measure::V_PD, drift.into());
+            row.set(Measure::V, 0.5.into());
+            row
+        };
+        let rows = [
+            row(3, 0, Some(0.25)),
+            row(3, 1, None),
+            row(3, 2, Some(0.75)),
+            row(5, 0, None),
+            row(5, 1, None),
+        ];
+        let all = Aggregates::of(&rows, None, 10).unwrap();
+        let json = all.to_json("some", rows.len());
+        let means = |group: usize| json["groups"][group]["means"].clone();
+        assert_eq!(
+            (&json["groups"][0]["runs"], &json["groups"][1]["runs"]),
+            (&json!(3), &json!(2))
+        );
+        assert_eq!(
+            means(0)["v_pd"],
+            json!({"mean": 0.5, "error": 0.25, "n": 2})
+        );
+        assert_eq!(means(0)["v"], json!({"mean": 0.5, "error": 0.0, "n": 3}));
+        assert_eq!(
+            means(1)["v_pd"],
+            json!({"mean": null, "error": null, "n": 0})
+        );
+        let table = all.table();
+        let lines: Vec<&str> = table.lines().collect();
+        assert!(lines[1].contains("0.5000 ± 0.2500 (2 of 3)"), "{table}");
+    }
+}

@@ -203,16 +203,18 @@ fn identity(row: &ResultRow) -> (&str, u64, &str) {
 
 /// Writes both tables into a folder, or one to a file, and returns the paths.
 fn write(out: &Path, rows: &[ResultRow], extra: &[String]) -> Result<Vec<String>, Failure> {
+    jostle_atomic_file::remove_abandoned(out);
     match out.extension().and_then(|extension| extension.to_str()) {
         Some("csv") => tables::write_csv(out, rows, extra).map_err(Failure::results)?,
         Some("parquet") => tables::write_parquet(out, rows, extra).map_err(Failure::results)?,
         _ => {
             fs::create_dir_all(out).map_err(|error| Failure::file(out.display(), error))?;
             tables::write(out, rows, extra).map_err(Failure::results)?;
-            let names = [tables::PARQUET_NAME, tables::CSV_NAME];
-            return Ok(names
-                .map(|name| out.join(name).display().to_string())
-                .into());
+            let paths = [tables::PARQUET_NAME, tables::CSV_NAME].map(|name| out.join(name));
+            for path in &paths {
+                jostle_atomic_file::remove_abandoned(path);
+            }
+            return Ok(paths.map(|path| path.display().to_string()).into());
         }
     }
     Ok(vec![out.display().to_string()])
@@ -232,11 +234,14 @@ async fn write_series(
         return Ok(None);
     };
     let path = out.join(SERIES_NAME);
+    jostle_atomic_file::remove_abandoned(&path);
     let names = all.first().into_iter().flat_map(|it| &it.measures);
     let names = names.map(|measure| measure.name.clone());
     let mut writer = SeriesWriter::begin(&path, names).map_err(Failure::results)?;
     for series in &all {
         writer.append(series).map_err(Failure::results)?;
+        // An interruption ends it here, and the temporary file is removed.
+        tokio::task::yield_now().await;
     }
     writer.finish().map_err(Failure::results)?;
     Ok(Some(path.display().to_string()))

@@ -46,20 +46,26 @@ pub async fn fetch(client: &Client, name: &str) -> Result<Table, Failure> {
     }
 }
 
-/// Says that the results lack runs, if `count` is not their number.
-pub async fn note_missing(context: &Context, name: &str, count: usize) -> Result<(), Failure> {
+/// Says that the results lack runs, if `count` is not their number; returns what it says.
+pub async fn note_missing(
+    context: &Context,
+    name: &str,
+    count: usize,
+) -> Result<Option<String>, Failure> {
     let Context { client, output } = context;
     let progress: Progress = client.get_experiment(name, "progress").await?.read()?;
-    if (count as u64) < progress.runs {
-        let (runs, phase) = (format::count(progress.runs, "run"), phase(progress.phase));
-        let others = match progress.finished == progress.runs {
-            true => {
-                "; the others ended by a fault at step 0 and have no results, so that conditions \
-                 may be missing"
-            }
-            false => "",
-        };
-        output.note(&format!("{count} of {runs}: {name} is {phase}{others}"));
+    if count as u64 >= progress.runs {
+        return Ok(None);
     }
-    Ok(())
+    let (runs, phase) = (format::count(progress.runs, "run"), phase(progress.phase));
+    let others = match progress.finished == progress.runs {
+        true => {
+            "; the others ended by a fault at step 0 and have no results, so that conditions may be \
+             missing"
+        }
+        false => "",
+    };
+    let text = format!("{count} of {runs}: {name} is {phase}{others}");
+    output.note(&text);
+    Ok(Some(text))
 }

@@ -54,6 +54,7 @@ pub async fn results(
         let problem = "exists: name another, or --force replaces it";
         return Err(Failure::argument(out.display(), problem));
     }
+    jostle_atomic_file::remove_abandoned(out);
     let rows = match is_csv {
         true => rows.write_csv(out).await?,
         false => rows.write_parquet(out).await?,

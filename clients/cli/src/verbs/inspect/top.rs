@@ -353,7 +353,8 @@ mod tests {
         let school = &mut later.swarms[0];
         school.steps += 100;
         school.step_secs += 0.02;
-        school.due_steps += 100;
+        // Half of them had a due time.
+        school.due_steps += 50;
         school.late_secs += 0.05;
         later
     }
@@ -375,7 +376,7 @@ mod tests {
         assert_eq!(
             lines[1..],
             [
-                "school running 110 50 1 1.00 1.0 200.0 0.5 39 3.5e-13",
+                "school running 110 50 1 1.00 1.0 200.0 1.0 39 3.5e-13",
                 "shoal paused 0 20 max - 0.0 - - 0 0.0e0"
             ]
         );

@@ -103,6 +103,7 @@ impl Target<'_> {
 /// Records the published states.
 async fn record_published(context: &Context, target: Target<'_>) -> Result<(), Failure> {
     let mut recording = interrupt::either(Recording::begin(context, target)).await?;
+    interrupt::complete_first();
     let ended = recording.follow().await;
     recording.finish(ended)
 }

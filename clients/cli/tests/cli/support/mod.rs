@@ -28,7 +28,7 @@ pub use self::terminal::Terminal;
 pub const TIMEOUT: Duration = Duration::from_secs(60);
 
 /// A zenoh session that listens on a port of its own, without scouting.
-async fn open_peer(mut config: zenoh::Config) -> zenoh::Session {
+pub async fn open_peer(mut config: zenoh::Config) -> zenoh::Session {
     for (key, value) in [
         ("listen/endpoints", r#"["tcp/127.0.0.1:0"]"#),
         ("scouting/multicast/enabled", "false"),

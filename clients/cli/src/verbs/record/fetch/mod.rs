@@ -81,6 +81,8 @@ pub async fn record(context: &Context, target: Target<'_>) -> Result<(), RecordE
         max_bytes: arguments.max_size,
         temporary: true,
     });
+    // The first Ctrl-C fetches the rest, a second one leaves it on the daemon.
+    interrupt::complete_first();
     // Only the reply has the name by which the recording can be stopped.
     let begun = client.command_node("record", &begin, CommandOptions::default());
     let begun = interrupt::after_grace(BEGIN_GRACE, NO_REPLY, begun).await;

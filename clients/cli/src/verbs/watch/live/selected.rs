@@ -136,3 +136,38 @@ impl Selected {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fixtures;
+
+    #[test]
+    fn another_measure_has_none_of_the_values_of_the_one_before() {
+        let mut selected = Selected::new("demo".to_owned());
+        let mut camera = Camera::default();
+        let [first, second] = ["radius_of_gyration", "milling"].map(|it| it.parse().ok());
+        selected.set_status(fixtures::status());
+        let mut state = fixtures::state();
+        for _ in 0..3 {
+            state.step += 50;
+            state.time += 1.0;
+            selected.set_state(state.clone(), &mut camera, first);
+        }
+        let values = |selected: &Selected| -> Vec<Option<f64>> {
+            let points = selected.history.points().iter();
+            points.map(|it| it.measure).collect()
+        };
+        let before = values(&selected);
+        assert!(before.iter().flatten().count() > 1, "{before:?}");
+        selected.choose(second);
+        let after = values(&selected);
+        assert_eq!(after.len(), before.len());
+        // That of the present state alone.
+        assert!(after.iter().flatten().count() <= 1, "{after:?}");
+        assert_ne!(selected.measured, before.last().copied().flatten());
+        selected.choose(None);
+        assert_eq!(selected.measured, None);
+        assert!(values(&selected).iter().all(Option::is_none));
+    }
+}
