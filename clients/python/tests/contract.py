@@ -22,7 +22,6 @@ from jostle._messages import (
     Measures,
     Parameters,
     SpecReply,
-    WhenReply,
 )
 from jostle._node import Swarms
 from jostle._recordings import RecordingPiece, RecordingResult, Recordings
@@ -35,7 +34,7 @@ READ: dict[str, type[Any]] = {
     "advance.reply": jostle.Advanced,
     "attachment": jostle.Attachment,
     "annotate.reply": jostle.Reply,
-    "when.reply": WhenReply,
+    "when.reply": jostle.WhenResult,
     "batch.reply": jostle.BatchResult,
     "controllers.reply": Controllers,
     "create.reply": CreateResult,

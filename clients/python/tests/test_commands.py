@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
 from typing import Any
 
@@ -166,6 +168,46 @@ def test_a_condition_pauses_or_changes_the_swarm_once(create: Create) -> None:
     with pytest.raises(jostle.InvalidArgument, match="name one end"):
         swarm.run(until="order > 1", until_step=9)
     assert swarm.status().when is None
+
+
+def test_a_run_until_a_condition_says_whether_it_held(
+    create: Create, client: jostle.Client
+) -> None:
+    swarm = create(n=5, rate=1.0)
+    other = client.swarm(swarm.name)
+    for end, reason in (
+        (other.pause, "requested"),
+        (other.reset, "reset"),
+        (lambda: other.when("order >= 0", pause=True), "condition"),
+    ):
+        with ThreadPoolExecutor() as pool:
+            run = pool.submit(swarm.run, until="order > 1", wait=True)
+            while swarm.status().phase != "running":
+                time.sleep(0.01)
+            end()
+            with pytest.raises(jostle.IncorrectState, match=r"before order > 1 held") as caught:
+                run.result(60.0)
+        assert caught.value.details["reason"] == reason
+        left = swarm.status().conditions or []
+        assert [it.condition for it in left] == ([] if reason == "reset" else ["order > 1"])
+        for it in left:
+            assert it.id in str(caught.value)
+        swarm.when(cancel=True)
+    with pytest.raises(jostle.DeadlineExceeded, match=r"removes the condition") as late:
+        swarm.run(until="order > 1", wait=True, timeout=0.5)
+    [waiting] = swarm.status().conditions or []
+    assert f"id={waiting.id!r}" in str(late.value)
+    # Given again it is the same one.
+    assert swarm.when("order > 1", pause=True).id == waiting.id
+    swarm.pause()
+    swarm.when(cancel=True, id=waiting.id)
+    assert swarm.status().conditions is None
+    # It is removed if the run is rejected, and others are not.
+    kept = swarm.when("order > 0.999", pause=True).id
+    with swarm.join("ada", jostle.ids([0])), pytest.raises(jostle.IncorrectState):
+        swarm.run(until="order > 1", wait=True)
+    assert [it.id for it in swarm.status().conditions or []] == [kept]
+    assert swarm.run(until="order >= 0", rate=None, wait=True).reason == "condition"
 
 
 def test_longer_bodies_need_make_room(create: Create) -> None:

@@ -151,9 +151,12 @@ def test_vectors_of_environments_work_in_processes_that_were_forked() -> None:
     assert (ran.returncode, ran.stdout.strip()) == (0, "True"), ran.stderr
 
 
-def test_the_reward_is_the_drift(make: Callable[..., Env], client: jostle.Client) -> None:
+@pytest.mark.parametrize("spec", [{}, {"dt": 0.05, "pi1": 2.0}])
+def test_the_reward_is_the_drift(
+    make: Callable[..., Env], client: jostle.Client, spec: dict[str, float]
+) -> None:
     goal = 2.0
-    env = make(goal=goal, max_steps=4, steps_per_action=25)
+    env = make(goal=goal, max_steps=4, steps_per_action=25, **spec)
     env.reset(seed=3)
     (swarm,) = [client.swarm(it.swarm) for it in client.swarms() if it.swarm.startswith("env-")]
     start = swarm.state()

@@ -70,10 +70,18 @@ def test_orders_have_a_row_each(create: Create) -> None:
     swarm.inform(jostle.count(5), 0.0)
     with swarm.orders(timeout=MAX_WAIT_SECS) as orders:
         swarm.run()
-        table = jostle.frame(itertools.islice(orders, 5))
+        samples = list(itertools.islice(orders, 5))
+    table = jostle.frame(samples)
     assert len(table) == 5
     assert table.step.is_monotonic_increasing
     assert np.allclose(table.drift, table.velocity_x)
+    # Each column has its own values: no two of them are equal.
+    for number, name in enumerate(("velocity_x", "velocity_y")):
+        assert table[name].tolist() == [sample.order.velocity[number] for sample in samples]
+    for name in ("order", "drift", "mean_order", "mean_drift"):
+        expected = np.array([getattr(sample.order, name) for sample in samples], float)
+        np.testing.assert_array_equal(table[name], expected)
+    assert table.residual.tolist() == [sample.certificate.residual for sample in samples]
     assert table.order.between(0.0, 1.0).all()
 
 

@@ -127,6 +127,22 @@ def test_the_size_of_bodies_is_the_one_last_received(create: Create, client: jos
     assert pickle.loads(pickle.dumps(state)).pi1 == 1.0
 
 
+def test_arrows_show_the_preferred_directions_and_not_the_headings(create: Create) -> None:
+    swarm = create(n=30)
+    assert "<polygon" not in shown(swarm.state())
+    swarm.inform(jostle.ids([0, 4]), 0.7)
+    swarm.inform(jostle.ids([9]), 4.0)
+    # Nobody has turned yet.
+    state = swarm.state()
+    polygons = picture(shown(state)).iter("{http://www.w3.org/2000/svg}polygon")
+    tips = [np.array(it.get("points", "").split(" ")[0].split(","), float) for it in polygons]
+    # A disc in the upper right corner, in pixels whose y increases downwards.
+    away = np.array(tips) - (WIDTH - 30.0, 30.0)
+    directions = np.arctan2(-away[:, 1], away[:, 0]) % (2.0 * np.pi)
+    assert np.sort(directions) == pytest.approx([0.7, 4.0], abs=0.01)
+    assert not np.isclose(state.alpha[[0, 4, 9]] % (2.0 * np.pi), [0.7, 0.7, 4.0], atol=0.1).any()
+
+
 def test_the_camera_moves_only_if_it_must(create: Create) -> None:
     state = create(n=30).state()
     camera = Camera()

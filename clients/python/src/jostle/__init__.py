@@ -93,6 +93,7 @@ from ._messages import (
     Verified,
     WaitingClient,
     WaitingCondition,
+    WhenResult,
 )
 from ._metrics import Metrics, RecordingMetrics, StoreMetrics, SwarmMetrics
 from ._node import Hello, Limits, NodeStatus, Schemas, SwarmSummary
@@ -218,6 +219,7 @@ __all__ = [
     "View",
     "WaitingClient",
     "WaitingCondition",
+    "WhenResult",
     "WhoAmI",
     "connect",
     "count",

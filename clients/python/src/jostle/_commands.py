@@ -23,7 +23,16 @@ from ._arguments import (
 from ._changes import Change, Inform, Inject, Remove, Set, Uninform
 from ._changes import commands as encode_changes
 from ._decode import read_batch, read_reply, read_scheduled
-from ._errors import DeadlineExceeded, invalid, late
+from ._errors import (
+    DeadlineExceeded,
+    Faulted,
+    IncorrectState,
+    Internal,
+    JostleError,
+    Unavailable,
+    invalid,
+    late,
+)
 from ._messages import (
     BatchResult,
     IdsResult,
@@ -33,6 +42,7 @@ from ._messages import (
     SetResult,
     Status,
     StepResult,
+    WhenResult,
 )
 from ._queries import BodyShape, Queries
 from ._session import Session
@@ -62,6 +72,11 @@ class Options(TypedDict, total=False):
     expect_epoch: SupportsIndex
     timeout: float
     request_id: str
+
+
+def _left(id: str | None) -> str:
+    """How to remove a condition of this id."""
+    return "" if id is None else f"; `when(cancel=True, id={id!r})` removes the condition"
 
 
 class Pending(Exception):
@@ -126,8 +141,7 @@ class Commands(Queries):
             until_step: Pause at this step; at most one of the two.
             rate: Time units per second of wall clock; None is as fast as possible; left out, the
                 rate does not change.
-            wait: Return when the end is reached, or with a condition when the swarm is paused;
-                requires an end. Without a `timeout` it has no
+            wait: Return when the end is reached; requires an end. Without a `timeout` it has no
                 limit.
             show: With `wait` and a step or time: show a progress bar; None shows it on a terminal
                 and in a notebook.
@@ -138,9 +152,10 @@ class Commands(Queries):
 
         Raises:
             DeadlineExceeded: With `wait`: the end is not reached within `timeout`; the swarm runs
-                on, and `pause` pauses it.
+                on, and `pause` pauses it. A condition is not removed.
             Faulted: With `wait`: the swarm faulted before the end.
-            IncorrectState: The swarm is faulted; or, with `wait`, it was paused before the end.
+            IncorrectState: The swarm is faulted, or controllers hold it: then its condition is
+                removed again; or, with `wait`, it was paused or reset before the end.
             InvalidArgument: An argument is out of range, or `wait` without an end.
         """
         if wait and until is None and until_step is None:
@@ -187,26 +202,50 @@ class Commands(Queries):
             )
         began = time.monotonic()
         check_condition(condition)
+        id = None
         # If it is scheduled, the `run` is scheduled for the same step, after it.
         with contextlib.suppress(Pending):
-            self._command("when", {"condition": condition, "pause": True}, Reply, {**options})
-        args: dict[str, Any] = {} if isinstance(rate, EllipsisType) else {"rate": rate}
-        result = self._command("run", args, RunResult, options)
+            args: dict[str, Any] = {"condition": condition, "pause": True}
+            id = self._command("when", args, WhenResult, {**options}).id
+        args = {} if isinstance(rate, EllipsisType) else {"rate": rate}
+        try:
+            result = self._command("run", args, RunResult, options)
+        except (DeadlineExceeded, Internal, Unavailable):
+            # It may have been executed.
+            raise
+        except JostleError:
+            if id is not None:
+                with contextlib.suppress(JostleError):
+                    self.when(cancel=True, id=id)
+            raise
         if not wait:
             return result
         seconds = options.get("timeout")
-        if seconds is None:
-            return self.wait(phase="paused")
         try:
-            left = max(began + seconds - time.monotonic(), 0.001)
-            return self.wait(phase="paused", timeout=left)
+            left = None if seconds is None else max(began + seconds - time.monotonic(), 0.001)
+            status = self.wait(phase="paused", timeout=left)
         except DeadlineExceeded as error:
-            raise self._runs_on(condition, seconds, error) from error
+            if seconds is None:
+                raise
+            raise self._runs_on(condition, seconds, error, id) from error
+        is_waiting = any(it.id == id for it in status.conditions or ())
+        if status.reason == "condition" and not is_waiting:
+            return status
+        kind = Faulted if status.phase == "faulted" else IncorrectState
+        raise kind(
+            f"swarm {self._name!r} is {status.phase} at step {status.step}, before {condition} "
+            f"held: {status.reason or 'no reason given'}{_left(id) if is_waiting else ''}",
+            details={"phase": status.phase, "reason": status.reason},
+            step=status.step,
+        )
 
-    def _runs_on(self, end: str, seconds: float, error: DeadlineExceeded) -> DeadlineExceeded:
+    def _runs_on(
+        self, end: str, seconds: float, error: DeadlineExceeded, id: str | None = None
+    ) -> DeadlineExceeded:
         """The error when a run has not reached its end within the timeout."""
         what = f"swarm {self._name!r} did not reach {end}"
-        return late(what, seconds, "it runs on; `pause()` pauses it, `wait` waits for it", error)
+        remedy = "it runs on; `pause()` pauses it, `wait` waits for it"
+        return late(what, seconds, remedy + _left(id), error)
 
     def pause(self, **options: Unpack[Options]) -> Reply:
         """Pauses the swarm after its current step; a paused swarm does not change.
@@ -549,7 +588,7 @@ class Commands(Queries):
         cancel: bool = False,
         id: str | None = None,
         **options: Unpack[Options],
-    ) -> Reply:
+    ) -> WhenResult:
         """Pauses or changes the swarm once, at the first step after which a condition holds.
 
             swarm.when("order > 0.9 for 20", pause=True)
@@ -580,6 +619,9 @@ class Commands(Queries):
             id: With `cancel`: the id of a condition, in `Status.conditions`.
             options: See `Options`.
 
+        Returns:
+            The reply with the id of the condition, by which `cancel` removes it.
+
         Raises:
             Conflict: With `from_step`: the condition holds in the present state already.
             InvalidArgument: The condition is invalid (the message has the column), a measure in it
@@ -599,7 +641,7 @@ class Commands(Queries):
             args["commands"] = encode_changes(commands)
         if cancel:
             args["cancel"] = True
-        return self._command("when", args, Reply, options)
+        return self._command("when", args, WhenResult, options)
 
     def delete(self, **options: Unpack[Options]) -> Reply:
         """Deletes the swarm and its history from the daemon, permanently.

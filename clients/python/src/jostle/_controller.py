@@ -34,19 +34,15 @@ from ._controller_messages import (
 from ._decode import read_reply
 from ._errors import (
     Conflict,
-    Contested,
     DeadlineExceeded,
     IncorrectState,
     InvalidArgument,
     JostleError,
     NotFound,
-    PermissionDenied,
-    Unavailable,
     invalid,
     late,
 )
 from ._messages import Reply
-from ._retry import Backoff
 from ._session import Session
 from ._state import State, fetch_state, read_state
 
@@ -528,7 +524,6 @@ class Controller:
 
         That is safe with any daemon: another one has no controller of this name, and rejects it.
         """
-        backoff: Backoff | None = None
         is_behind = False
         # The daemon that received the unsaved advances again: once is enough.
         resent_to: frozenset[str] | None = None
@@ -544,12 +539,7 @@ class Controller:
                 if not is_behind or not self._unsaved or daemon == resent_to:
                     self._explain(error)
                     raise
-                resent_to, backoff = daemon, None
-            except (Unavailable, NotFound, PermissionDenied, Contested) as error:
-                # A daemon that is being restarted causes these errors.
-                resent_to = None
-                backoff = backoff or Backoff(time.monotonic(), seconds, self._session.timeout)
-                self._session.pause(backoff, error)
+                resent_to = daemon
 
     def _catch_up(self, seconds: float) -> None:
         """Sends the unsaved advances again after a crash of the daemon.
@@ -575,6 +565,7 @@ class Controller:
             expect_step=request.step,
             timeout=seconds,
             request_id=request.request_id,
+            is_safe=True,
         )
         return read_advanced(payload, request.steps)
 

@@ -150,14 +150,16 @@ class RunResult(Reply, frozen=True, kw_only=True):
     rate: float | None = None
 
 
-class WhenReply(Reply, frozen=True, kw_only=True):
-    """The reply to `when`.
+class WhenResult(Reply, frozen=True, kw_only=True):
+    """The reply to `Swarm.when`.
 
     Attributes:
-        holds: Whether the condition holds already, so that it does not wait.
+        holds: With `event`: whether the condition holds already, so that it does not wait.
+        id: The id of the condition that waits now; None if none does, and from older daemons.
     """
 
     holds: bool | None = None
+    id: str | None = None
 
 
 class StepResult(Reply, frozen=True, kw_only=True):

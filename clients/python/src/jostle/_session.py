@@ -71,6 +71,7 @@ class Session(Link):
         expect_epoch: SupportsIndex | None = None,
         timeout: float | None = None,
         request_id: str | None = None,
+        is_safe: bool = False,
     ) -> bytes:
         """Sends a command, which is executed once, and returns the payload of the reply.
 
@@ -86,6 +87,7 @@ class Session(Link):
             expect_epoch: See `jostle.Options`.
             timeout: Seconds it may take; None is the client's.
             request_id: See `jostle.Options`; None is a new one.
+            is_safe: Whether another daemon rejects it if it was executed already.
 
         Raises:
             JostleError: The daemon's error, or the cause of its silence.
@@ -115,7 +117,7 @@ class Session(Link):
             except FAILED as error:
                 # Lock-step sends thousands of commands a second, and the first attempt succeeds.
                 backoff = Backoff(began, seconds, self.timeout, was_interrupted=was_interrupted)
-                return self._resend(key, swarm, request, before, backoff, error)
+                return self._resend(key, swarm, request, before, backoff, error, is_safe=is_safe)
         except DeadlineExceeded as error:
             waits = "" if swarm is None else ", and `Swarm.wait` waits for a step"
             remedy = f"it continues; a longer `timeout=` waits longer{waits}"
@@ -155,6 +157,8 @@ class Session(Link):
         before: frozenset[str],
         backoff: Backoff,
         failure: JostleError,
+        *,
+        is_safe: bool,
     ) -> bytes:
         """Sends a command again until it is replied to, after the first attempt failed."""
         name = self._claims_of(key, swarm)
@@ -182,7 +186,8 @@ class Session(Link):
                 raise self.late(backoff.elapsed) from failure
             try:
                 # Another daemon, even of the same name, does not know which commands were executed.
-                if connected is not None and not (
+                may_know = is_safe or connected is None
+                if not may_know and not (
                     self._is_known(name, key, servers) if servers else before == connected
                 ):
                     break
