@@ -5,7 +5,7 @@ use std::path::Path;
 use jostle_proto::ErrorCode;
 use serde_json::{Value, json};
 
-use crate::support::daemon_process::{DaemonProcess, killed, start};
+use crate::support::daemon_process::{DaemonProcess, daemon, killed, start};
 use crate::support::{Client, until};
 
 /// Ends a daemon with the swarm `a` as an operator does, or kills it, and starts one on the same folder.
@@ -107,4 +107,69 @@ async fn what_was_scheduled_before_a_restart_counts_in_the_limit_after_it() {
     }
     let (code, _) = daemon.1.err("a", "set", at(5000)).await;
     assert_eq!(code, ErrorCode::ResourceExhausted);
+}
+
+/// A daemon on the folder whose swarms keep 1 MiB of history each.
+async fn with_a_small_quota(folder: &Path) -> (DaemonProcess, Client) {
+    let mut command = daemon(folder);
+    command.args(["--quota-mb", "1"]);
+    let process = DaemonProcess::start(&mut command).unwrap();
+    let client = Client::open(&process.endpoint).await;
+    (process, client)
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn history_is_kept_up_to_the_quota_over_restarts_and_what_is_gone_stays_gone() {
+    /// A checkpoint is kept at least this often.
+    const STEPS: u64 = 10_000;
+    let folder = tempfile::tempdir().unwrap();
+    let (mut process, mut client) = with_a_small_quota(folder.path()).await;
+    client.create("a", json!({"n": 2, "rate": null})).await;
+    let noise = json!({"verb": "set", "args": {"noise": 0.125}});
+    let batch = json!({"args": {"commands": vec![noise; 64]}});
+    let quarter = (1 << 18) / batch.to_string().len();
+    let from = async |client: &Client| {
+        let status = client.get("a", "status").await;
+        status["result"]["history_from"]["step"].as_u64().unwrap()
+    };
+    let (mut before, mut moved) = (0, 0);
+    for part in 1..=12 {
+        for _ in 0..quarter {
+            client.ok("a", "batch", batch.clone()).await;
+        }
+        client.ok("a", "step", json!({"steps": STEPS})).await;
+        // The steps are durable then.
+        client.ok("a", "annotate", json!({"text": "here"})).await;
+        let hash = client.hash("a").await;
+        if part % 2 == 0 {
+            // Alternately stopped and killed.
+            if part % 4 == 0 {
+                process.kill();
+            } else {
+                process.stop();
+                assert_eq!(process.end(), Some(0));
+            }
+            drop(client);
+            (process, client) = with_a_small_quota(folder.path()).await;
+            assert_eq!(client.hash("a").await, hash);
+        }
+        let now = from(&client).await;
+        assert!(
+            now >= before,
+            "the history goes back from {before} to {now}"
+        );
+        moved += u32::from(now > before);
+        before = now;
+    }
+    assert!(moved >= 4, "{moved}");
+    // Most of 3 MiB is gone, and 1 MiB is there.
+    assert!((8 * STEPS..=10 * STEPS).contains(&before), "{before}");
+    let fork = |name: &str, step: u64| json!({"name": name, "step": step});
+    client.err("a", "fork", fork("b", before - 1)).await;
+    assert_eq!(
+        client.ok("a", "fork", fork("c", before)).await["step"],
+        before
+    );
+    let verified = client.get("a", "verify").await;
+    assert_eq!(verified["result"]["differs_at"], Value::Null, "{verified}");
 }

@@ -176,7 +176,7 @@ async fn counters_increase_and_the_series_of_a_swarm_end_with_it() {
     let (client, http) = (&daemon.client, of_daemon(&daemon));
     let before = series(&http);
     client
-        .create("a", json!({"n": 20, "seed": 1, "rate": 10}))
+        .create("a", json!({"n": 20, "seed": 1, "rate": 9}))
         .await;
     client.ok("a", "step", json!({"steps": 100})).await;
     client.ok("a", "run", json!({"until_step": 150})).await;
@@ -217,6 +217,29 @@ async fn counters_increase_and_the_series_of_a_swarm_end_with_it() {
     };
     assert_eq!((swarm.steps, swarm.due_steps, swarm.n), (150, 50, 20));
     assert!(swarm.contacts > 0 && swarm.step_secs > 0.0 && swarm.late_secs > 0.0);
+    // All that is told of the swarm is told twice, and no two of these numbers are equal.
+    let told = [
+        ("steps_total", swarm.steps as f64),
+        ("step_seconds_total", swarm.step_secs),
+        ("step_lateness_seconds_total", swarm.late_secs),
+        ("rate", swarm.rate.unwrap()),
+        ("individuals", swarm.n as f64),
+        ("contacts", swarm.contacts as f64),
+        ("residual", swarm.residual),
+    ];
+    for (number, (name, value)) in told.iter().enumerate() {
+        let name = format!("jostle_swarm_{name}{{swarm=\"a\"}}");
+        let shown = now[&name];
+        // A text of a duration has fewer digits.
+        assert!(
+            (shown - value).abs() <= 1e-6 * value.abs(),
+            "{name}: {shown}, {value}"
+        );
+        assert!(
+            told[..number].iter().all(|it| it.1 != *value),
+            "{name}: {told:?}"
+        );
+    }
 
     client.ok("a", "delete", json!({})).await;
     let gone = series(&http);

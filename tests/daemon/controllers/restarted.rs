@@ -122,6 +122,8 @@ async fn a_faulted_swarm_keeps_its_controllers_until_it_is_reset_and_does_not_sp
     client.cmd("a", "step", steps).await.unwrap_err();
     let is_faulted = async || client.get("a", "status").await["phase"] == "faulted";
     until("a fault", is_faulted).await;
+    // The steps to it are durable then.
+    client.ok("a", "annotate", json!({"text": "here"})).await;
     // The first ends before the daemon does, the second while it is down.
     first.session.close().await.unwrap();
     let key = keys::ctl_alive(PREFIX, "a", "ada");
@@ -345,5 +347,52 @@ async fn a_controller_that_joins_again_with_others_has_those_and_leaves_those_al
         let verified = client.get("a", "verify").await;
         assert_eq!(verified["result"]["differs_at"], Value::Null, "{cause:?}");
         drop((first, process));
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn set_points_from_before_a_restart_lapse_and_those_after_it_hold() {
+    /// In seconds.
+    const LEASE: f64 = 3.0;
+    for is_killed in [true, false] {
+        let (folder, endpoint) = (tempfile::tempdir().unwrap(), endpoint());
+        let mut process = started(folder.path(), &endpoint, "");
+        let client = Client::open(&endpoint).await;
+        client.create("a", json!({"n": 6, "rate": 2})).await;
+        let ada = Client::open(&endpoint).await;
+        let free = json!({"mode": "free_running", "deadline_secs": LEASE, "on_timeout": "free"});
+        join(&ada, "ada", &[3, 4], free).await;
+        client.ok("a", "run", json!({})).await;
+        let key = keys::ctl(PREFIX, "a", "ada");
+        let put = async |sequence: u64, weight: f64| {
+            let set = json!({"ids": [3], "direction": [1.0], "weight": [weight]});
+            let set = json!({"sequence": sequence, "set": set}).to_string();
+            let sent = ada.session.put(&key, set).encoding("application/json");
+            sent.await.unwrap();
+        };
+        put(1, 2.0).await;
+        until("it is applied", async || weights(&client).await[3] == 2.0).await;
+        ended(process, &client, is_killed).await;
+        process = started(folder.path(), &endpoint, "");
+        let client = Client::open(&endpoint).await;
+        recovered(&client).await;
+        assert_eq!(weights(&client).await[3], 2.0, "{is_killed}");
+        let is_free = async || weights(&client).await.iter().all(|weight| *weight == 0.0);
+        until_within(LOST, "the lease ends", is_free).await;
+        // The controller itself is still there, and its next set-points hold as long as they come.
+        assert_eq!(controllers(&client, "a").await, ["ada"]);
+        let began = Instant::now();
+        let mut sequence = 2;
+        while began.elapsed().as_secs_f64() < 2.0 * LEASE {
+            put(sequence, 4.0).await;
+            let is_held = async || weights(&client).await[3] == 4.0;
+            until("they hold", is_held).await;
+            sequence += 1;
+        }
+        until_within(LOST, "the lease ends again", is_free).await;
+        client.ok("a", "pause", json!({})).await;
+        let verified = client.get("a", "verify").await;
+        assert_eq!(verified["result"]["differs_at"], Value::Null);
+        drop(process);
     }
 }
