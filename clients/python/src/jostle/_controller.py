@@ -515,7 +515,8 @@ class Controller:
         else:
             message = (
                 f"the swarm is at step {error.step}, not {self._step}: it was reset, or stepped "
-                "without this controller, which missed a deadline; `sync()` resumes"
+                "without this controller, which missed a deadline or whose name another process "
+                "has taken; `sync()` resumes"
             )
         raise Conflict(message, details=error.details, step=error.step) from error
 
