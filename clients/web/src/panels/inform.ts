@@ -17,6 +17,9 @@ export interface Preference {
   weight?: number;
 }
 
+/** The cosine of the angle between directions that are the same but for rounding. */
+const SAME = 1 - 1e-12;
+
 /** Informs individuals. The message offers to uninform those that were not informed before. */
 export async function inform(
   swarm: string,
@@ -42,7 +45,7 @@ export async function inform(
     const replaced = reply.result.ids.length - fresh.length;
     announce(`${informed} informed: ${direction}°${changed(replaced)}`, {
       label: replaced > 0 ? `Undo for ${fresh.length}` : "Undo",
-      act: fresh.length > 0 ? () => undo(swarm, reply, fresh) : undefined,
+      act: fresh.length > 0 ? () => undo(swarm, reply, fresh, preference) : undefined,
     });
   });
 }
@@ -52,14 +55,23 @@ function changed(count: number): string {
   return count === 0 ? "" : `, ${count} of them replacing another direction`;
 }
 
-/** Uninforms individuals; fails after a reset, which assigns the ids to other individuals. */
-async function undo(swarm: string, { epoch }: Reply<Chosen>, ids: number[]): Promise<void> {
+/**
+ * Uninforms individuals that still have the direction. After a reset, or in another swarm of the name, the ids
+ * are those of other individuals.
+ */
+async function undo(
+  swarm: string,
+  { epoch }: Reply<Chosen>,
+  ids: number[],
+  { direction }: Preference,
+): Promise<void> {
   await attempt(async () => {
-    const { id, weight } = await currentState(swarm);
-    const informed = new Set(id.filter((_, i) => weight[i]! > 0));
-    const left = ids.filter((id) => informed.has(id));
-    if (left.length === 0) {
-      announce("none of these individuals is informed any longer");
+    const now = await currentState(swarm);
+    const has = (i: number) => now.weight[i]! > 0 && Math.cos(now.direction[i]! - direction) > SAME;
+    const those = new Set(now.id.filter((_, i) => has(i)));
+    const left = ids.filter((id) => those.has(id));
+    if (now.epoch !== epoch || left.length === 0) {
+      announce("none of these individuals has that direction any longer");
       return;
     }
     await command(swarm, "uninform", { select: { ids: left } }, { expect_epoch: epoch });
