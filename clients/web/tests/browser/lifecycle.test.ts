@@ -54,8 +54,8 @@ test("the fork of a swarm with the longest name has a name that is accepted", as
   await until("its size", async () => (await number(page, "n").textContent()) === "3");
   await page.getByRole("button", { name: "Fork", exact: true }).click();
   const fork = `${name.slice(0, 58)}-fork`;
-  const size = async () => (await site.daemon.get<{ n: number }>(`${fork}/get/status`)).n;
-  await until("the fork", async () => (await size().catch(() => 0)) === 3);
+  const forked = async () => (await site.daemon.get<{ swarm: string }>(`${fork}/get/status`)).swarm;
+  await until("the fork", async () => (await forked().catch(() => "")) === fork);
   await site.daemon.command(name, "delete");
   await site.daemon.command(fork, "delete");
 });
