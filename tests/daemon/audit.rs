@@ -1,5 +1,7 @@
 //! The audit log: who sent which commands, with what outcome, also once what they concern is gone.
 
+use std::time::{Duration, Instant};
+
 use jostle_proto::keys;
 use serde_json::{Value, json};
 
@@ -210,6 +212,30 @@ async fn many_equal_commands_of_a_minute_share_a_line() {
     );
     client.ok("school", "step", json!({})).await;
     assert_eq!(lines(client, "verb=step").await.len(), 2);
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_line_has_the_times_of_its_first_and_its_last_command() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    client.create("school", json!({"n": 3, "rate": null})).await;
+    let began = Instant::now();
+    for _ in 0..2 {
+        client.ok("school", "step", json!({})).await;
+        tokio::time::sleep(Duration::from_secs(1)).await;
+    }
+    client.ok("school", "step", json!({})).await;
+    let apart = began.elapsed().as_secs_f64();
+    let daemon = daemon.restart().await;
+    let [line] = &lines(&daemon.client, "verb=step").await[..] else {
+        panic!("not one line");
+    };
+    let [first, last] = ["unix_secs", "last_unix_secs"].map(|it| line[it].as_f64().unwrap());
+    assert!(
+        (1.9..apart + 0.1).contains(&(last - first)),
+        "{line}, {apart}"
+    );
     daemon.stop().await;
 }
 

@@ -156,6 +156,12 @@ def test_a_condition_pauses_or_changes_the_swarm_once(create: Create) -> None:
     assert swarm.status().parameters.pi3 == 2.0
     fired = [entry.step for entry in swarm.journal() if entry.verb == "fired"]
     assert fired == [1, 2, 3]
+    swarm.when("order >= 0", commands=[jostle.Set(pi3=1.5), jostle.Set(pi2=0.5)])
+    swarm.step()
+    swarm.set(pi3=1.0)
+    assert swarm.status().parameters.pi2 == 0.5
+    # Each change has a number, and none is missing.
+    assert [entry.skipped for entry in swarm.journal()] == [0] * len(swarm.journal())
     swarm.when("order > 1", pause=True)
     swarm.when(cancel=True)
     assert swarm.status().when is None

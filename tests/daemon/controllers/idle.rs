@@ -139,3 +139,24 @@ async fn a_controller_that_sends_something_in_time_stays() {
     }
     daemon.stop().await;
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_reset_and_a_fork_keep_max_idle_secs() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    client.create("a", json!({"n": 4})).await;
+    client
+        .ok("a", "set", json!({"max_idle_secs": 5, "pi3": 2}))
+        .await;
+    client.ok("a", "step", json!({"steps": 3})).await;
+    client.ok("a", "reset", json!({})).await;
+    client.ok("a", "fork", json!({"name": "b"})).await;
+    for swarm in ["a", "b"] {
+        let status = client.get(swarm, "status").await;
+        let parameters = &status["result"]["parameters"];
+        assert_eq!(parameters["max_idle_secs"], 5.0, "{swarm}: {parameters}");
+        // What the model has is as at the start.
+        assert_eq!(parameters["pi3"], 1.0, "{swarm}: {parameters}");
+    }
+    daemon.stop().await;
+}

@@ -81,8 +81,12 @@ fn hash(state: &State, of: &Simulation) -> [u8; 32] {
 async fn at_rate_max_every_kth_state_is_recorded_to_the_bit_for_each_recording() {
     let data = tempfile::tempdir().unwrap();
     let (_process, client) = start_daemon(data.path(), "").await;
-    let spec = json!({"n": 10, "seed": 3, "rate": null, "publish_every": 40});
+    let mut spec = json!({"n": 10, "seed": 3, "rate": null, "publish_every": 10});
     client.create("school", spec.clone()).await;
+    // The default of a recording is the present one.
+    spec["publish_every"] = json!(40);
+    let present = json!({"publish_every": 40});
+    client.ok("school", "set", present).await;
     for (name, every) in [
         ("all", json!(1)),
         ("some", json!(7)),

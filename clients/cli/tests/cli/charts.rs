@@ -180,6 +180,28 @@ async fn what_is_no_folder_and_no_name_of_an_experiment_is_described_as_such() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_picture_has_the_present_shape_of_the_bodies() {
+    let folder = tempfile::tempdir().unwrap();
+    let daemon = Daemon::start().await;
+    daemon.said("create one --n 9 --pi1 3").await;
+    let mut slenderness = Vec::new();
+    for pi1 in ["3", "9"] {
+        daemon.said(&format!("set one pi1={pi1} --make-room")).await;
+        let picture = drawn(&daemon, folder.path(), "plot snapshot one").await;
+        let body = picture.lines().rfind(|it| it.starts_with("<rect")).unwrap();
+        let number = |name: &str| -> f64 {
+            let (_, after) = body.split_once(&format!(" {name}=\"")).unwrap();
+            after.split('"').next().unwrap().parse().unwrap()
+        };
+        slenderness.push(number("width") / number("height"));
+    }
+    // Up to the width of the outline.
+    assert!((2.7..3.5).contains(&slenderness[0]), "{slenderness:?}");
+    assert!((8.0..13.0).contains(&slenderness[1]), "{slenderness:?}");
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn several_swarms_are_in_a_grid_with_their_names() {
     let folder = tempfile::tempdir().unwrap();
     let daemon = Daemon::start().await;

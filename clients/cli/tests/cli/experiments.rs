@@ -192,6 +192,18 @@ async fn an_experiment_is_run_listed_and_its_tables_are_those_of_the_daemon() {
     ended.assert_stderr(2, "has 1 run that these results do not have");
     daemon.said(&format!("{line} --force")).await;
     assert_eq!(fs::read_to_string(&other).unwrap(), csv);
+    // The same runs by name, of another seed.
+    let text = SMALL.replace("seed = 3", "seed = 4");
+    let reseeded = file(
+        folder.path(),
+        "reseeded.toml",
+        &text.replace("small", "reseeded"),
+    );
+    daemon.said(&format!("experiment run {reseeded}")).await;
+    let instead = format!("experiment results reseeded -o {}", out.display());
+    let ended = daemon.jostle(&instead).await;
+    ended.assert_stderr(2, "has 4 runs that these results do not have");
+    assert_eq!(fs::read_to_string(out.join("results.csv")).unwrap(), csv);
     fs::write(&other, "notes").unwrap();
     daemon
         .jostle(&line)

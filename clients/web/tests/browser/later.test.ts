@@ -91,7 +91,16 @@ const ACTIONS: Action[] = [
   ["a rate of another client", ({ send }) => send("run", { rate: 2 })],
   ["no rate, of another client", ({ send }) => send("run", { rate: null })],
   ["a rate again", ({ page }) => enter(page, "rate time units / s", "2.5", "Run at rate")],
-  ["no rate", ({ page }) => enter(page, "rate time units / s", "", "Run at rate")],
+  [
+    "no rate",
+    async ({ page, swarm }) => {
+      await enter(page, "rate time units / s", "", "Run at rate");
+      await until("it runs as fast as possible", async () => {
+        const status = await daemon.get<{ result: { rate: number | null } }>(`${swarm}/get/status`);
+        return status.result.rate === null;
+      });
+    },
+  ],
   ["pause", ({ page, swarm }) => click(page, "❚❚ Pause").then(() => phaseIs(swarm, "paused"))],
   [
     "run and pause, before the page knows that it runs",

@@ -223,3 +223,13 @@ fn the_power_of_ten_of_an_axis_is_that_of_the_ends_of_the_bars() {
     let zero = [mean(1.0, 0.0, Some(1e-7), 2), mean(2.0, 0.0, None, 1)];
     assert_eq!(label(zero), " (1e-6)");
 }
+
+#[test]
+fn an_axis_of_two_values_is_linear_however_many_curves_have_them() {
+    let points = || vec![mean(1.0, 0.5, None, 3), mean(100.0, 0.7, None, 3)];
+    let all = ["n = 3", "n = 5", "n = 8"].map(|label| (label, points()));
+    let picture = svg(&chart("noise", "order", all.into()));
+    assert!(!picture.contains("logarithmic"), "{picture}");
+    let more = vec![("", [points(), vec![mean(1000.0, 0.7, None, 3)]].concat())];
+    assert!(svg(&chart("noise", "order", more)).contains("logarithmic"));
+}
