@@ -93,7 +93,7 @@ def test_a_call_to_a_daemon_that_is_gone_ends_at_the_timeout_of_the_client(
             LONG_CALLS[name](swarm, ada)
         took = time.monotonic() - began - killed_after
         kill.join()
-        # And a second for a busy machine.
-        assert took < 2.0 + 1.0
+        # And the rest for a busy machine; three times the timeout would be 6 s.
+        assert took < 2.0 + 2.0
         # It held the swarm until then.
         assert idle.step == 0

@@ -224,7 +224,7 @@ async fn a_swarm_that_begins_to_match_has_the_rates_of_one_interval() {
     let daemon = Daemon::start().await;
     daemon.said("create busy --n 100 --seed 1").await;
     daemon.said("step busy 30000 --timeout 60").await;
-    let mut top = daemon.begin("top --where phase=running --count 2 --interval 3");
+    let mut top = daemon.begin("top --where phase=running --count 2 --interval 10");
     // The first screen, in which it is paused.
     top.lines(2);
     daemon.said("run busy --rate 0.1").await;
@@ -236,7 +236,7 @@ async fn a_swarm_that_begins_to_match_has_the_rates_of_one_interval() {
     };
     let place = header.split_whitespace().position(|it| it == "cpu_%");
     let share = row.split_whitespace().nth(place.unwrap()).unwrap();
-    // Its 30,000 steps before would be at least 20 %.
-    assert!(share.parse::<f64>().unwrap() < 10.0, "{ended:?}");
+    // Its 30,000 steps before would be more than 5 %.
+    assert!(share.parse::<f64>().unwrap() < 2.0, "{ended:?}");
     daemon.stop().await;
 }
