@@ -217,7 +217,7 @@ async fn counters_increase_and_the_series_of_a_swarm_end_with_it() {
     };
     assert_eq!((swarm.steps, swarm.due_steps, swarm.n), (150, 50, 20));
     assert!(swarm.contacts > 0 && swarm.step_secs > 0.0 && swarm.late_secs > 0.0);
-    // All that is told of the swarm is told twice, and no two of these numbers are equal.
+    // Each metric of the swarm is its field of `get/metrics`. No two of these values are equal.
     let told = [
         ("steps_total", swarm.steps as f64),
         ("step_seconds_total", swarm.step_secs),

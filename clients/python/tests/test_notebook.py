@@ -132,7 +132,7 @@ def test_arrows_show_the_preferred_directions_and_not_the_headings(create: Creat
     assert "<polygon" not in shown(swarm.state())
     swarm.inform(jostle.ids([0, 4]), 0.7)
     swarm.inform(jostle.ids([9]), 4.0)
-    # Nobody has turned yet.
+    # No body has turned yet.
     state = swarm.state()
     polygons = picture(shown(state)).iter("{http://www.w3.org/2000/svg}polygon")
     tips = [np.array(it.get("points", "").split(" ")[0].split(","), float) for it in polygons]

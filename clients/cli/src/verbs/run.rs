@@ -331,7 +331,7 @@ mod tests {
         assert_eq!(exit_code(Some("0a"), "condition", &["0a"]), Some(4));
         assert_eq!(exit_code(Some("0a"), "requested", &["0a"]), Some(4));
         assert_eq!(exit_code(Some("0a"), "lockstep", &["0a"]), Some(4));
-        // Somebody has removed it.
+        // A client has removed the condition.
         assert_eq!(exit_code(Some("0a"), "requested", &[]), Some(4));
     }
 

@@ -25,8 +25,6 @@ from ._changes import commands as encode_changes
 from ._decode import read_batch, read_reply, read_scheduled
 from ._errors import (
     DeadlineExceeded,
-    Faulted,
-    IncorrectState,
     Internal,
     JostleError,
     Unavailable,
@@ -44,7 +42,7 @@ from ._messages import (
     StepResult,
     WhenResult,
 )
-from ._queries import BodyShape, Queries
+from ._queries import BodyShape, Queries, stopped
 from ._session import Session
 from ._state import State, fetch_state, read_step_reply
 
@@ -231,12 +229,10 @@ class Commands(Queries):
         is_waiting = any(it.id == id for it in status.conditions or ())
         if status.reason == "condition" and not is_waiting:
             return status
-        kind = Faulted if status.phase == "faulted" else IncorrectState
-        raise kind(
+        raise stopped(
+            status,
             f"swarm {self._name!r} is {status.phase} at step {status.step}, before {condition} "
             f"held: {status.reason or 'no reason given'}{_left(id) if is_waiting else ''}",
-            details={"phase": status.phase, "reason": status.reason},
-            step=status.step,
         )
 
     def _runs_on(

@@ -76,6 +76,12 @@ class BodyShape:
     epoch: int | None = None
 
 
+def stopped(status: Status, message: str) -> Faulted | IncorrectState:
+    """The error if a swarm does not run any more, before what was waited for."""
+    kind = Faulted if status.phase == "faulted" else IncorrectState
+    return kind(message, details={"phase": status.phase, "reason": status.reason}, step=status.step)
+
+
 class Queries(Past):
     """The part of a `Swarm` that queries its daemon."""
 
@@ -324,12 +330,10 @@ class Queries(Past):
             if target is not None and status.step >= target:
                 bar.end(f"step {target}")
         if target is not None and status.step < target:
-            kind = Faulted if status.phase == "faulted" else IncorrectState
-            raise kind(
+            raise stopped(
+                status,
                 f"swarm {self._name!r} is {status.phase} at step {status.step} and will not "
                 f"reach step {target} by itself: {status.reason or 'no reason given'}",
-                details={"phase": status.phase, "reason": status.reason},
-                step=status.step,
             )
         return self._remember(status)
 
@@ -351,11 +355,10 @@ class Queries(Past):
             if token is not None and self._session.is_open():
                 token.undeclare()
         if status.phase == "faulted":
-            raise Faulted(
+            raise stopped(
+                status,
                 f"swarm {self._name!r} faulted at step {status.step} before {condition} held: "
                 f"{status.reason or 'no reason given'}",
-                details={"phase": status.phase, "reason": status.reason},
-                step=status.step,
             )
         return self._remember(status)
 

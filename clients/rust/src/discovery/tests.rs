@@ -1,7 +1,5 @@
 #![expect(clippy::unwrap_used, reason = "tests")]
 
-use serde_json::json;
-
 use super::*;
 use crate::connect::ConnectOptions;
 
@@ -21,14 +19,23 @@ async fn listening() -> (zenoh::Session, String) {
     (session, endpoint)
 }
 
-#[tokio::test(flavor = "multi_thread")]
-async fn without_time_to_ask_again_only_a_connection_that_holds_tells_what_is_missing() {
-    let (session, endpoint) = listening().await;
+/// A client that does not wait for a daemon.
+async fn connected(endpoint: String) -> Client {
     let client = Client::connect(ConnectOptions {
         wait: Duration::ZERO,
         ..ConnectOptions::to(endpoint)
     });
-    let client = client.await.unwrap();
+    client.await.unwrap()
+}
+
+/// What a daemon replies while it recovers.
+const RECOVERING: &str =
+    r#"{"code": "busy", "message": "recovering", "details": {"reason": "recovering"}}"#;
+
+#[tokio::test(flavor = "multi_thread")]
+async fn without_time_to_ask_again_only_a_connection_that_holds_tells_what_is_missing() {
+    let (session, endpoint) = listening().await;
+    let client = connected(endpoint).await;
     let silent = || Error::Silent {
         target: "demo".into(),
     };
@@ -46,21 +53,15 @@ async fn without_time_to_ask_again_only_a_connection_that_holds_tells_what_is_mi
 #[tokio::test(flavor = "multi_thread")]
 async fn a_daemon_that_recovers_while_the_cause_is_looked_for_is_there() {
     let (session, endpoint) = listening().await;
-    let client = Client::connect(ConnectOptions {
-        wait: Duration::ZERO,
-        ..ConnectOptions::to(endpoint)
-    });
-    let client = client.await.unwrap();
+    let client = connected(endpoint).await;
     // It is recovering when it is asked for the first time, and not any more when that is answered.
     let hello = keys::node_get(&client.0.prefix, "lab", "hello");
     let queries = session.declare_queryable(hello).await.unwrap();
-    let recovering =
-        json!({"code": "busy", "message": "recovering", "details": {"reason": "recovering"}});
     let token = keys::node_alive(&client.0.prefix, "lab");
     let recover = async {
         let query = queries.recv_async().await.unwrap();
         let token = session.liveliness().declare_token(token).await.unwrap();
-        query.reply_err(recovering.to_string()).await.unwrap();
+        query.reply_err(RECOVERING).await.unwrap();
         drop(query);
         token
     };
@@ -68,44 +69,6 @@ async fn a_daemon_that_recovers_while_the_cause_is_looked_for_is_there() {
     let (token, error) = tokio::join!(recover, explain);
     assert!(matches!(error, Error::NoSwarm { .. }), "{error}");
     token.undeclare().await.unwrap();
-    client.close().await;
-}
-
-#[tokio::test(flavor = "multi_thread")]
-async fn the_cause_is_found_although_a_daemon_comes_and_goes() {
-    let (session, endpoint) = listening().await;
-    let client = Client::connect(ConnectOptions {
-        wait: Duration::ZERO,
-        ..ConnectOptions::to(endpoint)
-    });
-    let client = client.await.unwrap();
-    let hello = keys::node_get(&client.0.prefix, "lab", "hello");
-    let queries = session.declare_queryable(hello).await.unwrap();
-    let recovering =
-        json!({"code": "busy", "message": "recovering", "details": {"reason": "recovering"}});
-    let token = keys::node_alive(&client.0.prefix, "lab");
-    // Its token is there only from the end of a query for `hello` on until it is seen.
-    let come_and_go = async {
-        loop {
-            let query = queries.recv_async().await.unwrap();
-            let token = session.liveliness().declare_token(&token).await.unwrap();
-            query.reply_err(recovering.to_string()).await.unwrap();
-            drop(query);
-            while client.nodes().await.unwrap().is_empty() {}
-            tokio::time::sleep(Duration::from_millis(20)).await;
-            token.undeclare().await.unwrap();
-        }
-    };
-    let explain = client.explain_silence(Target::Swarm("demo"), "jostle/demo/get/status");
-    let explain = tokio::time::timeout(Duration::from_secs(20), explain);
-    let error = tokio::select! {
-        error = explain => error.unwrap(),
-        () = come_and_go => unreachable!(),
-    };
-    assert!(
-        matches!(error, Error::NoNode { .. } | Error::NoSwarm { .. }),
-        "{error}"
-    );
     client.close().await;
 }
 

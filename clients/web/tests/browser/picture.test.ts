@@ -268,7 +268,7 @@ test("undo uninforms exactly the individuals that the command informed", async (
   await daemon.command("undo", "uninform", { select: { ids: [6, 7] } });
   await words.getByRole("button", { name: "Undo" }).click();
   await words.filter({ hasText: "none of these individuals has that direction" }).waitFor();
-  // One that another client has informed anew keeps that.
+  // An individual that another client has informed again keeps its new direction.
   await select("6, 7");
   await words.getByRole("button", { name: "Undo" }).waitFor();
   await daemon.command("undo", "inform", { select: { ids: [7] }, direction: 3 });
