@@ -256,9 +256,9 @@ pub(super) fn page_of_journal<'a>(
 }
 
 fn whole(field: &'static str, value: &str) -> Result<u64, CommandError> {
-    value.parse().map_err(|_| CommandError::Field {
+    value.parse().map_err(|_| CommandError::Unreadable {
         field,
-        problem: "is not a whole number in its range; separate parameters with `;`",
+        expected: "a whole number in its range",
     })
 }
 
@@ -311,9 +311,9 @@ fn milliseconds(field: &'static str, value: &str) -> Result<u64, CommandError> {
     let time = secs.and_then(|secs| Duration::try_from_secs_f64(secs).ok());
     // To the nearest: no double is most milliseconds.
     let ms = time.and_then(|time| u64::try_from((time.as_micros() + 500) / 1000).ok());
-    ms.ok_or(CommandError::Field {
+    ms.ok_or(CommandError::Unreadable {
         field,
-        problem: "is not a time in seconds since 1970; separate parameters with `;`",
+        expected: "a time in seconds since 1970",
     })
 }
 

@@ -4,7 +4,7 @@ use jostle_proto::keys;
 use serde_json::{Value, json};
 
 use crate::experiments::{rows as rows_of_runs, submit, wait_for_phase};
-use crate::support::{Client, Daemon, NODE, PREFIX, until};
+use crate::support::{Client, Daemon, NODE, PREFIX, http, until};
 
 /// Eleven commands, with the creation of the swarm twelve events.
 const COMMANDS: u64 = 11;
@@ -272,6 +272,30 @@ async fn pages_backwards_make_the_whole_audit_log() {
         }
         let read: Vec<&Value> = all.iter().map(|line| &line["name"]).collect();
         assert_eq!(read, names, "by {size}");
+    }
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_wrong_separator_of_parameters_is_answered_with_those_of_zenoh_and_http() {
+    let daemon = Daemon::start().await;
+    let (client, address) = (&daemon.client, http::of_daemon(&daemon));
+    client.create("a", json!({"n": 5})).await;
+    for (noun, name) in [
+        ("journal?limit=2%26after=1", "limit"),
+        ("journal?line=2%26after=1", "line"),
+        ("experiment?replicates=2%26setpoints=a", "replicates"),
+    ] {
+        let (status, _, body) = http::get(&address, &format!("/api/get/a/get/{noun}"));
+        let over_http: Value = serde_json::from_str(&body).unwrap();
+        assert_eq!(status, 400, "{body}");
+        let key = keys::get(PREFIX, "a", &noun.replace("%26", "&"));
+        let over_zenoh = client.query(&key, None).await.unwrap_err().message;
+        for message in [over_http["message"].as_str().unwrap(), &over_zenoh] {
+            assert!(message.starts_with(&format!("{name} is not ")), "{message}");
+            let remedy = "; separate parameters with `;`, over HTTP with `&`";
+            assert!(message.ends_with(remedy), "{message}");
+        }
     }
     daemon.stop().await;
 }

@@ -332,3 +332,31 @@ async fn an_id_may_be_used_again_while_its_first_wait_ends() {
     assert_eq!(held.unwrap()["step"], 50);
     drop(process);
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_missed_deadline_is_rounded_in_the_message_and_exact_in_the_details() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    client.create("a", spec(5)).await;
+    for (secs, shown) in [(0.049988056, "0.05"), (0.2, "0.2"), (1.2345, "1.23")] {
+        let key = keys::get(
+            PREFIX,
+            "a",
+            &format!("wait?phase=running;timeout_secs={secs}"),
+        );
+        let error = client.query(&key, None).await.unwrap_err();
+        assert_eq!(
+            error.message,
+            format!("condition not met within {shown} s: retry")
+        );
+        assert_eq!(error.details["after_secs"], secs, "{error:?}");
+    }
+    let request = json!({"timeout_secs": 0.049988056, "args": {"steps": 100_000_000}});
+    let error = client.cmd("a", "step", request).await.unwrap_err();
+    assert!(
+        error.message.starts_with("not done within 0.05 s: "),
+        "{error:?}"
+    );
+    assert_eq!(error.details["after_secs"], 0.049988056, "{error:?}");
+    daemon.stop().await;
+}

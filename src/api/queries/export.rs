@@ -43,9 +43,9 @@ pub(super) fn options(incoming: &Incoming) -> Result<ExportOptions, CommandError
             "replicates" => {
                 let number = value.parse().ok();
                 let number = number.filter(|number| (1..=MAX_RUNS).contains(number));
-                options.replicates = Some(number.ok_or(CommandError::Field {
+                options.replicates = Some(number.ok_or(CommandError::Unreadable {
                     field: "replicates",
-                    problem: "is not a whole number from 1 to 100000; separate parameters with `;`",
+                    expected: "a whole number from 1 to 100000",
                 })?);
             }
             _ if is_file_name(value) => options.setpoints = Some(value.to_owned()),

@@ -23,6 +23,9 @@ use crate::swarm::error::SwarmError;
 use crate::swarm::recovery_progress::still_left;
 use crate::swarm::registry::RegistryError;
 
+/// What separates the parameters of a query.
+const SEPARATORS: &str = "separate parameters with `;`, over HTTP with `&`";
+
 /// Why a request is rejected.
 #[derive(Clone, Debug, ThisError)]
 #[expect(missing_docs, reason = "the messages say when each is returned")]
@@ -36,7 +39,13 @@ pub enum CommandError {
         field: &'static str,
         problem: &'static str,
     },
-    #[error("limit is not a whole number from 1 to {max}; separate parameters with `;`")]
+    /// Perhaps since another separator made the next parameter a part of it.
+    #[error("{field} is not {expected}; {SEPARATORS}")]
+    Unreadable {
+        field: &'static str,
+        expected: &'static str,
+    },
+    #[error("limit is not a whole number from 1 to {max}; {SEPARATORS}")]
     PageLimit { max: usize },
     #[error(
         "timeout_secs of a wait is not a number above 0 and at most {max}: repeat the wait to wait longer"
@@ -164,13 +173,13 @@ pub enum CommandError {
         still_left(*.swarms_left)
     )]
     Recovering { swarms_left: usize },
-    #[error("not done within {after_secs} s: {remedy}")]
+    #[error("not done within {} s: {remedy}", rounded(*.after_secs))]
     Deadline {
         after_secs: f64,
         /// What becomes of it, and what to do.
         remedy: &'static str,
     },
-    #[error("condition not met within {after_secs} s: retry")]
+    #[error("condition not met within {} s: retry", rounded(*.after_secs))]
     NotYet { after_secs: f64 },
     #[error(transparent)]
     Registry(#[from] RegistryError),
@@ -184,6 +193,13 @@ pub enum CommandError {
     Record(#[from] RecordError),
     #[error(transparent)]
     Measures(#[from] MeasuresError),
+}
+
+/// Seconds as people read them: three digits, and whole ones from 100 on.
+fn rounded(secs: f64) -> f64 {
+    let decimals = (2.0 - secs.log10().floor()).clamp(0.0, 9.0);
+    let unit = 10_f64.powf(decimals);
+    (secs * unit).round() / unit
 }
 
 impl From<StoreError> for CommandError {
@@ -306,6 +322,7 @@ impl WireCode for CommandError {
             CommandError::Record(error) => error.code(),
             CommandError::Measures(error) => error.code(),
             CommandError::Field { .. }
+            | CommandError::Unreadable { .. }
             | CommandError::PageLimit { .. }
             | CommandError::WaitTimeout { .. }
             | CommandError::Condition(_)
@@ -354,7 +371,9 @@ impl WireCode for CommandError {
             CommandError::Experiment(error) => error.details(),
             CommandError::Record(error) => error.details(),
             CommandError::Measures(error) => error.details(),
-            CommandError::Field { field, .. } => named(field, Value::Null, range_of(field)),
+            CommandError::Field { field, .. } | CommandError::Unreadable { field, .. } => {
+                named(field, Value::Null, range_of(field))
+            }
             CommandError::PageLimit { max } => object(
                 json!({"field": "limit", "range": format!("a whole number from 1 to {max}")}),
             ),
