@@ -333,3 +333,20 @@ async fn an_address_that_cannot_be_bound_is_rejected_with_the_flag_to_change() {
         assert!(text.contains(named), "{address}: {text}");
     }
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_metrics_on_the_bus_count_each_client_at_once() {
+    let daemon = Daemon::start().await;
+    let mut others = Vec::new();
+    // The health thread, which counts once a second, cannot have counted each of them.
+    for count in 2..8 {
+        others.push(daemon.another_client().await);
+        let metrics = daemon.client.node("metrics").await;
+        let status = daemon.client.node("status").await;
+        assert_eq!(
+            (&metrics["sessions"], &status["clients"]),
+            (&json!(count), &json!(count))
+        );
+    }
+    daemon.stop().await;
+}

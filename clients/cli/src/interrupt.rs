@@ -1,8 +1,7 @@
 //! Ctrl-C: ends the command line, never the swarm.
 
 use std::pin::pin;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{LazyLock, Once};
+use std::sync::{LazyLock, Mutex, MutexGuard, Once, PoisonError};
 use std::time::Duration;
 
 use tokio::runtime::Handle;
@@ -17,12 +16,17 @@ const GRACE: Duration = Duration::from_millis(500);
 /// How long it may take if it has begun a file: the whole file must be written, however slow the disk is.
 const FILE_GRACE: Duration = Duration::from_secs(3600);
 
-/// Whether the verb has begun a file, which it completes before it ends.
-static HAS_FILE: AtomicBool = AtomicBool::new(false);
+/// If the verb has begun a file, which it completes before it ends: what is left without that.
+static LEFT: Mutex<Option<String>> = Mutex::new(None);
 
-/// Has the first Ctrl-C leave the verb the time to complete what it has begun; a second one ends it.
-pub fn complete_first() {
-    HAS_FILE.store(true, Ordering::Relaxed);
+/// Has the first Ctrl-C leave the verb the time to complete what it has begun; a second one ends it,
+/// and prints what is `left`.
+pub fn complete_first(left: impl Into<String>) {
+    *left_now() = Some(left.into());
+}
+
+fn left_now() -> MutexGuard<'static, Option<String>> {
+    LEFT.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// The signals received so far. A verb that starts to wait after a signal arrived sees it too.
@@ -142,7 +146,7 @@ where
 }
 
 fn grace() -> Duration {
-    match HAS_FILE.load(Ordering::Relaxed) {
+    match left_now().is_some() {
         true => FILE_GRACE,
         false => GRACE,
     }
@@ -168,6 +172,8 @@ where
     match ended {
         Some(Ok(outcome)) => outcome,
         Some(Err(error)) => Err(Failure::defect(error)),
-        None => Err(Failure::interrupted()),
+        None => Err(left_now()
+            .take()
+            .map_or_else(Failure::interrupted, Failure::interrupted_leaving)),
     }
 }

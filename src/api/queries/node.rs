@@ -73,7 +73,10 @@ impl Context {
             "metrics" => {
                 // The watch starts before the queryables.
                 let watch = self.watch.get().ok_or(CommandError::Internal)?;
-                self.node_reply(convert::metrics(&watch.metrics()))
+                let mut metrics = watch.metrics();
+                // The health thread counts them once a second.
+                metrics.sessions = self.peers.clients();
+                self.node_reply(convert::metrics(&metrics))
             }
             _ => self.node_reply(self.swarms()),
         })

@@ -114,6 +114,7 @@ async fn connected(global: GlobalArguments, output: Output, verb: Verb) -> Resul
         Verb::Run(arguments) => run::run(&context, &arguments, timeout).await,
         Verb::Wait(arguments) => wait::wait(&context, &arguments, timeout).await,
         Verb::Step(arguments) => steer::step(&context, &arguments).await,
+        Verb::Fork(arguments) => fork::fork(&context, &arguments).await,
         Verb::Watch(arguments) => watch::watch(&context, &arguments, reply_timeout).await,
         Verb::Record(arguments) => record::record(&context, &arguments).await,
         Verb::Experiment(arguments) => experiment::experiment(&context, &arguments.what).await,
@@ -152,7 +153,6 @@ async fn interruptible(context: &Context, verb: Verb, timeout: Option<f64>) -> R
         Verb::Inject(arguments) => individuals::inject(context, &arguments).await,
         Verb::Remove(arguments) => individuals::remove(context, &arguments).await,
         Verb::Batch(arguments) => batch::batch(context, &arguments).await,
-        Verb::Fork(arguments) => fork::fork(context, &arguments).await,
         Verb::Snapshot(arguments) => snapshot::snapshot(context, &arguments).await,
         Verb::Restore(arguments) => restore::restore(context, &arguments).await,
         Verb::Verify(arguments) => verify::verify(context, &arguments.name, timeout).await,
@@ -165,6 +165,7 @@ async fn interruptible(context: &Context, verb: Verb, timeout: Option<f64>) -> R
         Verb::Run(_)
         | Verb::Wait(_)
         | Verb::Step(_)
+        | Verb::Fork(_)
         | Verb::Watch(_)
         | Verb::Record(_)
         | Verb::Experiment(_)

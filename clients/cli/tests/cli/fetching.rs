@@ -2,6 +2,9 @@
 
 use std::fs;
 use std::path::Path;
+use std::sync::atomic::Ordering;
+use std::sync::mpsc::channel;
+use std::time::Duration;
 
 use jostle_proto::{Role, State};
 use jostle_results::recording::{self, About};
@@ -10,7 +13,7 @@ use jostled::auth::issue;
 use serde_json::{Value, json};
 
 use crate::recording::{assert_impossible_is_rejected, file, is_whole};
-use crate::support::{Daemon, Ended, object, until};
+use crate::support::{Daemon, Ended, Link, Running, TIMEOUT, object, until};
 
 /// Waits until the daemon records, and returns the recording's name.
 async fn begun(daemon: &Daemon) -> String {
@@ -468,5 +471,43 @@ async fn a_recording_that_lacks_a_part_is_fetched_without_it_and_the_exit_code_s
         ["take"],
         "the daemon keeps its copy"
     );
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_second_ctrl_c_says_what_the_daemon_may_go_on_with_and_how_to_end_it() {
+    let daemon = Daemon::start().await;
+    daemon.said("create demo --n 10 --rate 1").await;
+    daemon.said("run demo").await;
+    let (_folder, path) = file("take.mcap");
+    // A daemon that is suspended before it stops the recording, or before it has begun it.
+    let link = Link::to(&daemon.endpoint);
+    let mut recording = Running::begin(&link.endpoint, &format!("record demo -o {path}"), "");
+    let name = begun(&daemon).await;
+    link.lose_answers();
+    recording.interrupt();
+    while !recording.complaint().contains("fetching the rest") {}
+    recording.interrupt();
+    let ended = recording.end().await;
+    ended.assert_stderr(130, "interrupted: the daemon may record on: ");
+    ended.assert_stderr(130, &format!("`jostle record --stop {name}` ends it"));
+    let fetch = format!("`jostle record --fetch {name} -o {path}` fetches");
+    ended.assert_stderr(130, &fetch);
+
+    let link = Link::to(&daemon.endpoint);
+    let (release, held) = channel();
+    let is_sent = link.on(b"cmd/record", move || {
+        let _ = held.recv_timeout(TIMEOUT);
+    });
+    let recording = Running::begin(&link.endpoint, &format!("record demo -o {path}"), "");
+    until("it is sent", async || is_sent.load(Ordering::SeqCst)).await;
+    recording.interrupt();
+    // Signals that arrive at once count as one.
+    tokio::time::sleep(Duration::from_millis(500)).await;
+    recording.interrupt();
+    let ended = recording.end().await;
+    release.send(()).unwrap();
+    ended.assert_stderr(130, "`jostle record --list` names");
+    ended.assert_stderr(130, "`jostle record --stop NAME` ends it");
     daemon.stop().await;
 }

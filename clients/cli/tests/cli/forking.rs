@@ -1,10 +1,12 @@
 //! Copies of swarms: forks and snapshots.
 
 use std::fs;
+use std::sync::atomic::Ordering;
+use std::sync::mpsc::channel;
 
 use serde_json::{Value, json};
 
-use crate::support::Daemon;
+use crate::support::{Daemon, Link, Running, TIMEOUT, until};
 
 /// A dense group with commands behind it, in mid-contact.
 async fn crowd(daemon: &Daemon, name: &str) {
@@ -184,5 +186,26 @@ async fn a_request_too_long_for_a_message_is_rejected_with_a_remedy() {
         .await;
     ended.assert_stderr(7, "fork the swarm");
     assert!(!path.exists());
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_interrupted_fork_says_that_the_daemon_goes_on_and_how_to_remove_it() {
+    let daemon = Daemon::start().await;
+    crowd(&daemon, "a").await;
+    let link = Link::to(&daemon.endpoint);
+    let (release, held) = channel();
+    // The daemon does not get the request before the client has ended.
+    let is_sent = link.on(b"cmd/fork", move || {
+        let _ = held.recv_timeout(TIMEOUT);
+    });
+    let running = Running::begin(&link.endpoint, "fork a b --at-step 50", "");
+    until("the fork is sent", async || is_sent.load(Ordering::SeqCst)).await;
+    running.interrupt();
+    let ended = running.end().await;
+    release.send(()).unwrap();
+    ended.assert_stderr(130, "the daemon may still fork a");
+    ended.assert_stderr(130, "`jostle status b` shows it");
+    ended.assert_stderr(130, "`jostle delete b` removes it");
     daemon.stop().await;
 }

@@ -371,6 +371,7 @@ async fn daemons_and_messages_are_listed() {
         .map(|line| line.split_whitespace().collect())
         .collect();
     assert_eq!(words[0][..3], ["node", "version", "wire"]);
+    assert_eq!(words[0][7..], ["reserved_memory", "clients"]);
     assert_eq!(words[1][..3], ["test", env!("CARGO_PKG_VERSION"), "1"]);
     let nodes = daemon.reply("nodes").await;
     assert_eq!(nodes["nodes"][0]["hello"]["wire_version"], 1);

@@ -33,7 +33,13 @@ async fn top_shows_the_load_of_each_swarm_and_ends_after_count_screens() {
     let row: Vec<&str> = row.split_whitespace().collect();
     assert_eq!(row[6].parse(), Ok(0.0), "{once}");
     assert!(once.contains("steps 0/s"), "{once}");
-    for word in ["cores", "memory", "sessions", "commits", "faults 0"] {
+    for word in [
+        "cores",
+        "resident memory",
+        "clients 1",
+        "commits",
+        "faults 0",
+    ] {
         assert!(once.contains(word), "{word}: {once}");
     }
     let by_name = daemon.said("top --count 1 --sort name").await;

@@ -47,7 +47,15 @@ pub async fn nodes(context: &Context) -> Result<(), Failure> {
         output.note(&notes.join("\n"));
     }
     let header = [
-        "node", "version", "wire", "up", "swarms", "running", "faulted", "memory", "clients",
+        "node",
+        "version",
+        "wire",
+        "up",
+        "swarms",
+        "running",
+        "faulted",
+        "reserved_memory",
+        "clients",
     ];
     let text = table::table(header, rows);
     output.print(&json!({ "nodes": documents }), &text)

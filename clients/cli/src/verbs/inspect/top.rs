@@ -216,7 +216,7 @@ fn header(node: &str, now: &Metrics, earlier: &Metrics) -> String {
         false => now.store.last_commit_secs,
     };
     let mut lines = format!(
-        "{node}  up {}  cores {:.2} of {}  memory {}  sessions {}\n\
+        "{node}  up {}  cores {:.2} of {}  resident memory {}  clients {}\n\
          steps {:.0}/s  commits {:.1}/s of {}  frames {:.0}/s, {} dropped  faults {}",
         format::duration(now.uptime_secs),
         per_sec(|it| it.cpu_secs),

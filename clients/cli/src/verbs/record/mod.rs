@@ -103,7 +103,7 @@ impl Target<'_> {
 /// Records the published states.
 async fn record_published(context: &Context, target: Target<'_>) -> Result<(), Failure> {
     let mut recording = interrupt::either(Recording::begin(context, target)).await?;
-    interrupt::complete_first();
+    interrupt::complete_first(recovers(target.out));
     let ended = recording.follow().await;
     recording.finish(ended)
 }
@@ -271,14 +271,8 @@ impl<'a> Recording<'a> {
         let written = match finished {
             Ok(written) => written,
             Err(error) => {
-                let partial = partial(out);
-                if fs::exists(&partial).unwrap_or(false) {
-                    self.output.note(&format!(
-                        "{} holds what was recorded: `jostle record --recover {}` makes a whole \
-                         file of it",
-                        partial.display(),
-                        out.display()
-                    ));
+                if fs::exists(partial(out)).unwrap_or(false) {
+                    self.output.note(&recovers(out));
                 }
                 // The first error is the reason.
                 return ended.and(Err(explain(out, error)));
@@ -302,6 +296,15 @@ impl<'a> Recording<'a> {
         self.output.print(&document, &text)?;
         ended.map(drop)
     }
+}
+
+/// What recovers a file that was not completed.
+fn recovers(out: &Path) -> String {
+    format!(
+        "{} holds what was recorded: `jostle record --recover {}` makes a whole file of it",
+        partial(out).display(),
+        out.display()
+    )
 }
 
 /// The metadata of the recording.

@@ -46,7 +46,8 @@ const BEGIN_GRACE: Duration = Duration::from_secs(5);
 
 /// What an interrupted client prints if that reply does not come.
 const NO_REPLY: &str = "the daemon did not reply in time; if it records the swarm, \
-                        `jostle record --list` names the recording";
+                        `jostle record --list` names the recording, and `jostle record --stop NAME` \
+                        ends it";
 
 /// Why the daemon did not record, or stopped early.
 pub enum RecordError {
@@ -82,7 +83,7 @@ pub async fn record(context: &Context, target: Target<'_>) -> Result<(), RecordE
         temporary: true,
     });
     // The first Ctrl-C fetches the rest, a second one leaves it on the daemon.
-    interrupt::complete_first();
+    interrupt::complete_first(NO_REPLY);
     // Only the reply has the name by which the recording can be stopped.
     let begun = client.command_node("record", &begin, CommandOptions::default());
     let begun = interrupt::after_grace(BEGIN_GRACE, NO_REPLY, begun).await;
@@ -105,11 +106,11 @@ pub async fn record(context: &Context, target: Target<'_>) -> Result<(), RecordE
         part: 0,
         is_silent: false,
     };
+    interrupt::complete_first(fetching.left());
     let done = fetching.follow(target.deadline()).await;
     fetching.bar.finish_and_clear();
     if done.is_err() {
-        let note = format!("the daemon has what was recorded: {}", fetching.command());
-        output.note(&note);
+        output.note(&fetching.left());
     }
     Ok(done?)
 }
@@ -183,6 +184,7 @@ impl Fetching<'_> {
             retry(async || self.stop().await).await?;
             self.recording = retry(async || self.query_status().await).await?;
         }
+        interrupt::complete_first(self.left());
         self.finish().await
     }
 
@@ -422,6 +424,21 @@ impl Fetching<'_> {
             missing_note(&self.recording),
             lost_note(*lost_parts)
         ))
+    }
+
+    /// What the daemon has or goes on with if the client ends.
+    fn left(&self) -> String {
+        let Recording {
+            recording, phase, ..
+        } = &self.recording;
+        let fetch = self.command();
+        match phase {
+            RecordingPhase::Recording => format!(
+                "the daemon may record on: `jostle record --stop {recording}` ends it, and {fetch} \
+                 fetches what was recorded"
+            ),
+            _ => format!("the daemon has what was recorded: {fetch}"),
+        }
     }
 
     /// The command that fetches the recording later.
