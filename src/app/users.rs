@@ -9,11 +9,8 @@ use tracing::{error, info, warn};
 use crate::audit::{self, AuditCommand, AuditLog};
 use crate::auth::folder::Folder;
 use crate::auth::live::{Changes, LiveRights};
-use crate::auth::{AuthError, Rights};
+use crate::auth::{AuthError, EXPIRY_WARNING_DAYS, Rights};
 use crate::config::Config;
-
-/// How many days before its expiry a certificate is reported.
-const EXPIRY_WARNING_DAYS: i64 = 60;
 
 const EXPIRY_CHECK_INTERVAL: Duration = Duration::from_secs(24 * 60 * 60);
 

@@ -4,7 +4,7 @@ use rcgen::{
     BasicConstraints, CertificateParams, DnType, ExtendedKeyUsagePurpose, IsCa, Issuer, KeyPair,
     KeyUsagePurpose,
 };
-use time::{Duration, OffsetDateTime};
+use time::{Date, Duration, Month, OffsetDateTime};
 
 /// The lifetime of the authority's certificate.
 const AUTHORITY_DAYS: i64 = 3650;
@@ -98,6 +98,16 @@ fn authority() -> Result<CertificateParams, rcgen::Error> {
 pub fn in_days(days: i64) -> String {
     let day = OffsetDateTime::now_utc() + Duration::days(days);
     day.date().to_string()
+}
+
+/// The begin of a day as [`in_days`] has it, in seconds since 1970.
+pub fn unix_secs(day: &str) -> Option<i64> {
+    let mut parts = day.splitn(3, '-');
+    let year = parts.next()?.parse().ok()?;
+    let month = parts.next()?.parse::<u8>().ok()?;
+    let day = parts.next()?.parse().ok()?;
+    let date = Date::from_calendar_date(year, Month::try_from(month).ok()?, day).ok()?;
+    Some(date.midnight().assume_utc().unix_timestamp())
 }
 
 fn set_validity(params: &mut CertificateParams, days: i64) {

@@ -19,9 +19,12 @@ use jostle_proto::Role;
 use jostle_proto::role::{is_controller_of, is_person, rejection_message};
 use thiserror::Error;
 
-use crate::auth::certificates::in_days;
+use crate::auth::certificates::{in_days, unix_secs};
 pub use crate::auth::error::AuthError;
 use crate::auth::folder::{Folder, UserEntry};
+
+/// How many days before its expiry a certificate is reported.
+pub const EXPIRY_WARNING_DAYS: i64 = 60;
 
 /// The separator between the name of a user and the name of their client; user names cannot contain
 /// it.
@@ -34,6 +37,22 @@ pub struct User {
     pub name: String,
     /// Their role.
     pub role: Role,
+}
+
+/// That the daemon's certificate expires on a day, and the remedy.
+fn own_expiry(until: &str) -> String {
+    format!(
+        "the daemon's certificate {} {until}: run `jostled auth address --host NAME` with each of its \
+         names, then restart the daemon",
+        expires(until)
+    )
+}
+
+fn expires(until: &str) -> &'static str {
+    match *until < *in_days(0) {
+        true => "expired on",
+        false => "expires on",
+    }
 }
 
 /// Users by the hashes of their tokens.
@@ -104,12 +123,29 @@ impl Rights {
         })
     }
 
-    /// The last day of the daemon's certificate, if it has expired.
-    pub fn ended(&self) -> Option<String> {
+    /// The last day of the daemon's certificate, if that is known.
+    fn until(&self) -> Option<&String> {
         match self {
-            Rights::Users { until, .. } => until.clone().filter(|it| *it < in_days(0)),
+            Rights::Users { until, .. } => until.as_ref(),
             Rights::Open => None,
         }
+    }
+
+    /// The last day of the daemon's certificate, if it has expired.
+    pub fn ended(&self) -> Option<String> {
+        self.until().filter(|it| **it < in_days(0)).cloned()
+    }
+
+    /// The begin of that day in seconds since 1970.
+    pub fn end_unix_secs(&self) -> Option<i64> {
+        unix_secs(self.until()?)
+    }
+
+    /// A warning with its remedy if the daemon's certificate expires soon.
+    pub fn ends_soon(&self) -> Option<String> {
+        let soon = in_days(0)..=in_days(EXPIRY_WARNING_DAYS);
+        let until = self.until().filter(|it| soon.contains(*it));
+        until.map(|it| own_expiry(it))
     }
 
     /// Warnings with their remedies: about certificates that expire within so many days, and about
@@ -121,19 +157,9 @@ impl Rights {
         let known = folder.people()?;
         let soon = in_days(days);
         let is_soon = |until: &Option<String>| until.as_ref().is_some_and(|it| *it <= soon);
-        let today = in_days(0);
-        let expires = |until: &str| match until < today.as_str() {
-            true => "expired on",
-            false => "expires on",
-        };
         let mut lines = Vec::new();
-        if let Some(until) = known.until.filter(|it| *it <= soon) {
-            lines.push(format!(
-                "the daemon's certificate {} {until}: `jostled auth address --host NAME` with each of \
-                 its names issues a new one",
-                expires(&until)
-            ));
-        }
+        let own = known.until.filter(|it| *it <= soon);
+        lines.extend(own.map(|it| own_expiry(&it)));
         for entry in known.people.iter().filter(|it| is_soon(&it.until)) {
             let UserEntry { person, role, .. } = entry;
             let until = entry.until.as_deref().unwrap_or_default();
@@ -305,7 +331,7 @@ mod tests {
         folder.write_people(&known).unwrap();
         let text = rights.expiry_warnings(DAYS).unwrap().join("\n");
         let expired = format!(
-            "the daemon's certificate expired on {}: `jostled auth address",
+            "the daemon's certificate expired on {}: run `jostled auth address",
             in_days(-1)
         );
         assert!(text.contains(&expired), "{text}");

@@ -46,6 +46,8 @@ pub struct DaemonMetrics {
     pub recovering: usize,
     /// Names that another daemon uses too.
     pub contested: usize,
+    /// The begin of the last day of the daemon's certificate in seconds since 1970, if it has one.
+    pub certificate_end: Option<i64>,
     /// The health of the store.
     pub store: store::Health,
     /// The size of the audit log.
@@ -122,6 +124,7 @@ impl HealthMonitor {
             totals,
             recovering: self.watched.recovery.swarms_left().unwrap_or(0),
             contested: (self.watched.contested)().len(),
+            certificate_end: self.watched.rights.current().end_unix_secs(),
             store: self.watched.store.health(),
             recordings: (self.watched.count)(recordings),
             recordings_bytes: recordings.usage(),

@@ -196,6 +196,8 @@ impl HealthMonitor {
         }
         let other_data = self.watched.other_data.clone();
         warnings.extend(other_data.map(|message| ("other_data", message)));
+        let soon = self.watched.rights.current().ends_soon();
+        warnings.extend(soon.map(|message| ("certificate_ends", message)));
         warnings
     }
 

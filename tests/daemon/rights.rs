@@ -59,6 +59,11 @@ impl AuthDaemon {
         let folder = Folder::new(base.path().join("auth"));
         let people = PEOPLE.map(|(name, role)| (name.to_owned(), role));
         issue::init(&folder, &[], &people).unwrap();
+        Self::start_in(base, folder, http).await
+    }
+
+    /// A daemon with these users.
+    async fn start_in(base: TempDir, folder: Folder, http: &str) -> Self {
         let data = base.path().join("data");
         let flags = [
             ("listen", "tls/127.0.0.1:0,tcp/127.0.0.1:0"),

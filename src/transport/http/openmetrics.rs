@@ -52,6 +52,7 @@ const METRICS: &[(&str, &str, Value)] = &[
     ("cores", "Cores available to the daemon", Gauge(|it| it.daemon.cores as f64)),
     ("recovering_swarms", "Swarms that are not recovered yet after a start", Gauge(|it| it.daemon.recovering as f64)),
     ("contested", "Names of the daemon and its swarms that another daemon also holds", Gauge(|it| it.daemon.contested as f64)),
+    ("certificate_end_timestamp_seconds", "Begin of the last day of the daemon's certificate, in seconds since 1970, if it has one", OptionalGauge(|it| it.daemon.certificate_end.map(|it| it as f64))),
     ("resident_memory_bytes", "Resident memory", Gauge(|it| it.daemon.resident_bytes as f64)),
     ("reserved_memory_bytes", "Memory reserved for swarms and the running experiment", Gauge(|it| it.daemon.reserved_bytes as f64)),
     ("experiments_reserved_memory_bytes", "Memory reserved for the running experiment", Gauge(|it| it.daemon.experiments_reserved_bytes as f64)),

@@ -1,6 +1,7 @@
 //! No secret is in any log or reply, and the permissions over HTTP.
 
 use std::fs::{self, File};
+use std::process::Command;
 
 use futures_util::StreamExt;
 use jostle_proto::{Credentials, keys};
@@ -14,7 +15,7 @@ use tokio_tungstenite::tungstenite::client::IntoClientRequest;
 
 use super::{AuthDaemon, PEOPLE, SessionCredentials, UserSession};
 use crate::harness::free_ports;
-use crate::support::http::send;
+use crate::support::http::{health, send};
 use crate::support::process::{Process, jostled};
 use crate::support::tls::https;
 use crate::support::{NODE, PREFIX, until};
@@ -283,4 +284,42 @@ async fn no_secret_is_in_any_log_nor_among_what_is_kept() {
             assert!(!is_in, "a secret is in {}", path.display());
         }
     }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_end_of_the_certificate_is_a_metric_and_a_warning_before() {
+    const METRIC: &str = "\njostle_certificate_end_timestamp_seconds ";
+    let mut daemon = AuthDaemon::start().await;
+    let arguments = ["-u", "-d", "+50 days", "+%F"];
+    let soon = Command::new("date").args(arguments).output().unwrap();
+    let soon = String::from_utf8(soon.stdout).unwrap();
+    for until in [Some(soon.trim()), Some("2999-03-01"), None] {
+        let mut known = daemon.folder.people().unwrap();
+        known.until = until.map(str::to_owned);
+        daemon.folder.write_people(&known).unwrap();
+        daemon.server.stop().await;
+        daemon = AuthDaemon::start_in(daemon.base, daemon.folder, "127.0.0.1:0").await;
+        let address = daemon.server.http().unwrap().to_string();
+        let (status, report) = health(&address);
+        assert_eq!(status, 200, "{report}");
+        let warning = &report["warnings"][0];
+        if until == Some(soon.trim()) {
+            assert_eq!(warning["code"], "certificate_ends", "{report}");
+            let message = warning["message"].as_str().unwrap();
+            let expected = format!("certificate expires on {}: run `jostled", soon.trim());
+            assert!(message.contains(&expected), "{message}");
+        } else {
+            assert_eq!(warning, &Value::Null);
+        }
+        let token = daemon.credentials("vera").token;
+        let request = format!(
+            "GET /metrics HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\
+             Authorization: Bearer {token}\r\n\r\n"
+        );
+        let metrics = send(&address, &request).2;
+        assert_eq!(metrics.contains(METRIC), until.is_some(), "{until:?}");
+        let is_then = metrics.contains(&format!("{METRIC}32477241600\n"));
+        assert_eq!(is_then, until == Some("2999-03-01"));
+    }
+    daemon.server.stop().await;
 }
