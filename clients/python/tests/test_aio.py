@@ -168,6 +168,30 @@ def test_a_cancelled_call_ends_at_once_and_its_thread_soon(create: Create, daemo
     run(main)
 
 
+def test_a_controller_and_a_client_are_opened_by_a_task(create: Create, daemon: Daemon) -> None:
+    swarm = create(n=4)
+
+    async def main() -> None:
+        client = await asyncio.create_task(aio.connect(daemon.endpoint))
+        async with client, asyncio.TaskGroup() as group:
+            theirs = client.swarm(swarm.name)
+            joining = [
+                group.create_task(theirs.join(name, jostle.ids([at])))
+                for at, name in enumerate("abc")
+            ]
+        assert [it.result().ids for it in joining] == [[0], [1], [2]]
+        with pytest.raises(jostle.InvalidArgument, match="name"):
+            await asyncio.create_task(theirs.join("", jostle.ids([3])))
+        unused = aio.connect(daemon.endpoint)
+        unused.close()
+        cancelled = asyncio.create_task(aio.connect(daemon.endpoint))
+        cancelled.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await cancelled
+
+    run(main)
+
+
 def test_a_cancelled_connecting_leaves_nothing(free_endpoint: str, daemon: Daemon) -> None:
     async def main() -> None:
         for endpoint in (free_endpoint, daemon.endpoint):

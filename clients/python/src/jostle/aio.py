@@ -141,8 +141,11 @@ def _joined(
     return joined
 
 
-class Opening(Generic[C]):
-    """A client or a controller to be opened: `await` it, or enter it with `async with`."""
+class Opening(Coroutine[Any, Any, C]):
+    """A client or a controller to be opened: `await` it, or enter it with `async with`.
+
+    It is a coroutine, so that `asyncio.create_task` and `asyncio.run` accept it, too.
+    """
 
     def __init__(self, open_: Callable[[], Coroutine[Any, Any, C]]) -> None:
         self._open = open_
@@ -150,6 +153,24 @@ class Opening(Generic[C]):
 
     def __await__(self) -> Generator[Any, None, C]:
         return self._open().__await__()
+
+    @functools.cached_property
+    def _coroutine(self) -> Coroutine[Any, Any, C]:
+        """What a task runs; made when it begins, as one that is never awaited causes a warning."""
+        return self._open()
+
+    def send(self, value: Any) -> Any:
+        """Continues it; a task calls this."""
+        return self._coroutine.send(value)
+
+    def throw(self, *error: Any) -> Any:
+        """Continues it with an error; a task that is cancelled calls this."""
+        return self._coroutine.throw(*error)
+
+    def close(self) -> None:
+        """Ends it, if a task began it."""
+        if "_coroutine" in self.__dict__:
+            self._coroutine.close()
 
     async def __aenter__(self) -> C:
         self._opened = await self._open()
