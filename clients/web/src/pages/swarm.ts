@@ -49,8 +49,8 @@ export function swarmPage(name: string, session: Session): Page {
       void conditions.refresh();
     }
   };
-  const catchUp = () => {
-    void events.catchUp();
+  const catchUp = (again = false) => {
+    void events.catchUp(again);
     void playback.refresh();
     refreshConditions();
   };
@@ -120,7 +120,7 @@ export function swarmPage(name: string, session: Session): Page {
       refreshConditions();
     },
     replaced: () => takeAnother(null),
-    catchUp: () => catchUp(),
+    catchUp,
     changed: () => steering?.show(),
     directed: (direction) => {
       if (!replay) {

@@ -27,7 +27,7 @@ const KINDS: Record<Series, Kind> = {
     format: (it) => signed(it, 3),
     range: [-1, 1],
     colour: "--chart-2",
-    none: "no informed individuals with a common direction: the drift is undefined",
+    none: "no common direction",
   },
   contacts: {
     title: "contacts",

@@ -80,6 +80,8 @@ export class Events {
   private reading = false;
   private repeat = false;
   private ended = false;
+  /** Whether the daemon may have forgotten events that are shown, as it does when it restarts. */
+  private stale = false;
 
   /** The wall clock of the last event, by which it is known again. */
   private lastAt: number | null = null;
@@ -90,11 +92,13 @@ export class Events {
     private readonly replaced: () => void,
   ) {}
 
-  /** Requests the newest events, or those after the last one shown. */
-  async catchUp(): Promise<void> {
+  /** Requests the newest events, or those after the last one shown; `again` requests all, so that the
+   * list is that of a page opened now. */
+  async catchUp(again = false): Promise<void> {
     if (this.ended) {
       return;
     }
+    this.stale ||= again;
     if (this.reading) {
       this.repeat = true;
       return;
@@ -139,8 +143,7 @@ export class Events {
   private async request(): Promise<EventsResult | null> {
     // With the last one: the event of its number may be one of another swarm.
     const { last, lastAt } = this;
-    const noun = `events?after=${Math.max(0, last - 1)}&limit=${MAX_EVENTS}`;
-    const { result } = await get<EventsResult>(this.swarm, noun);
+    const result = await this.after(Math.max(0, last - 1));
     if (this.ended) {
       return null;
     }
@@ -153,7 +156,38 @@ export class Events {
     return result;
   }
 
+  private async after(number: number): Promise<EventsResult> {
+    const noun = `events?after=${number}&limit=${MAX_EVENTS}`;
+    return (await get<EventsResult>(this.swarm, noun)).result;
+  }
+
+  /** Replaces the events by those that the daemon has. */
+  private async readAgain(): Promise<void> {
+    const all: SwarmEvent[] = [];
+    for (let at = 0, newest = 1; at < newest; ) {
+      const result = await this.after(at);
+      all.push(...result.events);
+      newest = result.newest;
+      at = result.events.at(-1)?.number ?? newest;
+    }
+    if (this.ended) {
+      return;
+    }
+    this.element.replaceChildren();
+    this.last = 0;
+    for (const event of all) {
+      this.add(event);
+    }
+    this.stale = false;
+  }
+
   private async read(): Promise<void> {
+    if (this.stale) {
+      if (await this.request()) {
+        await this.readAgain();
+      }
+      return;
+    }
     for (;;) {
       const { last } = this;
       const result = await this.request();

@@ -28,7 +28,8 @@ export interface WatchEvents {
   /** The swarm was missing and its name exists again, perhaps as another swarm. */
   replaced?(): void;
   /** Events were skipped, or the connection is new. */
-  catchUp?(): void;
+  /** `again` if the connection was lost: the daemon may have restarted. */
+  catchUp?(again?: boolean): void;
   changed?(): void;
   directed(direction: number): void;
 }
@@ -63,6 +64,8 @@ export class Watch {
   /** The number of requests for parameters. */
   private reads = 0;
   private connection: Connection = "connecting";
+  /** Whether it was open before. */
+  private connected = false;
 
   constructor(
     readonly swarm: string,
@@ -132,7 +135,8 @@ export class Watch {
         // While the swarm is missing each connection ends at once.
         if (connection === "open" && !this.missing) {
           void this.readParameters();
-          events.catchUp?.();
+          events.catchUp?.(this.connected);
+          this.connected = true;
         }
       },
     });

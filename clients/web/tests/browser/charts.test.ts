@@ -1,7 +1,7 @@
 /** The menu of charts: series and measures of the daemon. */
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
-import type { Page } from "playwright-core";
+import type { Locator, Page } from "playwright-core";
 import { tabsOfEachTest, until } from "./browser.ts";
 import { Daemon } from "./daemon.ts";
 
@@ -51,7 +51,7 @@ test("the menu chooses the charts, and the tab keeps the choice", async () => {
   await daemon.command("chosen", "remove", { select: { count: 19 } });
   const one = async () => (await caption(page, "clusters.largest")) === "1 individuals";
   await until("the cluster of one", one);
-  const none = page.locator(".chart .none", { hasText: "undefined" });
+  const none = page.locator(".chart .none", { hasText: /undefined|no common direction/ });
   assert.equal(await caption(page, "neighbour_gap.median"), "–");
   assert.equal(await none.filter({ visible: true }).count(), 2, "the drift and the gap");
   await page.reload();
@@ -90,4 +90,30 @@ test("the measures of a running swarm are requested at most twice a second, in o
   await page.waitForTimeout(1200);
   assert.deepEqual(sent, []);
   await daemon.command("running", "delete");
+});
+
+test("the text in place of a line covers no label of the axes", async () => {
+  await daemon.create("bare", { n: 20, seed: 3 });
+  await daemon.command("bare", "step", { steps: 200 });
+  const page = await open("bare");
+  for (const [width, height] of [
+    [1280, 800],
+    [360, 740],
+  ] as const) {
+    await page.setViewportSize({ width, height });
+    const chart = page.locator(".chart", { has: page.locator('b:text-is("drift")') });
+    await chart.scrollIntoViewIfNeeded();
+    const box = async (part: Locator) => (await part.boundingBox())!;
+    await until("it is beside the labels", async () => {
+      const [text, plot, all] = await Promise.all(
+        [chart.locator(".none"), chart.locator(".u-over"), chart].map(box),
+      );
+      return (
+        text!.x >= plot!.x &&
+        text!.x + text!.width <= all!.x + all!.width &&
+        text!.y >= plot!.y &&
+        text!.y + text!.height <= plot!.y + plot!.height
+      );
+    });
+  }
 });

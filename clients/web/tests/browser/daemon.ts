@@ -88,12 +88,12 @@ export class Daemon {
     await this.begin(this.addresses.zenoh, this.addresses.http.replace("http://", ""));
   }
 
-  async kill(): Promise<void> {
+  async kill(signal: NodeJS.Signals = "SIGKILL"): Promise<void> {
     const { process } = this;
     this.process = null;
     if (process && process.exitCode === null) {
       const gone = new Promise((resolve) => process.once("exit", resolve));
-      process.kill("SIGKILL");
+      process.kill(signal);
       await gone;
     }
   }

@@ -1,6 +1,7 @@
 /** Swarms and daemons that appear and disappear, and playbacks. */
 import assert from "node:assert/strict";
 import { test } from "node:test";
+import type { Page } from "playwright-core";
 import { until } from "./browser.ts";
 import { number, Site, step } from "./site.ts";
 
@@ -246,4 +247,34 @@ test("the picture dims when the daemon stops, and resumes when it is back", asyn
   await until("later steps", async () => (await step(page)) > back + 20);
   await page.keyboard.press(" ");
   await until("commands work", async () => (await site.row("school"))?.phase === "paused");
+});
+
+test("pages that reconnect after a restart have the events of one opened then", async () => {
+  await site.daemon.create("forgetful", { n: 4 });
+  const set = (pi3: number) => site.daemon.command("forgetful", "set", { pi3 });
+  const lines = (page: Page) => page.locator(".events li").allTextContents();
+  const pages: Page[] = [];
+  for (const pi3 of [1.1, 1.2]) {
+    await set(pi3);
+    const tab = await site.openTabAt("/swarm/forgetful");
+    // Requests and connections may end while the daemon is stopped.
+    tab.allowsError(/net::ERR_(CONNECTION_REFUSED|CONNECTION_RESET|EMPTY_RESPONSE)|code: 429/);
+    await until("the event", async () =>
+      (await lines(tab.page)).some((it) => it.includes(`${pi3}`)),
+    );
+    pages.push(tab.page);
+  }
+  await site.daemon.kill("SIGTERM");
+  for (const page of pages) {
+    await page.locator(".view.dimmed").waitFor();
+  }
+  await site.daemon.restart();
+  await set(1.3);
+  pages.push(await site.open("/swarm/forgetful"));
+  await until("the same events", async () => {
+    const [one, two, opened] = await Promise.all(pages.map(lines));
+    return (
+      opened!.some((it) => it.includes("1.3")) && `${one}` === `${opened}` && `${two}` === `${one}`
+    );
+  });
 });
