@@ -287,6 +287,40 @@ def test_a_file_without_an_end_is_not_read_whole(client: jostle.Client, tmp_path
         client.submit(tmp_path / "a.toml")
 
 
+def test_axes_without_a_field_of_a_row_are_columns_of_the_frame(
+    daemon: Daemon, client: jostle.Client
+) -> None:
+    fields: dict[str, Any] = {
+        "grid": [
+            {"n": 3, "noise": [0, 0.25], "relinearise": [0, 1]},
+            {"n": 4, "informed_fraction": 0.5, "attraction": [{"kind": "metric", "radius": 2}]},
+        ],
+    }
+    whole = client.submit({"name": "bare", "duration": 0.2, **fields}).wait(60.0).frame()
+    named = ["informed_fraction", "relinearise", "attraction", "noise"]
+    assert list(whole.columns[-4:]) == named
+    assert len(whole.groupby(["pi1", "noise", "relinearise"])) == 4
+    assert whole.attraction.tolist() == ["all"] * 4 + ["metric:2"]
+    data = daemon.log.parent / "data" / "experiments"
+    with (data / "bare" / "results.csv").open(newline="") as file:
+        header, *written = csv.reader(file)
+    assert header == list(whole.columns)
+    numbers = [name for name in named if name != "attraction"]
+    for name in numbers:
+        column = [row[header.index(name)] for row in written]
+        assert [None if it == "" else float(it) for it in column] == [
+            None if it != it else it for it in whole[name]
+        ]
+    read = jostle.read_table(data / "bare" / "results.parquet")
+    assert read[named].equals(whole[named])
+    endless = client.submit({"name": "bare_without_rows", "duration": 1e6, **fields})
+    empty = endless.frame()
+    assert (len(empty), list(empty.columns)) == (0, list(whole.columns))
+    assert {empty[name].dtype for name in numbers} == {np.dtype(np.float64)}
+    endless.cancel()
+    endless.delete()
+
+
 def test_a_table_before_the_first_result_has_all_columns(client: jostle.Client) -> None:
     fields: dict[str, Any] = {
         "seed": 3,

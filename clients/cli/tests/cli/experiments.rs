@@ -486,6 +486,42 @@ const AXES: &str = "name = \"axes\"\nduration = 0.2\nreplicates = 2\nspec = { n 
                     grid = [{ pi2 = [0.5, 0.75], pi3 = [1, 2], pi4 = [5, 10], dt = [0.02, 0.05], n = [2] }]\n";
 
 #[tokio::test(flavor = "multi_thread")]
+async fn axes_without_a_field_of_a_row_are_columns_of_the_table() {
+    let folder = tempfile::tempdir().unwrap();
+    let daemon = Daemon::start().await;
+    let grid = |duration: &str| {
+        format!(
+            "name = \"bare\"\nduration = {duration}\nspec = {{ n = 2 }}\n\
+             grid = [{{ stepping = [\"velocity\"], noise = [0, 0.5], attraction = \
+             [{{ kind = \"topological\", neighbours = 1 }}] }}]\n"
+        )
+    };
+    let short = file(folder.path(), "short.toml", &grid("0.2"));
+    let endless = file(folder.path(), "endless.toml", &grid("1e6"));
+    daemon.said(&format!("experiment run {short}")).await;
+    daemon
+        .said(&format!("experiment run {endless} --name endless --detach"))
+        .await;
+    let last = |table: &str| -> Vec<String> {
+        let line = |line: &str| line.split(',').rev().take(3).collect::<Vec<_>>().join(" ");
+        table.lines().map(line).collect()
+    };
+    let names = "noise attraction stepping";
+    let rows = ["0.0 topological:1 velocity", "0.5 topological:1 velocity"];
+    let table = daemon.said("experiment results bare --csv").await;
+    assert_eq!(last(&table), [&[names], &rows[..]].concat(), "{table}");
+    let before = daemon.said("experiment results endless --csv").await;
+    assert_eq!(last(&before), [names]);
+    // The table that the daemon does not write is the same.
+    let out = folder.path().join("out.csv");
+    daemon
+        .said(&format!("experiment results bare -o {}", out.display()))
+        .await;
+    assert_eq!(fs::read_to_string(&out).unwrap().trim_end(), table);
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn results_have_a_line_for_each_combination_of_exactly_the_axes_that_vary() {
     let folder = tempfile::tempdir().unwrap();
     let daemon = Daemon::start().await;

@@ -203,7 +203,7 @@ class Experiment:
             ImportError: pandas is missing: `pip install jostle[pandas]`.
         """
         rows, columns = self._table()
-        return of_rows(rows, columns.extra)
+        return of_rows(rows, columns)
 
     def order(self, run: str) -> OrderSeries:
         """The order of one run over time, if the experiment measures it.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Sequence
+from collections.abc import Container, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -230,10 +230,20 @@ NO_COLUMNS = OccasionalColumns(varied=[], extra=[], series=[])
 """Those of a daemon of an earlier version, which does not name them."""
 
 
-def of_rows(rows: Sequence[ResultRow], first: Sequence[str] = ()) -> pandas.DataFrame:
+_AXES = {
+    "informed_fraction": float,
+    "stepping": str,
+    "relinearise": float,
+    "attraction": str,
+    "noise": float,
+}
+"""Axes of a grid that are no fields of a row: their values are in the names of the runs."""
+
+
+def of_rows(rows: Sequence[ResultRow], columns: OccasionalColumns = NO_COLUMNS) -> pandas.DataFrame:
     """Rows as a table of pandas; `fault` is the last column, if a run has one, and None for others.
 
-    `first` are columns that only some experiments have: the table has them even if no row does.
+    `columns` are those that only some experiments have: the table has them even if no row does.
 
     Raises:
         ImportError: pandas is missing; `pip install jostle[pandas]` installs it.
@@ -253,11 +263,18 @@ def of_rows(rows: Sequence[ResultRow], first: Sequence[str] = ()) -> pandas.Data
         {"fault_" if it.name == "fault" else it.name: it.value for it in row.extra or []}
         for row in rows
     ]
-    extra = list(dict.fromkeys([*first, *(name for named in values for name in named)]))
-    for name in extra:
+    named_by_run = [dict(_values(row.run)) for row in rows]
+    varied = {*columns.varied, *(name for named in named_by_run for name in named)}
+    for name, kind in _AXES.items():
+        if name in varied:
+            texts = [named.get(name) for named in named_by_run]
+            table[name] = [None if text is None else kind(text) for text in texts]
+    extra = dict.fromkeys([*columns.extra, *(name for named in values for name in named)])
+    for name in (it for it in extra if it not in _AXES):
         table[name] = [named.get(name) for named in values]
     # If every value is None, pandas would make a column of objects.
-    table = table.astype(dict.fromkeys(["v_pd", *extra], "float64"))
+    numbers = [it for it in ("v_pd", *_AXES, *extra) if it in table and _AXES.get(it) is not str]
+    table = table.astype(dict.fromkeys(numbers, "float64"))
     faults = [row.fault for row in rows]
     if any(fault is not None for fault in faults):
         table["fault"] = pd.Series(faults, dtype=object)
@@ -282,8 +299,7 @@ def of_series(
     tables = []
     for run, columns in runs:
         table: pandas.DataFrame = pd.DataFrame(columns).astype({"step": "int64"})
-        pairs = [pair.partition("=") for pair in run.split(" ") if "=" in pair]
-        values = [(name, _number_or_text(value)) for name, _, value in pairs]
+        values = [(name, _number_or_text(value)) for name, value in _values(run)]
         for place, (name, value) in enumerate([("run", run), *values]):
             table.insert(place, _beside(columns, name), value)
         tables.append(table)
@@ -295,6 +311,14 @@ def of_series(
     named = [_beside(measured, name) for name in ("run", *empty.varied)]
     nothing: pandas.DataFrame = pd.DataFrame(columns=[*named, *measured])
     return nothing.astype({"step": "int64"} | dict.fromkeys(measured[1:], "float64"))
+
+
+def _values(run: str) -> Iterator[tuple[str, str]]:
+    """The values in the name of a run, each with its name."""
+    for pair in run.split(" "):
+        name, separator, value = pair.partition("=")
+        if separator:
+            yield name, value
 
 
 def _beside(columns: Container[str], name: str) -> str:

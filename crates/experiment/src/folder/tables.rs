@@ -26,7 +26,8 @@ impl Folder {
     ///
     /// [`FolderError`].
     pub fn write_tables(&self, plan: &Plan) -> Result<(), FolderError> {
-        table::write(&self.path, &self.rows(), &plan.extra_columns())?;
+        let extra = table::occasional(&plan.occasional_columns());
+        table::write(&self.path, &self.rows(), &extra)?;
         if plan.touch {
             let entries = self.finished.values();
             let rows = entries.filter_map(|entry| entry.record.touch.clone());

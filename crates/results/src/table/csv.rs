@@ -5,7 +5,7 @@ use std::path::Path;
 
 use csv::ErrorKind;
 
-use super::{TableError, extra_names, has_faults, io_error};
+use super::{TableError, axes, extra_names, has_faults, io_error};
 use crate::{COLUMNS, Cell, CellKind, ExtraValue, FAULT, ResultRow, rename_fault};
 
 pub fn write(path: &Path, runs: &[ResultRow], extra: &[String]) -> Result<(), TableError> {
@@ -26,7 +26,7 @@ pub fn write_to(to: impl Write, runs: &[ResultRow], extra: &[String]) -> Result<
     let fault = has_faults.then_some(FAULT);
     writer.write_record(names.chain(extra.iter().copied()).chain(fault))?;
     for run in runs {
-        let extra = extra.iter().map(|name| run.extra(name).into());
+        let extra = extra.iter().map(|name| axes::cell(run, name));
         let fault = has_faults.then(|| {
             run.fault
                 .as_deref()
@@ -49,7 +49,8 @@ pub fn read(path: &Path) -> Result<Vec<ResultRow>, TableError> {
             column: column.name.to_owned(),
         })?);
     }
-    let is_extra = |name: &&str| COLUMNS.iter().all(|column| column.name != *name);
+    let is_extra =
+        |name: &&str| COLUMNS.iter().all(|column| column.name != *name) && !axes::is_axis(name);
     let extra: Vec<(usize, String)> = (0..)
         .zip(header.iter())
         .filter(|(_, name)| is_extra(name))

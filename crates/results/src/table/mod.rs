@@ -7,6 +7,7 @@ pub mod order;
 pub mod series;
 pub mod trajectory;
 
+mod axes;
 pub(crate) mod checksums;
 pub(crate) mod column;
 mod csv;
@@ -17,6 +18,7 @@ use std::path::{Path, PathBuf};
 
 use crate::ResultRow;
 
+pub use axes::occasional;
 pub use series::{MeasureSeries, Series, SeriesPart, SeriesWriter};
 pub use trajectory::{Trajectory, TrajectoryWriter};
 
@@ -82,7 +84,7 @@ pub enum TableError {
 }
 
 /// Writes `runs` to both files of `directory`, which must exist. `extra` are columns that only some
-/// experiments have: a table has them even if no run does.
+/// experiments have, as [`occasional`] returns them: a table has them even if no run does.
 ///
 /// # Errors
 ///
@@ -143,13 +145,14 @@ pub fn read(path: &Path) -> Result<Vec<ResultRow>, TableError> {
     }
 }
 
-/// Returns the names of the columns that only some experiments have: `first`, then others in the order of
-/// the rows.
+/// Returns the names of the columns that only some experiments have: axes, then those of `first`, then
+/// others in the order of the rows.
 fn extra_names<'a>(runs: &'a [ResultRow], first: &'a [String]) -> Vec<&'a str> {
-    let mut names: Vec<&str> = first.iter().map(String::as_str).collect();
-    for extra in runs.iter().flat_map(|run| &run.extra) {
-        if !names.contains(&extra.name.as_str()) {
-            names.push(&extra.name);
+    let mut names: Vec<&str> = axes::of(runs, first).collect();
+    let extra = runs.iter().flat_map(|run| &run.extra);
+    for name in first.iter().chain(extra.map(|it| &it.name)) {
+        if !names.contains(&name.as_str()) {
+            names.push(name);
         }
     }
     names
@@ -176,10 +179,11 @@ mod tests {
 
     use ::parquet::file::metadata::RowGroupMetaData;
     use ::parquet::file::reader::{FileReader as _, SerializedFileReader};
+    use jostle_proto::OccasionalColumns;
 
     use super::*;
     use crate::samples::sample;
-    use crate::{FAULT, Measure};
+    use crate::{COLUMNS, ExtraValue, FAULT, Measure};
 
     #[test]
     fn a_directory_is_read_from_parquet_else_from_csv() {
@@ -215,6 +219,57 @@ mod tests {
             assert_eq!(old.keys, [""; 0], "{version}");
             assert_eq!(new.keys, [checksums::KEY], "{version}");
         }
+    }
+
+    #[test]
+    fn an_axis_that_varies_has_a_column_if_rows_have_no_field_of_it() {
+        let columns = OccasionalColumns {
+            varied: ["pi1", "stepping", "noise", "share"]
+                .map(str::to_owned)
+                .into(),
+            extra: vec!["share".to_owned()],
+            series: Vec::new(),
+        };
+        let row = |run: &str, share| ResultRow {
+            run: run.to_owned(),
+            extra: vec![ExtraValue {
+                name: "share".to_owned(),
+                value: Some(share),
+            }],
+            ..sample()
+        };
+        let rows = [
+            row("pi1=4 stepping=velocity noise=0.3 share=1 #0", 1.0),
+            row("pi1=4 stepping=position noise=0 share=2 #0", 2.0),
+        ];
+        let last = |text: &str| -> Vec<String> {
+            let lines = text.lines().map(|line| line.split(',').skip(COLUMNS.len()));
+            lines
+                .map(|cells| cells.collect::<Vec<_>>().join(" "))
+                .collect()
+        };
+        let names = "stepping noise share";
+        let extra = occasional(&columns);
+        assert_eq!(last(&csv(&[], &extra)), [names]);
+        // A daemon of an earlier version does not say what varies.
+        for extra in [&extra[..], &[]] {
+            let expected = [names, "velocity 0.3 1.0", "position 0.0 2.0"];
+            assert_eq!(last(&csv(&rows, extra)), expected);
+            let directory = tempfile::tempdir().unwrap();
+            write(directory.path(), &rows, extra).unwrap();
+            for name in [CSV_NAME, PARQUET_NAME] {
+                assert_eq!(read(&directory.path().join(name)).unwrap(), rows, "{name}");
+            }
+            let reader = parquet::open(&directory.path().join(PARQUET_NAME)).unwrap();
+            let row = reader.get_row_iter(None).unwrap().next().unwrap().unwrap();
+            let cells = row.get_column_iter().skip(COLUMNS.len());
+            let cells: Vec<String> = cells.map(|(name, it)| format!("{name} {it}")).collect();
+            assert_eq!(cells, ["stepping \"velocity\"", "noise 0.3", "share 1.0"]);
+        }
+        // Not every grid of an experiment has each axis.
+        let given = ["informed_fraction=0.5 #0", "informed=3 #0"].map(|run| row(run, 1.0));
+        let expected = ["informed_fraction share", "0.5 1.0", " 1.0"];
+        assert_eq!(last(&csv(&given, &[])), expected);
     }
 
     #[test]

@@ -15,7 +15,7 @@ use tempfile::NamedTempFile;
 
 use super::checksums::{self, Checked};
 use super::column::{CellError, ParquetValue, failed};
-use super::{TableError, extra_names, has_faults, io_error};
+use super::{TableError, axes, extra_names, has_faults, io_error};
 use crate::{COLUMNS, Cell, CellKind, Column, ExtraValue, FAULT, ResultRow, rename_fault};
 
 fn schema(extra: &[&str], has_faults: bool) -> Result<Type, ParquetError> {
@@ -25,7 +25,10 @@ fn schema(extra: &[&str], has_faults: bool) -> Result<Type, ParquetError> {
         CellKind::Number => f64::schema(column.name),
         CellKind::OptionalNumber => Option::<f64>::schema(column.name),
     });
-    let extra = extra.iter().map(|name| Option::<f64>::schema(name));
+    let extra = extra.iter().map(|name| match axes::is_text(name) {
+        true => Option::<String>::schema(name),
+        false => Option::<f64>::schema(name),
+    });
     let fault = has_faults.then(|| Option::<String>::schema(FAULT));
     group("run", columns.chain(extra).chain(fault).collect())
 }
@@ -42,7 +45,13 @@ pub fn write(path: &Path, runs: &[ResultRow], extra: &[String]) -> Result<(), Ta
             write_cells(path, &mut group, column, runs)?;
         }
         for name in extra {
-            let values: Vec<Option<f64>> = runs.iter().map(|run| run.extra(name)).collect();
+            if axes::is_text(name) {
+                let texts = runs.iter().map(|run| axes::value(run, name));
+                let texts: Vec<_> = texts.map(|it| it.map(str::to_owned)).collect();
+                write_column(path, &mut group, name, &texts)?;
+                continue;
+            }
+            let values: Vec<_> = runs.iter().map(|run| axes::number(run, name)).collect();
             write_column(path, &mut group, name, &values)?;
         }
         if has_faults {
@@ -67,7 +76,8 @@ pub fn read(path: &Path) -> Result<Vec<ResultRow>, TableError> {
             let row = ResultRow::from_cells(cells);
             runs.push(row.expect("`read_cells` returns a value of its kind for each row"));
         }
-        let is_fixed = |name: &str| COLUMNS.iter().any(|column| column.name == name);
+        let is_fixed =
+            |name: &str| COLUMNS.iter().any(|column| column.name == name) || axes::is_axis(name);
         for name in extra_numbers(group, is_fixed) {
             let values: Vec<Option<f64>> = read_column(path, group, &name, first)?;
             for (run, value) in runs[first..].iter_mut().zip(values) {

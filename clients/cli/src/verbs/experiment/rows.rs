@@ -3,6 +3,7 @@
 use jostle_client::Client;
 use jostle_proto::{OccasionalColumns, Progress};
 use jostle_results::ResultRow;
+use jostle_results::table::occasional;
 use serde::Deserialize;
 
 use crate::context::Context;
@@ -39,7 +40,7 @@ pub async fn fetch(client: &Client, name: &str) -> Result<Table, Failure> {
         match page.next {
             Some(next) if next > after => after = next,
             _ => {
-                let extra = page.columns.unwrap_or_default().extra;
+                let extra = occasional(&page.columns.unwrap_or_default());
                 return Ok(Table { rows, extra });
             }
         }
