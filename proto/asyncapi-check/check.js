@@ -25,12 +25,20 @@ for (const format of ["uint8", "uint32", "uint64", "int64", "uint", "double"]) a
 // What a form wants to know of a parameter.
 for (const keyword of ["x-unit", "x-changed-by"]) ajv.addKeyword(keyword);
 
+const folder = resolve(dirname(path), "schema");
+for (const file of ["received.json", "sent.json"]) {
+  ajv.addSchema(JSON.parse(readFileSync(resolve(folder, file), "utf8")), file);
+}
+
 const { components } = JSON.parse(readFileSync(path, "utf8"));
 let examples = 0;
 for (const [name, message] of Object.entries(components.messages)) {
   if (!message.payload) continue;
-  const schema = JSON.parse(readFileSync(resolve(dirname(path), message.payload.$ref), "utf8"));
-  const validate = ajv.compile(schema);
+  const validate = ajv.getSchema(message.payload.$ref.replace("./schema/", ""));
+  if (!validate) {
+    problems.push(`${name}: there is no ${message.payload.$ref}`);
+    continue;
+  }
   if (!message.examples.length) problems.push(`${name} has no example`);
   for (const example of message.examples) {
     examples += 1;

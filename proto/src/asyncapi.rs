@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 use serde_json::{Map, Value, json};
 
 use crate::claim::Standing;
-use crate::contract::{CHANNELS, Channel, ChannelKind, schemas};
+use crate::contract::{CHANNELS, Channel, ChannelKind, definition, schemas};
 use crate::keys::{DEFAULT_PREFIX, NAME_RULE};
 use crate::{CBOR, JSON, WIRE_VERSION};
 
@@ -304,6 +304,7 @@ fn operate(channel: &Channel) -> Vec<(String, Value)> {
 fn messages(examples: &Examples) -> Value {
     let mut messages = Map::new();
     for (name, schema) in schemas() {
+        let (file, type_name) = definition(name, &schema);
         let description = schema.get("description").cloned().unwrap_or_default();
         let examples: Vec<Value> = examples
             .get(name)
@@ -324,7 +325,7 @@ fn messages(examples: &Examples) -> Value {
             "title": schema.get("title"),
             "summary": description,
             "contentType": encodings[0],
-            "payload": {"$ref": format!("./schema/{name}.json")},
+            "payload": {"$ref": format!("./schema/{file}#/$defs/{type_name}")},
             "bindings": {"x-zenoh": {"encodings": encodings}},
             "examples": examples,
         });

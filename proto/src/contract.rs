@@ -1,6 +1,6 @@
 //! The contract as data: what is on which key, and the JSON Schema of every message.
 //!
-//! Everything that describes the wire is made from here: the files in `schema/`, the AsyncAPI
+//! Everything that describes the wire is made from here: the two documents in `schema/`, the AsyncAPI
 //! document, and what a daemon answers on `get/schema`.
 
 mod channels;
@@ -8,7 +8,7 @@ mod channels;
 use std::collections::BTreeMap;
 
 use schemars::Schema;
-use serde_json::Value;
+use serde_json::{Map, Value, json};
 
 use crate::schema::{has_type, received, sent};
 use crate::verbs::{
@@ -112,6 +112,50 @@ pub fn schemas() -> BTreeMap<&'static str, Schema> {
         ("experiment.order", sent::<OrderPage>()),
         ("experiment.series", sent::<SeriesPage>()),
     ])
+}
+
+/// Whether a daemon receives this message; it sends all others.
+pub fn is_received(message: &str) -> bool {
+    message == "request" || message.ends_with(".args")
+}
+
+/// The file in `schema/` with the definition of this message, and the definition's name.
+pub fn definition(message: &str, schema: &Schema) -> (&'static str, String) {
+    let document = match is_received(message) {
+        true => "received.json",
+        false => "sent.json",
+    };
+    let title = schema.get("title").and_then(Value::as_str);
+    (document, title.unwrap_or_default().to_owned())
+}
+
+/// The files in `schema/`: one with each type that a daemon receives, one with each that it sends.
+///
+/// # Errors
+/// Two types of one file have the same name.
+pub fn documents() -> Result<BTreeMap<&'static str, Value>, String> {
+    let mut documents = BTreeMap::new();
+    for (message, schema) in schemas() {
+        let (file, name) = definition(message, &schema);
+        let mut root = schema;
+        let dialect = root.remove("$schema");
+        root.remove("title");
+        let nested = match root.remove("$defs") {
+            Some(Value::Object(nested)) => nested,
+            _ => Map::new(),
+        };
+        let document = documents
+            .entry(file)
+            .or_insert_with(|| json!({"$schema": dialect, "$defs": {}}));
+        for (name, definition) in nested.into_iter().chain([(name, root.to_value())]) {
+            let there = &mut document["$defs"][&name];
+            if !there.is_null() && *there != definition {
+                return Err(format!("{message}: there is another type {name}"));
+            }
+            *there = definition;
+        }
+    }
+    Ok(documents)
 }
 
 /// Every parameter of a spec but the start, in its order, as its schema describes it; `value` is
@@ -239,13 +283,51 @@ mod tests {
     fn what_is_asked_for_is_closed_and_what_is_told_is_open() {
         for (name, schema) in schemas() {
             let text = serde_json::to_string(&schema).unwrap();
-            let is_asked = name == "request" || name.ends_with(".args");
             let is_closed = text.contains("\"additionalProperties\":false");
-            assert_eq!(is_asked, is_closed, "{name}");
+            assert_eq!(is_received(name), is_closed, "{name}");
         }
         // The details of an error may be anything, and its schema says so.
         let error = schemas().remove("error").unwrap().to_value();
         assert_eq!(error["properties"]["details"]["additionalProperties"], true);
+    }
+
+    /// The definitions that `part` refers to, with those that they refer to.
+    fn needed(part: &Value, all: &Value, found: &mut Map<String, Value>) {
+        match part {
+            Value::Object(fields) => {
+                if let Some(place) = fields.get("$ref").and_then(Value::as_str) {
+                    let name = place.strip_prefix("#/$defs/").unwrap();
+                    if !found.contains_key(name) {
+                        found.insert(name.to_owned(), all[name].clone());
+                        needed(&all[name], all, found);
+                    }
+                }
+                for field in fields.values() {
+                    needed(field, all, found);
+                }
+            }
+            Value::Array(items) => items.iter().for_each(|it| needed(it, all, found)),
+            _ => {}
+        }
+    }
+
+    #[test]
+    fn each_schema_is_its_definition_in_a_document_with_what_it_refers_to() {
+        let documents = documents().unwrap();
+        assert_eq!(documents.keys().collect::<Vec<_>>(), [&"received.json", &"sent.json"]);
+        for (message, schema) in schemas() {
+            let (file, name) = definition(message, &schema);
+            let document = &documents[file];
+            let mut rebuilt = document["$defs"][&name].clone();
+            let mut nested = Map::new();
+            needed(&rebuilt, &document["$defs"], &mut nested);
+            rebuilt["$schema"] = document["$schema"].clone();
+            rebuilt["title"] = json!(name);
+            if !nested.is_empty() {
+                rebuilt["$defs"] = nested.into();
+            }
+            assert_eq!(rebuilt, schema.to_value(), "{message}");
+        }
     }
 
     #[test]

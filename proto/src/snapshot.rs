@@ -91,7 +91,7 @@ pub struct Snapshot {
     pub scheduled: Vec<Waiting>,
     /// The conditions that it waits for, in the order of their commands.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub when: Vec<WaitingCondition>,
+    pub when: Vec<StoredCondition>,
     /// The positions and headings of earlier steps that the measures of these conditions need, by
     /// ascending step.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -325,7 +325,7 @@ pub struct Waiting {
 
 /// A condition for which the swarm waits.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-pub struct WaitingCondition {
+pub struct StoredCondition {
     /// The step since which each comparison of the condition has held, in the order of the text;
     /// `null` for one that does not hold.
     pub since: Vec<Option<u64>>,

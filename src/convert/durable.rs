@@ -5,7 +5,7 @@ use std::sync::Arc;
 use jostle_convert::SnapshotError;
 use jostle_proto as proto;
 use jostle_proto::keys;
-use jostle_proto::snapshot::{Member, Pending, Sent, SnapshotPhase, Waiting, WaitingCondition};
+use jostle_proto::snapshot::{Member, Pending, Sent, SnapshotPhase, Waiting, StoredCondition};
 use serde::Deserialize as _;
 use serde::de::IntoDeserializer as _;
 use serde::de::value::Error as ValueError;
@@ -58,7 +58,7 @@ pub fn snapshot(swarm: &str, checkpoint: &Checkpoint) -> proto::Snapshot {
             .collect(),
         when: watches
             .iter()
-            .map(|waiting| WaitingCondition {
+            .map(|waiting| StoredCondition {
                 since: waiting.held.steps().to_vec(),
                 first: waiting.first,
                 sent: sent(&waiting.sender),

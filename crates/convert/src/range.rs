@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::LazyLock;
 
-use jostle_proto::contract::schemas;
+use jostle_proto::contract::{is_received, schemas};
 use serde_json::Value;
 
 /// Descriptions of fields that no bound in a schema describes: objects, parameters of selectors,
@@ -84,7 +84,7 @@ const DESCRIPTIONS: &[(&str, &str)] = &[
 static RANGES: LazyLock<BTreeMap<String, String>> = LazyLock::new(|| {
     let mut ranges = BTreeMap::new();
     for (message, schema) in schemas() {
-        if message == "request" || message.ends_with(".args") {
+        if is_received(message) {
             let schema = schema.to_value();
             add_fields(&mut ranges, &schema, &schema, "");
         }

@@ -6,7 +6,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use jostle_proto::asyncapi::{self, Examples};
-use jostle_proto::contract::{CHANNELS, ChannelKind, schemas};
+use jostle_proto::contract::{self, CHANNELS, ChannelKind, schemas};
 use serde_json::Value;
 
 /// The folder `proto/`.
@@ -20,9 +20,9 @@ pub fn folder() -> &'static Path {
 /// A file below `proto/` cannot be read.
 pub fn files() -> io::Result<BTreeMap<PathBuf, String>> {
     let mut files = BTreeMap::new();
-    for (name, schema) in schemas() {
-        let text = serde_json::to_string_pretty(&schema)? + "\n";
-        files.insert(Path::new("schema").join(format!("{name}.json")), text);
+    for (name, document) in contract::documents().map_err(io::Error::other)? {
+        let text = serde_json::to_string_pretty(&document)? + "\n";
+        files.insert(Path::new("schema").join(name), text);
     }
     let document = asyncapi::document(&examples()?);
     let text = serde_json::to_string_pretty(&document)? + "\n";

@@ -3,7 +3,7 @@
 
 use std::collections::BTreeSet;
 
-use jostle_proto::contract::schemas;
+use jostle_proto::contract::{is_received, schemas};
 use serde_json::{Value, json};
 
 use jostle_contract::fixtures;
@@ -27,7 +27,7 @@ impl<'a> Walk<'a> {
     /// The schema behind a reference, and its name. A type is the same wherever it is
     /// used, but may differ between requests and messages of the daemon.
     fn resolve(&self, schema: &'a Value, place: &str) -> (&'a Value, String) {
-        let direction = match self.message.ends_with(".args") {
+        let direction = match is_received(self.message) {
             true => "request",
             false => "message",
         };

@@ -4,7 +4,7 @@
 use std::collections::BTreeSet;
 use std::fs;
 
-use jostle_proto::contract::schemas;
+use jostle_proto::contract::{is_received, schemas};
 use jostle_proto::verbs::StepResult;
 use jostle_proto::{Reply, Snapshot, State, to_cbor};
 use serde_json::{Value, json};
@@ -13,10 +13,6 @@ use crate::types::written_back;
 use jostle_contract::{fixtures, folder, message};
 
 /// Whether clients send this message.
-fn is_request(message: &str) -> bool {
-    message == "request" || message.ends_with(".args")
-}
-
 #[test]
 fn every_message_and_every_error_code_has_a_fixture() {
     let fixtures = fixtures().unwrap();
@@ -42,7 +38,7 @@ fn every_fixture_reads_into_its_type_and_nothing_is_dropped() {
     for (message, variant, text) in fixtures().unwrap() {
         let given: Value = serde_json::from_str(&text).unwrap();
         let back = written_back(message, &text).unwrap_or_else(|it| panic!("{variant}: {it}"));
-        if is_request(message) {
+        if is_received(message) {
             // A field that is left out is written with its default.
             assert!(
                 holds(&back, &given),
@@ -80,7 +76,7 @@ fn an_unknown_field_is_rejected_in_requests_and_ignored_in_messages_of_the_daemo
             object["from_the_future"] = json!({"is": ["tolerated"]});
             let read = written_back(message, &more.to_string());
             let context = format!("{message} {variant} {place}: {read:?}");
-            if is_request(message) {
+            if is_received(message) {
                 assert!(read.is_err(), "{context}");
             } else {
                 assert_eq!(read.as_ref(), Ok(&given), "{context}");
@@ -98,7 +94,7 @@ fn schemas_reject_unknown_fields_exactly_where_types_do() {
         for part in all.flat_map(|it| variants(it).chain([it])) {
             let is_closed = part["additionalProperties"] == false;
             let has_fields = part["properties"].is_object();
-            if is_request(message) {
+            if is_received(message) {
                 assert!(is_closed || !has_fields, "{message}: {part}");
             } else {
                 assert!(!is_closed, "{message}: {part}");
@@ -119,7 +115,7 @@ fn objects(message: &str, value: &Value, place: String) -> Vec<String> {
         Some("measures") => message == "order",
         // A map whose names are controllers.
         Some("sequences") => message == "attachment",
-        Some("args") => message == "request" || !is_request(message),
+        Some("args") => message == "request" || !is_received(message),
         Some("details" | "schemas" | "default" | "value" | "choices") => true,
         _ => false,
     };

@@ -5,7 +5,7 @@ use std::fs;
 use std::path::Path;
 use std::sync::Mutex;
 
-use jostle_proto::contract::schemas;
+use jostle_proto::contract::{is_received, schemas};
 use jostle_proto::verbs::{AdvanceResult, StepResult};
 use jostle_proto::{Attachment, OrderPage, Reply, SeriesPage, Snapshot, State, to_cbor};
 use serde::Serialize;
@@ -264,7 +264,7 @@ impl Recorded {
         for entry in fs::read_dir(&folder).unwrap() {
             let file = entry.unwrap().file_name().into_string().unwrap();
             let message = message(file.rsplit_once('.').unwrap().0);
-            let is_sent_by_clients = message == "request" || message.ends_with(".args");
+            let is_sent_by_clients = is_received(message);
             if !is_sent_by_clients && !files.contains_key(&file) {
                 wrong.push(format!("{file}: no daemon of the scenario sent it"));
             }
