@@ -20,7 +20,7 @@ pub type Examples = BTreeMap<&'static str, Vec<(String, Value)>>;
 pub fn document(examples: &Examples) -> Value {
     let mut channels = Map::new();
     let mut operations = Map::new();
-    for channel in CHANNELS {
+    for channel in CHANNELS.iter() {
         channels.insert(id(channel), describe(channel));
         operations.extend(operate(channel));
     }
@@ -192,20 +192,7 @@ fn zenoh(channel: &Channel) -> Value {
             "publisher": publisher(JSON),
             "queryable": queryable(&declared, "welcome"),
         }),
-        // They take long, send much or are for operators, which a query for `**` does not intend.
-        ChannelKind::Get(
-            "snapshot.reply"
-            | "verify.reply"
-            | "experiment.file.reply"
-            | "node.recording.reply"
-            | "node.audit.reply"
-            | "experiment.results"
-            | "experiment.order"
-            | "experiment.series",
-        ) => queryable(&declared, "not answered"),
-        ChannelKind::Get(_) if channel.key.ends_with("/wait") => {
-            queryable(&declared, "not answered")
-        }
+        ChannelKind::Get(_) if !channel.answers_wildcards => queryable(&declared, "not answered"),
         ChannelKind::Get(_) => queryable(&declared, "welcome"),
         ChannelKind::Command(..) => queryable(&declared, "rejected: a wildcard executes nothing"),
     }
@@ -219,7 +206,7 @@ fn asked(kind: ChannelKind) -> Vec<&'static str> {
         | ChannelKind::Token
         | ChannelKind::ClientToken => vec![],
         ChannelKind::PublishedAndQueried(_) | ChannelKind::Get(_) => vec!["query"],
-        ChannelKind::Command(args, _) => vec![args, "request"],
+        ChannelKind::Command(verb) => vec![verb.args, "request"],
     }
 }
 
@@ -230,14 +217,13 @@ fn answered(kind: ChannelKind) -> Vec<&'static str> {
         | ChannelKind::Put(_)
         | ChannelKind::Token
         | ChannelKind::ClientToken => vec![],
-        ChannelKind::PublishedAndQueried(reply) | ChannelKind::Get(reply) => vec![reply, "error"],
-        // There is no swarm yet whose step could be waited for.
-        ChannelKind::Command(
-            "create.args" | "fork.args" | "restore.args" | "discard.args" | "experiment.args"
-            | "record.args" | "advance.args",
-            reply,
-        ) => vec![reply, "error"],
-        ChannelKind::Command(_, reply) => vec![reply, "scheduled.reply", "error"],
+        ChannelKind::PublishedAndQueried(reply) | ChannelKind::Get(reply) => {
+            vec![reply, "error"]
+        }
+        ChannelKind::Command(verb) if verb.at_step => {
+            vec![verb.reply, "scheduled.reply", "error"]
+        }
+        ChannelKind::Command(verb) => vec![verb.reply, "error"],
     }
 }
 

@@ -5,118 +5,42 @@
 
 mod channels;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use schemars::Schema;
 use serde_json::{Map, Value, json};
 
+use crate::message::{REQUEST, SchemaOf};
 use crate::schema::{has_type, received, sent};
-use crate::verbs::{
-    AdvanceArgs, AdvanceResult, AnnotateArgs, BatchArgs, BatchResult, Control, CreateArgs,
-    CreateResult, DeleteArgs, DiscardArgs, EmptyResult, ForkArgs, IdsResult, InformArgs,
-    InjectArgs, JoinArgs, JoinResult, LeaveArgs, PauseArgs, RemoveArgs, ResetArgs, ResetResult,
-    RestoreArgs, RunArgs, RunResult, Scheduled, SetArgs, SetResult, StepArgs, StepResult,
-    UninformArgs, WhenArgs, WhenResult,
-};
-use crate::{
-    Attachment, Audit, ControllerList, Error, Event, Events, ExperimentArgs, ExperimentFile,
-    ExperimentResult, Experiments, Hello, Journal, Measures, Metrics, NodeReply, NodeStatus,
-    OrderPage, OrderSample, Parameter, ParameterKind, Parameters, Progress, RecordArgs, Recording,
-    RecordingPiece, Recordings, ReplayArgs, ReplayResult, Reply, Request, ResultsPage, Schemas,
-    SeekArgs, SeriesPage, Snapshot, Spec, State, Status, Swarms, Verified, WhoAmI,
-};
+use crate::{Parameter, ParameterKind, Spec};
 
+pub use crate::message::{Visitor, is_received, visit};
 pub use channels::{CHANNELS, Channel, ChannelKind};
+
+/// The names of all messages.
+pub fn messages() -> BTreeSet<&'static str> {
+    let mut messages = BTreeSet::from([REQUEST, "error", "scheduled.reply", "attachment"]);
+    for channel in CHANNELS.iter() {
+        match channel.kind {
+            ChannelKind::Published(message)
+            | ChannelKind::PublishedAndQueried(message)
+            | ChannelKind::Put(message)
+            | ChannelKind::Get(message) => {
+                messages.insert(message);
+            }
+            ChannelKind::Command(verb) => messages.extend([verb.args, verb.reply]),
+            ChannelKind::Token | ChannelKind::ClientToken => {}
+        }
+    }
+    messages
+}
 
 /// The JSON Schema (2020-12) of every message, by name; each stands alone.
 pub fn schemas() -> BTreeMap<&'static str, Schema> {
-    BTreeMap::from([
-        ("request", received::<Request>()),
-        ("error", sent::<Error>()),
-        ("scheduled.reply", sent::<Reply<Scheduled>>()),
-        ("state", sent::<State>()),
-        ("attachment", sent::<Attachment>()),
-        ("order", sent::<OrderSample>()),
-        ("event", sent::<Event>()),
-        ("status.reply", sent::<Reply<Status>>()),
-        ("spec.reply", sent::<Reply<Spec>>()),
-        ("parameters.reply", sent::<Reply<Parameters>>()),
-        ("measures.reply", sent::<Reply<Measures>>()),
-        ("events.reply", sent::<Reply<Events>>()),
-        ("journal.reply", sent::<Reply<Journal>>()),
-        ("snapshot.reply", sent::<Reply<Snapshot>>()),
-        ("verify.reply", sent::<Reply<Verified>>()),
-        ("experiment.file.reply", sent::<Reply<ExperimentFile>>()),
-        ("create.args", received::<CreateArgs>()),
-        ("create.reply", sent::<Reply<CreateResult>>()),
-        ("delete.args", received::<DeleteArgs>()),
-        ("delete.reply", sent::<Reply<EmptyResult>>()),
-        ("run.args", received::<RunArgs>()),
-        ("run.reply", sent::<Reply<RunResult>>()),
-        ("pause.args", received::<PauseArgs>()),
-        ("pause.reply", sent::<Reply<EmptyResult>>()),
-        ("step.args", received::<StepArgs>()),
-        ("step.reply", sent::<Reply<StepResult>>()),
-        ("reset.args", received::<ResetArgs>()),
-        ("reset.reply", sent::<Reply<ResetResult>>()),
-        ("set.args", received::<SetArgs>()),
-        ("set.reply", sent::<Reply<SetResult>>()),
-        ("inform.args", received::<InformArgs>()),
-        ("inform.reply", sent::<Reply<IdsResult>>()),
-        ("uninform.args", received::<UninformArgs>()),
-        ("uninform.reply", sent::<Reply<IdsResult>>()),
-        ("inject.args", received::<InjectArgs>()),
-        ("inject.reply", sent::<Reply<IdsResult>>()),
-        ("remove.args", received::<RemoveArgs>()),
-        ("remove.reply", sent::<Reply<IdsResult>>()),
-        ("batch.args", received::<BatchArgs>()),
-        ("batch.reply", sent::<Reply<BatchResult>>()),
-        ("controllers.reply", sent::<Reply<ControllerList>>()),
-        ("join.args", received::<JoinArgs>()),
-        ("join.reply", sent::<Reply<JoinResult>>()),
-        ("advance.args", received::<AdvanceArgs>()),
-        ("advance.reply", sent::<Reply<AdvanceResult>>()),
-        ("leave.args", received::<LeaveArgs>()),
-        ("leave.reply", sent::<Reply<EmptyResult>>()),
-        ("annotate.args", received::<AnnotateArgs>()),
-        ("annotate.reply", sent::<Reply<EmptyResult>>()),
-        ("control.args", received::<Control>()),
-        ("seek.args", received::<SeekArgs>()),
-        ("seek.reply", sent::<Reply<EmptyResult>>()),
-        ("when.args", received::<WhenArgs>()),
-        ("when.reply", sent::<Reply<WhenResult>>()),
-        ("fork.args", received::<ForkArgs>()),
-        ("fork.reply", sent::<Reply<CreateResult>>()),
-        ("restore.args", received::<RestoreArgs>()),
-        ("restore.reply", sent::<Reply<CreateResult>>()),
-        ("discard.args", received::<DiscardArgs>()),
-        ("discard.reply", sent::<Reply<EmptyResult>>()),
-        ("replay.args", received::<ReplayArgs>()),
-        ("replay.reply", sent::<NodeReply<ReplayResult>>()),
-        ("node.hello.reply", sent::<NodeReply<Hello>>()),
-        ("node.whoami.reply", sent::<NodeReply<WhoAmI>>()),
-        ("node.status.reply", sent::<NodeReply<NodeStatus>>()),
-        ("node.swarms.reply", sent::<NodeReply<Swarms>>()),
-        ("node.schema.reply", sent::<NodeReply<Schemas>>()),
-        ("node.metrics.reply", sent::<NodeReply<Metrics>>()),
-        ("node.experiments.reply", sent::<NodeReply<Experiments>>()),
-        ("node.audit.reply", sent::<NodeReply<Audit>>()),
-        ("node.recordings.reply", sent::<NodeReply<Recordings>>()),
-        ("node.recording.reply", sent::<NodeReply<RecordingPiece>>()),
-        ("record.args", received::<RecordArgs>()),
-        ("record.reply", sent::<NodeReply<Recording>>()),
-        ("experiment.args", received::<ExperimentArgs>()),
-        ("experiment.reply", sent::<NodeReply<ExperimentResult>>()),
-        ("experiment.progress", sent::<Progress>()),
-        ("experiment.results", sent::<ResultsPage>()),
-        ("experiment.order", sent::<OrderPage>()),
-        ("experiment.series", sent::<SeriesPage>()),
-    ])
-}
-
-/// Whether a daemon receives this message; it sends all others.
-pub fn is_received(message: &str) -> bool {
-    message == "request" || message.ends_with(".args")
+    let messages = messages().into_iter();
+    messages
+        .filter_map(|name| Some((name, visit(name, SchemaOf)?)))
+        .collect()
 }
 
 /// The file in `schema/` with the definition of this message, and the definition's name.
@@ -231,32 +155,12 @@ fn parameter(name: &str, property: &Value, choices: Vec<Value>, default: &Value)
 mod tests {
     #![expect(clippy::unwrap_used, reason = "tests")]
 
-    use std::collections::BTreeSet;
-
     use super::*;
     use crate::keys;
 
     #[test]
-    fn every_message_of_a_channel_has_a_schema_and_every_schema_a_channel() {
-        let mut named = BTreeSet::from(["request", "error", "scheduled.reply", "attachment"]);
-        for channel in CHANNELS {
-            match channel.kind {
-                ChannelKind::Published(message)
-                | ChannelKind::PublishedAndQueried(message)
-                | ChannelKind::Put(message) => {
-                    named.insert(message);
-                }
-                ChannelKind::Token | ChannelKind::ClientToken => {}
-                ChannelKind::Get(reply) => {
-                    named.insert(reply);
-                }
-                ChannelKind::Command(args, reply) => {
-                    named.extend([args, reply]);
-                }
-            }
-        }
-        let there: BTreeSet<&str> = schemas().into_keys().collect();
-        assert_eq!(named, there);
+    fn every_message_of_a_channel_has_a_type() {
+        assert_eq!(schemas().into_keys().collect::<BTreeSet<_>>(), messages());
     }
 
     #[test]

@@ -2,6 +2,8 @@
 //!
 //! Reading (`get`) and changing (`cmd`) are apart because access control sees only keys.
 
+pub use crate::verbs::{NODE_VERBS, OWN_VERBS, SWARM_VERBS};
+
 /// The first chunk of every key unless a daemon is configured otherwise.
 pub const DEFAULT_PREFIX: &str = "jostle";
 
@@ -20,16 +22,6 @@ pub const SWARM_GETS: [&str; 11] = [
     "wait",
 ];
 
-/// The verbs that `{prefix}/{swarm}/cmd/` executes.
-pub const SWARM_VERBS: [&str; 18] = [
-    "delete", "run", "pause", "step", "reset", "set", "inform", "uninform", "inject", "remove",
-    "batch", "fork", "join", "advance", "leave", "annotate", "seek", "when",
-];
-
-/// Commands that a swarm gives itself because of its controllers and conditions, in its journal and its
-/// events. No client can send them.
-pub const OWN_VERBS: [&str; 5] = ["deadline", "lost", "control", "fired", "idle"];
-
 /// The nouns that `{prefix}/@node/{node}/get/` answers.
 pub const NODE_GETS: [&str; 10] = [
     "hello",
@@ -42,16 +34,6 @@ pub const NODE_GETS: [&str; 10] = [
     "audit",
     "recordings",
     "recording",
-];
-
-/// The verbs that `{prefix}/@node/{node}/cmd/` executes.
-pub const NODE_VERBS: [&str; 6] = [
-    "create",
-    "restore",
-    "discard",
-    "experiment",
-    "replay",
-    "record",
 ];
 
 /// The nouns that `{prefix}/@node/{node}/experiment/{experiment}/` answers.

@@ -19,6 +19,7 @@ mod envelope;
 mod error;
 mod event;
 mod experiment;
+mod message;
 mod metrics;
 mod queries;
 mod recording;

@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use serde_json::{Map, Value, json};
 
+use crate::verbs::{NodeVerb, SwarmVerb};
 use crate::{Error, ErrorCode, keys};
 
 /// What a person may do. Each may do what the one before may.
@@ -24,9 +25,6 @@ pub enum Role {
     Operator,
 }
 
-/// The verbs of controllers.
-const CONTROLLER_VERBS: [&str; 4] = ["join", "advance", "leave", "annotate"];
-
 impl Role {
     /// Every role, the least first.
     pub const ALL: [Role; 3] = [Role::Viewer, Role::Controller, Role::Operator];
@@ -36,12 +34,11 @@ impl Role {
         self >= Self::least(verb)
     }
 
-    /// The least role that may have `verb` executed.
+    /// The least role that may have `verb` executed: an operator, if it is unknown.
     pub fn least(verb: &str) -> Role {
-        match CONTROLLER_VERBS.contains(&verb) {
-            true => Role::Controller,
-            false => Role::Operator,
-        }
+        let of_swarms = SwarmVerb::of(verb).map(SwarmVerb::definition);
+        let known = of_swarms.or_else(|| NodeVerb::of(verb).map(NodeVerb::definition));
+        known.map_or(Role::Operator, |it| it.role)
     }
 
     fn with_article(self) -> String {

@@ -1,16 +1,18 @@
-//! The arguments and results of every verb.
+//! Every verb: one row of [`verbs!`] says its arguments, its reply, and who may send it.
 
 mod changes;
 mod controllers;
+mod swarms;
 mod when;
 
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
 
-use crate::envelope::PLAIN_TEXT_RULE;
-use crate::keys::NAME_RULE;
-use crate::walk::lenient;
-use crate::{LARGEST_WHOLE, Spec, State};
+use crate::message::Visitor;
+use crate::{
+    ExperimentArgs, ExperimentResult, NodeReply, RecordArgs, Recording, ReplayArgs, ReplayResult, Reply,
+    Role, SeekArgs,
+};
 
 pub use changes::{
     BatchArgs, BatchResult, Change, Changed, Foremost, IdsResult, InformArgs, InjectArgs,
@@ -20,204 +22,254 @@ pub use controllers::{
     AdvanceArgs, AdvanceResult, Control, Departed, Departure, JoinArgs, JoinResult, LeaveArgs,
     Miss, Mode, News, OnTimeout, SetPoints,
 };
+pub use swarms::{
+    AnnotateArgs, CreateArgs, CreateResult, DeleteArgs, DiscardArgs, EmptyResult, ForkArgs,
+    MAX_NOTE_CHARS, PauseArgs, ResetArgs, ResetResult, RestoreArgs, Return, RunArgs, RunResult,
+    Scheduled, StepArgs, StepResult,
+};
 pub use when::{WhenArgs, WhenResult};
 
-/// Creates a swarm; sent to a node. The swarm is created paused.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct CreateArgs {
-    /// The new swarm's name.
-    #[schemars(regex(pattern = NAME_RULE))]
-    pub name: String,
-    /// Its spec.
-    pub spec: Spec,
-    /// Whether a swarm of that name with an equal spec is a success.
-    #[serde(default)]
-    pub exist_ok: bool,
+/// What is known of a verb.
+#[derive(Clone, Copy, Debug)]
+pub struct Definition {
+    /// Its name: the last chunk of its key, and its name in journals and events.
+    pub name: &'static str,
+    /// Its key, below the prefix.
+    pub key: &'static str,
+    /// What it does, in a line.
+    pub doc: &'static str,
+    /// The message with its arguments.
+    pub args: &'static str,
+    /// The message that replies.
+    pub reply: &'static str,
+    /// The least role that may send it.
+    pub role: Role,
+    /// Whether `at_step` can schedule it.
+    pub at_step: bool,
+    /// The place of the name of the swarm that it creates, in its arguments: a JSON pointer.
+    pub creates: Option<&'static str>,
 }
 
-/// The result of `create`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-pub struct CreateResult {
-    /// False if an equal swarm existed.
-    pub created: bool,
-    /// The spec with every default filled in.
-    #[serde(deserialize_with = "lenient")]
-    pub spec: Spec,
-    /// BLAKE3 of the state, in hexadecimal.
-    pub state_hash: String,
+impl Definition {
+    /// What holds for a verb whose row has no facts.
+    const fn new(
+        name: &'static str,
+        key: &'static str,
+        doc: &'static str,
+        (args, reply): (&'static str, &'static str),
+    ) -> Self {
+        Definition {
+            name,
+            key,
+            doc: doc.trim_ascii_start(),
+            args,
+            reply,
+            role: Role::Operator,
+            at_step: true,
+            creates: None,
+        }
+    }
 }
 
-/// Deletes a swarm.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct DeleteArgs {}
-
-/// Deletes one daemon's swarm. Sent to the node: a swarm's key may reach several daemons.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct DiscardArgs {
-    /// The swarm's name.
-    #[schemars(regex(pattern = NAME_RULE))]
-    pub name: String,
+/// The arguments of a verb of a swarm.
+pub trait Command: Serialize + Sync {
+    /// The verb.
+    const VERB: SwarmVerb;
+    /// The result in its reply.
+    type Result: DeserializeOwned;
 }
 
-/// Runs a swarm to an end or until it is paused; changes the end and the rate of a running one.
-/// Fields that are left out keep their values.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct RunArgs {
-    /// Pause when this step is reached. At most one of `until_step` and `until_time`.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schemars(range(max = LARGEST_WHOLE))]
-    pub until_step: Option<u64>,
-    /// Pause at the first step at or after this time.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schemars(range(min = 0.0, max = 1e12))]
-    pub until_time: Option<f64>,
-    /// Time units per second of wall clock; `null` is as fast as possible; left out, no change.
-    #[serde(
-        default,
-        deserialize_with = "present",
-        skip_serializing_if = "Option::is_none"
-    )]
-    #[schemars(with = "Option<f64>", extend("exclusiveMinimum" = 0), range(max = 1e6))]
-    pub rate: Option<Option<f64>>,
+/// Makes [`SwarmVerb`] and [`NodeVerb`], their definitions and the lists of their names. Each verb is one
+/// row, in the order of all lists:
+///
+/// ```text
+/// /// What it does, in a line.
+/// name = Variant(Arguments) -> Result { fact: value };
+/// ```
+///
+/// The facts are fields of [`Definition`]; one that is left out has the value of [`Definition::new`].
+/// The reply of a swarm is a [`Reply`] with the result; a row of `node` has the whole reply.
+macro_rules! verbs {
+    // Both groups.
+    (@group $Enum:ident, $NAMES:ident, $start:literal, $title:literal;
+        $(($($doc:literal)+) $name:ident $Variant:ident $Args:ty, $Reply:ty, { $($fact:ident: $value:expr),* })+
+    ) => {
+        #[doc = $title]
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        pub enum $Enum { $($(#[doc = $doc])+ $Variant,)+ }
+
+        impl $Enum {
+            /// What is known of each, in the order of the variants.
+            pub const DEFINITIONS: &[Definition] = &[$(Definition {
+                $($fact: $value,)*
+                ..Definition::new(
+                    stringify!($name),
+                    concat!($start, stringify!($name)),
+                    concat!($($doc),+),
+                    (concat!(stringify!($name), ".args"), concat!(stringify!($name), ".reply")),
+                )
+            },)+];
+
+            /// Calls `visitor` with the type of a message of a verb.
+            fn visit<V: Visitor>(message: &str, visitor: V) -> Result<V::Output, V> {
+                match message {
+                    $(
+                        concat!(stringify!($name), ".args") => Ok(visitor.received::<$Args>()),
+                        concat!(stringify!($name), ".reply") => Ok(visitor.sent::<$Reply>()),
+                    )+
+                    _ => Err(visitor),
+                }
+            }
+
+            /// The verb of this name.
+            pub fn of(name: &str) -> Option<Self> {
+                match name {
+                    $(stringify!($name) => Some(Self::$Variant),)+
+                    _ => None,
+                }
+            }
+
+            /// What is known of it.
+            pub const fn definition(self) -> &'static Definition {
+                &Self::DEFINITIONS[self as usize]
+            }
+
+            /// Its name.
+            pub const fn name(self) -> &'static str {
+                self.definition().name
+            }
+        }
+
+        /// The names of all, in the order of the variants.
+        pub const $NAMES: [&str; $Enum::DEFINITIONS.len()] = [$(stringify!($name)),+];
+    };
+    (
+        swarm { $($(#[doc = $doc:literal])+
+            $name:ident = $Variant:ident($Args:ty) -> $Result:ty $({ $($fact:ident: $value:expr),+ })?;)+ }
+        node { $($(#[doc = $node_doc:literal])+
+            $node_name:ident = $Node:ident($NodeArgs:ty) -> $NodeReply:ty
+            $({ $($node_fact:ident: $node_value:expr),+ })?;)+ }
+    ) => {
+        verbs!(@group SwarmVerb, SWARM_VERBS, "{swarm}/cmd/", "A verb of a swarm.";
+            $(($($doc)+) $name $Variant $Args, Reply<$Result>, { $($($fact: $value),+)? })+);
+        verbs!(@group NodeVerb, NODE_VERBS, "@node/{node}/cmd/", "A verb of a daemon.";
+            $(($($node_doc)+) $node_name $Node $NodeArgs, $NodeReply, { $($($node_fact: $node_value),+)? })+);
+        $(impl Command for $Args {
+            const VERB: SwarmVerb = SwarmVerb::$Variant;
+            type Result = $Result;
+        })+
+    };
 }
 
-/// How the swarm runs now.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-pub struct RunResult {
-    /// The step it will pause at.
-    #[schemars(range(max = LARGEST_WHOLE))]
-    pub until_step: Option<u64>,
-    /// Time units per second of wall clock; `null` is as fast as possible.
-    pub rate: Option<f64>,
+verbs! {
+    swarm {
+        /// Deletes the swarm.
+        delete = Delete(DeleteArgs) -> EmptyResult;
+        /// Steps at a rate.
+        run = Run(RunArgs) -> RunResult;
+        /// Pauses.
+        pause = Pause(PauseArgs) -> EmptyResult;
+        /// Takes steps.
+        step = Step(StepArgs) -> StepResult;
+        /// Restarts from the spec.
+        reset = Reset(ResetArgs) -> ResetResult;
+        /// Changes parameters.
+        set = Set(SetArgs) -> SetResult;
+        /// Gives individuals a direction of their own.
+        inform = Inform(InformArgs) -> IdsResult;
+        /// Takes individuals' direction away.
+        uninform = Uninform(UninformArgs) -> IdsResult;
+        /// Adds individuals.
+        inject = Inject(InjectArgs) -> IdsResult;
+        /// Removes individuals.
+        remove = Remove(RemoveArgs) -> IdsResult;
+        /// Applies several changes at one step, or none.
+        batch = Batch(BatchArgs) -> BatchResult;
+        /// Creates a paused copy of this swarm, of its present state or that at an earlier step.
+        fork = Fork(ForkArgs) -> CreateResult { at_step: false, creates: Some("/name") };
+        /// Registers a controller, and claims its individuals.
+        join = Join(JoinArgs) -> JoinResult { role: Role::Controller };
+        /// Permits steps; the swarm takes them when all its controllers in lock-step have permitted
+        /// them.
+        advance = Advance(AdvanceArgs) -> AdvanceResult { role: Role::Controller, at_step: false };
+        /// Removes a controller.
+        leave = Leave(LeaveArgs) -> EmptyResult { role: Role::Controller };
+        /// Writes a note into the journal and the events; the state is unchanged.
+        annotate = Annotate(AnnotateArgs) -> EmptyResult { role: Role::Controller };
+        /// Moves a playback to another frame.
+        seek = Seek(SeekArgs) -> EmptyResult { at_step: false };
+        /// Pauses the swarm, changes it or publishes an event once a condition holds.
+        when = When(WhenArgs) -> WhenResult;
+    }
+    node {
+        /// Creates a swarm, paused.
+        create = Create(CreateArgs) -> Reply<CreateResult> { at_step: false, creates: Some("/name") };
+        /// Creates a swarm from a snapshot, paused.
+        restore = Restore(RestoreArgs) -> Reply<CreateResult> { at_step: false, creates: Some("/name") };
+        /// Deletes the swarm of a name on this daemon only.
+        discard = Discard(DiscardArgs) -> Reply<EmptyResult> { at_step: false };
+        /// Submits, pauses, resumes, cancels or deletes an experiment.
+        experiment = Experiment(ExperimentArgs) -> NodeReply<ExperimentResult> { at_step: false };
+        /// Uploads a recording, and plays it as a swarm.
+        replay = Replay(ReplayArgs) -> NodeReply<ReplayResult> {
+            at_step: false, creates: Some("/open/name")
+        };
+        /// Begins, stops or deletes a recording in the daemon's data directory.
+        record = Record(RecordArgs) -> NodeReply<Recording> { at_step: false };
+    }
 }
 
-/// Pauses a swarm; no change if it is paused.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct PauseArgs {}
-
-/// Creates a copy of a swarm, paused: both have the same states until they get different commands.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct ForkArgs {
-    /// The new swarm's name.
-    #[schemars(regex(pattern = NAME_RULE))]
-    pub name: String,
-    /// Copies the swarm as it was when it reached this step of its current epoch, before the
-    /// commands at that step; left out, as it is now.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schemars(range(max = LARGEST_WHOLE))]
-    pub step: Option<u64>,
+/// Calls `visitor` with the type of the message of this name, if it is of a verb.
+pub(crate) fn visit<V: Visitor>(message: &str, visitor: V) -> Option<V::Output> {
+    let visited = SwarmVerb::visit(message, visitor);
+    visited.or_else(|visitor| NodeVerb::visit(message, visitor)).ok()
 }
 
-/// Creates a swarm from a snapshot, paused; sent to a node.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct RestoreArgs {
-    /// The new swarm's name.
-    #[schemars(regex(pattern = NAME_RULE))]
-    pub name: String,
-    /// The snapshot as `get/snapshot` gave it, its CBOR as base64.
-    pub snapshot: String,
+/// Commands that a swarm gives itself because of its controllers and conditions, in its journal and its
+/// events. No client can send them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum OwnVerb {
+    /// A controller missed its deadline.
+    Deadline,
+    /// A controller's token disappeared.
+    Lost,
+    /// Set-points of controllers in mode `free_running`.
+    Control,
+    /// A condition holds.
+    Fired,
+    /// A controller was idle for too long.
+    Idle,
 }
 
-/// Takes steps of a paused swarm as fast as possible, independent of its rate.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct StepArgs {
-    /// How many steps: 1 to 10⁹.
-    #[serde(default = "one")]
-    #[schemars(range(min = 1, max = 1_000_000_000))]
-    pub steps: u64,
-    /// What the reply contains.
-    #[serde(default, rename = "return")]
-    pub return_: Return,
+const OWN: [(OwnVerb, &str); 5] = [
+    (OwnVerb::Deadline, "deadline"),
+    (OwnVerb::Lost, "lost"),
+    (OwnVerb::Control, "control"),
+    (OwnVerb::Fired, "fired"),
+    (OwnVerb::Idle, "idle"),
+];
+
+/// The names of the commands that a swarm gives itself.
+pub const OWN_VERBS: [&str; OWN.len()] = {
+    let mut names = [""; OWN.len()];
+    let mut i = 0;
+    while i < OWN.len() {
+        names[i] = OWN[i].1;
+        i += 1;
+    }
+    names
+};
+
+impl OwnVerb {
+    /// The verb of this name.
+    pub fn of(name: &str) -> Option<Self> {
+        let mut named = OWN.into_iter().filter(|(_, it)| *it == name);
+        named.next().map(|(verb, _)| verb)
+    }
 }
 
-/// What the reply to `step` contains.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum Return {
-    /// The hash alone, as JSON.
-    #[default]
-    None,
-    /// The state reached too; the whole reply is then CBOR.
-    State,
-}
-
-/// The result of `step`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-pub struct StepResult {
-    /// How many steps were taken; fewer than asked for if another command came between.
-    pub steps: u64,
-    /// The last step that is durable: a crash of the daemon does not undo it. It follows `step`
-    /// within a few milliseconds, unless the disk is full.
-    #[serde(default)]
-    pub durable_step: u64,
-    /// BLAKE3 of the state, in hexadecimal.
-    pub state_hash: String,
-    /// The state after the steps, if requested. A retry of the request gets the cached reply, which
-    /// has no state if the first one took more than 4 KiB: the reply is then JSON.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub state: Option<State>,
-}
-
-/// Writes a note into the journal and the events of a swarm, in every phase. The note changes neither
-/// the state nor the random draws of later commands.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct AnnotateArgs {
-    /// The note: 1 to 1000 characters in one line, without control characters.
-    #[schemars(length(min = 1, max = MAX_NOTE_CHARS), regex(pattern = PLAIN_TEXT_RULE))]
-    pub text: String,
-}
-
-/// The longest text of `annotate`, in characters.
-pub const MAX_NOTE_CHARS: usize = 1000;
-
-/// Restarts a swarm from its spec, at step 0 of a new epoch, paused.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct ResetArgs {
-    /// A new seed: 0 to 2⁵³ - 1; left out, the old one.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schemars(range(max = LARGEST_WHOLE))]
-    pub seed: Option<u64>,
-}
-
-/// The result of `reset`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-pub struct ResetResult {
-    /// Its seed.
-    pub seed: u64,
-    /// BLAKE3 of the state, in hexadecimal.
-    pub state_hash: String,
-}
-
-/// The result of a command that is scheduled by `at_step`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-pub struct Scheduled {
-    /// The step at which it will be executed; an event then has its result.
-    pub applies_at_step: u64,
-}
-
-/// The result of a command without one.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-pub struct EmptyResult {}
-
-fn one() -> u64 {
-    1
-}
-
-/// Distinguishes `null` from a field that is left out.
-fn present<'de, D, T>(deserializer: D) -> Result<Option<T>, D::Error>
-where
-    D: serde::Deserializer<'de>,
-    T: Deserialize<'de>,
-{
-    T::deserialize(deserializer).map(Some)
+/// The name of a verb that a journal can have, of a client or of the swarm itself.
+pub fn journaled(name: &str) -> Option<&'static str> {
+    let mut names = SWARM_VERBS.into_iter().chain(OWN_VERBS);
+    names.find(|it| *it == name)
 }

@@ -5,10 +5,11 @@
 //! whose fields are in order: [`check_types`] rejects it.
 
 use std::any::TypeId;
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::sync::{Mutex, PoisonError};
 
-use schemars::JsonSchema;
+use schemars::{JsonSchema, Schema, SchemaGenerator};
 use serde::de::{DeserializeOwned, Error as _};
 use serde::{Deserialize, Deserializer, Serialize};
 use serde_json::Value;
@@ -27,6 +28,20 @@ impl<T: DeserializeOwned + JsonSchema + 'static> Arguments for T {}
 pub struct Lenient<T>(
     #[serde(deserialize_with = "lenient", bound(deserialize = "T: Arguments"))] pub T,
 );
+
+impl<T: JsonSchema> JsonSchema for Lenient<T> {
+    fn schema_name() -> Cow<'static, str> {
+        T::schema_name()
+    }
+
+    fn schema_id() -> Cow<'static, str> {
+        T::schema_id()
+    }
+
+    fn json_schema(generator: &mut SchemaGenerator) -> Schema {
+        T::json_schema(generator)
+    }
+}
 
 /// Deserializes a `T` without the fields that its schema does not have.
 pub(crate) fn lenient<'de, D: Deserializer<'de>, T: Arguments>(

@@ -4,6 +4,7 @@ use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 
 use fail::fail_point;
+use jostle_proto::verbs::{NodeVerb, SwarmVerb};
 use jostle_proto::{Arguments, Claimant, Request, Role, Schemas, keys};
 use serde_json::Value;
 
@@ -238,15 +239,14 @@ impl Context {
     /// The name of the swarm that a request creates.
     pub fn creates(&self, incoming: &Incoming) -> Option<String> {
         let verb = incoming.key.rsplit('/').next()?;
-        let is_of_node = matches!(incoming.target, Target::NodeCommand);
-        let args: Value = self.request(incoming).ok()?.args().ok()?;
-        let name = match (is_of_node, verb) {
-            (true, "create" | "restore") | (false, "fork") => &args["name"],
-            (true, "replay") => &args["open"]["name"],
-            _ => return None,
+        let definition = match incoming.target {
+            Target::NodeCommand => NodeVerb::of(verb)?.definition(),
+            _ => SwarmVerb::of(verb)?.definition(),
         };
-        let name = name.as_str().filter(|it| keys::is_name(it))?;
-        Some(name.to_owned())
+        let place = definition.creates?;
+        let args: Value = self.request(incoming).ok()?.args().ok()?;
+        let name = args.pointer(place)?.as_str();
+        name.filter(|it| keys::is_name(it)).map(str::to_owned)
     }
 
     /// The first steps of a command of the daemon: parses its arguments, looks up its id and sets

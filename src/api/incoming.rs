@@ -5,7 +5,8 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
-use jostle_proto::{Request, keys};
+use jostle_proto::verbs::journaled;
+use jostle_proto::Request;
 
 use crate::api::admission::{HeldBytes, Permit, Places};
 use crate::convert::Payload;
@@ -226,8 +227,7 @@ pub(super) fn page_of_journal<'a>(
             "from_step" => filter.from_step = number("from_step")?,
             "to_step" => filter.to_step = number("to_step")?,
             "verb" => {
-                let mut verbs = keys::SWARM_VERBS.iter().chain(&keys::OWN_VERBS);
-                if !verbs.any(|verb| *verb == value) {
+                if journaled(value).is_none() {
                     return Err(CommandError::Field {
                         field: "verb",
                         problem: "is no verb of a swarm",

@@ -4,8 +4,8 @@ use std::sync::Arc;
 
 use jostle_convert::SnapshotError;
 use jostle_proto as proto;
-use jostle_proto::keys;
-use jostle_proto::snapshot::{Member, Pending, Sent, SnapshotPhase, Waiting, StoredCondition};
+use jostle_proto::snapshot::{Member, Pending, Sent, SnapshotPhase, StoredCondition, Waiting};
+use jostle_proto::verbs::journaled;
 use serde::Deserialize as _;
 use serde::de::IntoDeserializer as _;
 use serde::de::value::Error as ValueError;
@@ -197,9 +197,7 @@ pub(crate) fn sent(sender: &Sender) -> Sent {
 }
 
 pub(crate) fn sender(sent: &Sent) -> Result<Arc<Sender>, SnapshotError> {
-    let mut known = keys::SWARM_VERBS.iter().chain(&keys::OWN_VERBS);
-    let known = known.find(|verb| **verb == sent.verb);
-    let Some(verb) = known else {
+    let Some(verb) = journaled(&sent.verb) else {
         let problem = format!("there is no verb {:?}", sent.verb);
         return Err(SnapshotError::Unreadable(problem));
     };

@@ -71,7 +71,17 @@ impl Steering {
                 return self.remove(&controller);
             }
             Command::Deadline(controller) => return self.miss(&controller),
-            _ => {}
+            Command::Run { .. }
+            | Command::Pause
+            | Command::Step(_)
+            | Command::Reset(_)
+            | Command::Change(_)
+            | Command::Batch { .. }
+            | Command::Annotate
+            | Command::Watch(_)
+            | Command::Unwatch(_)
+            | Command::Fired(_)
+            | Command::Delete => {}
         }
         Ok(Vec::new())
     }

@@ -133,7 +133,21 @@ impl Player {
                 self.enter(Phase::Paused(PauseReason::Reset));
                 Ok(Outcome::Reset(self.frame()))
             }
-            _ => Err(SwarmError::Recorded),
+            Command::Reset(Some(_))
+            | Command::Change(_)
+            | Command::Batch { .. }
+            | Command::Join(_)
+            | Command::Advance { .. }
+            | Command::Leave(_)
+            | Command::Deadline(_)
+            | Command::Lost(_)
+            | Command::Idle(_)
+            | Command::Control { .. }
+            | Command::Annotate
+            | Command::Watch(_)
+            | Command::Unwatch(_)
+            | Command::Fired(_)
+            | Command::Delete => Err(SwarmError::Recorded),
         }
     }
 

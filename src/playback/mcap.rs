@@ -192,7 +192,21 @@ impl McapSource {
                 }
             }
             Command::Reset(_) => now = self.spec.parameters,
-            _ => {}
+            Command::Run { .. }
+            | Command::Pause
+            | Command::Step(_)
+            | Command::Change(_)
+            | Command::Join(_)
+            | Command::Advance { .. }
+            | Command::Leave(_)
+            | Command::Deadline(_)
+            | Command::Lost(_)
+            | Command::Idle(_)
+            | Command::Control { .. }
+            | Command::Annotate
+            | Command::Watch(_)
+            | Command::Unwatch(_)
+            | Command::Delete => {}
         }
         if now != before && now.check(0.0).is_ok() {
             self.parameters.push((self.index.len(), now));

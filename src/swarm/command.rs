@@ -83,7 +83,21 @@ impl Command {
             Command::Join(JoinOptions { controller, .. })
             | Command::Advance { controller, .. }
             | Command::Leave(controller) => Some(controller),
-            _ => None,
+            Command::Run { .. }
+            | Command::Pause
+            | Command::Step(_)
+            | Command::Reset(_)
+            | Command::Change(_)
+            | Command::Batch { .. }
+            | Command::Deadline(_)
+            | Command::Lost(_)
+            | Command::Idle(_)
+            | Command::Control { .. }
+            | Command::Annotate
+            | Command::Watch(_)
+            | Command::Unwatch(_)
+            | Command::Fired(_)
+            | Command::Delete => None,
         }
     }
 
@@ -93,16 +107,43 @@ impl Command {
             Command::Change(change) => std::slice::from_ref(change),
             Command::Batch { changes, .. } => changes,
             Command::Watch(watch) | Command::Fired(watch) => watch.changes(),
-            _ => &[],
+            Command::Run { .. }
+            | Command::Pause
+            | Command::Step(_)
+            | Command::Reset(_)
+            | Command::Join(_)
+            | Command::Advance { .. }
+            | Command::Leave(_)
+            | Command::Deadline(_)
+            | Command::Lost(_)
+            | Command::Idle(_)
+            | Command::Control { .. }
+            | Command::Annotate
+            | Command::Unwatch(_)
+            | Command::Delete => &[],
         }
     }
 
     /// Whether a faulted swarm executes it.
     pub fn is_allowed_when_faulted(&self) -> bool {
-        matches!(
-            self,
-            Command::Reset(_) | Command::Delete | Command::Annotate
-        )
+        match self {
+            Command::Reset(_) | Command::Delete | Command::Annotate => true,
+            Command::Run { .. }
+            | Command::Pause
+            | Command::Step(_)
+            | Command::Change(_)
+            | Command::Batch { .. }
+            | Command::Join(_)
+            | Command::Advance { .. }
+            | Command::Leave(_)
+            | Command::Deadline(_)
+            | Command::Lost(_)
+            | Command::Idle(_)
+            | Command::Control { .. }
+            | Command::Watch(_)
+            | Command::Unwatch(_)
+            | Command::Fired(_) => false,
+        }
     }
 
     /// Whether it counts as an annotation: the number of the next command, which keys random draws, does
@@ -113,21 +154,46 @@ impl Command {
             Command::Watch(watch) | Command::Fired(watch) => {
                 matches!(watch.action, Action::Event(_))
             }
-            _ => false,
+            Command::Run { .. }
+            | Command::Pause
+            | Command::Step(_)
+            | Command::Reset(_)
+            | Command::Change(_)
+            | Command::Batch { .. }
+            | Command::Join(_)
+            | Command::Advance { .. }
+            | Command::Leave(_)
+            | Command::Deadline(_)
+            | Command::Lost(_)
+            | Command::Idle(_)
+            | Command::Control { .. }
+            | Command::Unwatch(Which::All | Which::Id(_))
+            | Command::Delete => false,
         }
     }
 
     /// Whether it is executed before it is durable (group commit), as frequent and internal commands are.
     pub fn is_group_committed(&self) -> bool {
-        matches!(
-            self,
+        match self {
             Command::Step(_)
-                | Command::Advance { .. }
-                | Command::Deadline(_)
-                | Command::Lost(_)
-                | Command::Idle(_)
-                | Command::Control { .. }
-        )
+            | Command::Advance { .. }
+            | Command::Deadline(_)
+            | Command::Lost(_)
+            | Command::Idle(_)
+            | Command::Control { .. } => true,
+            Command::Run { .. }
+            | Command::Pause
+            | Command::Reset(_)
+            | Command::Change(_)
+            | Command::Batch { .. }
+            | Command::Join(_)
+            | Command::Leave(_)
+            | Command::Annotate
+            | Command::Watch(_)
+            | Command::Unwatch(_)
+            | Command::Fired(_)
+            | Command::Delete => false,
+        }
     }
 }
 

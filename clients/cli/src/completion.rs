@@ -119,7 +119,7 @@ pub fn verbs(typed: &OsStr) -> Vec<CompletionCandidate> {
 }
 
 pub fn messages(typed: &OsStr) -> Vec<CompletionCandidate> {
-    beginning_with(typed, contract::schemas().into_keys())
+    beginning_with(typed, contract::messages())
 }
 
 /// The measures of one state, which a daemon evaluates.

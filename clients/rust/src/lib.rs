@@ -120,7 +120,6 @@
 //! [`Client::session`] returns the zenoh session, for operations that the crate does not offer.
 
 mod client;
-mod command;
 mod connect;
 mod controller;
 mod data_ids;
@@ -139,7 +138,7 @@ mod wait_numbers;
 pub use jostle_proto as proto;
 
 pub use client::{Client, Subscription, Target};
-pub use command::Command;
+pub use jostle_proto::verbs::Command;
 pub use connect::{ConnectOptions, DEFAULT_ENDPOINT};
 pub use controller::Controller;
 pub use error::Error;

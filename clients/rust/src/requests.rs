@@ -3,7 +3,7 @@
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use jostle_proto::verbs::{CreateArgs, CreateResult, DiscardArgs};
+use jostle_proto::verbs::{Command, CreateArgs, CreateResult, DiscardArgs};
 use jostle_proto::{
     Experiments, Hello, Measures, NodeReply, Recordings, Reply, Request, Status, SwarmSummary,
     Swarms, keys,
@@ -11,7 +11,6 @@ use jostle_proto::{
 use serde::Serialize;
 
 use crate::client::{Client, TIMEOUT_MARGIN, Target, hold_time};
-use crate::command::Command;
 use crate::error::Error;
 use crate::payload::Payload;
 
@@ -50,7 +49,7 @@ impl Client {
         args: &C,
     ) -> Result<Reply<C::Result>, Error> {
         let options = CommandOptions::default();
-        self.command(swarm, C::VERB, args, options).await?.read()
+        self.command(swarm, C::VERB.name(), args, options).await?.read()
     }
 
     /// Executes a verb on a swarm once, however often it is sent. The reply to a command that waits

@@ -6,7 +6,11 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use jostle_proto::asyncapi::{self, Examples};
-use jostle_proto::contract::{self, CHANNELS, ChannelKind, schemas};
+use jostle_proto::contract::{self, CHANNELS, ChannelKind, Visitor};
+use jostle_proto::{Arguments, Request};
+use schemars::JsonSchema;
+use serde::Serialize;
+use serde::de::DeserializeOwned;
 use serde_json::Value;
 
 /// The folder `proto/`.
@@ -30,6 +34,46 @@ pub fn files() -> io::Result<BTreeMap<PathBuf, String>> {
     let readme = fs::read_to_string(folder().join("README.md"))?;
     files.insert("README.md".into(), with_tables(&readme));
     Ok(files)
+}
+
+/// Reads a message into its type and writes it back, in the order of the type's fields. What a daemon
+/// receives is read as a daemon does, what it sends as a client does.
+///
+/// # Errors
+/// There is no such message, or `text` is none of it.
+pub fn rewrite(message: &str, text: &str) -> Result<String, String> {
+    let written = contract::visit(message, Rewriter(text));
+    written.unwrap_or_else(|| Err(format!("there is no message {message}")))
+}
+
+struct Rewriter<'a>(&'a str);
+
+impl Rewriter<'_> {
+    fn request(&self) -> Result<Request, String> {
+        Request::from_json(self.0.as_bytes()).map_err(|it| it.to_string())
+    }
+
+    fn write(message: &impl Serialize) -> Result<String, String> {
+        serde_json::to_string_pretty(message).map_err(|it| it.to_string())
+    }
+}
+
+impl Visitor for Rewriter<'_> {
+    type Output = Result<String, String>;
+
+    fn request(self) -> Self::Output {
+        Self::write(&Rewriter::request(&self)?)
+    }
+
+    fn received<T: Arguments + Serialize>(self) -> Self::Output {
+        let args: T = Rewriter::request(&self)?.args().map_err(|it| it.to_string())?;
+        Self::write(&args)
+    }
+
+    fn sent<T: JsonSchema + DeserializeOwned + Serialize>(self) -> Self::Output {
+        let message: T = serde_json::from_str(self.0).map_err(|it| it.to_string())?;
+        Self::write(&message)
+    }
 }
 
 /// Every fixture in JSON: its message, its name below that message, its text.
@@ -56,7 +100,7 @@ pub fn fixtures() -> io::Result<Vec<(&'static str, String, String)>> {
 
 /// The message that a fixture is of, and what is left of its name.
 pub fn message(stem: &str) -> Option<(&'static str, String)> {
-    let named = schemas().into_keys().filter_map(|message| {
+    let named = contract::messages().into_iter().filter_map(|message| {
         let rest = stem.strip_prefix(message)?;
         match rest.strip_prefix('.') {
             Some(variant) => Some((message, variant.to_owned())),
@@ -93,7 +137,7 @@ fn keys() -> String {
     let mut table =
         "| key below the prefix | use | messages | meaning and parameters |\n|---|---|---|---|\n"
             .to_owned();
-    for channel in CHANNELS {
+    for channel in CHANNELS.iter() {
         let (how, message) = match channel.kind {
             ChannelKind::Published(message) => ("published", format!("`{message}`")),
             ChannelKind::PublishedAndQueried(message) => {
@@ -103,7 +147,10 @@ fn keys() -> String {
             ChannelKind::Put(message) => ("put by a client", format!("`{message}`")),
             ChannelKind::ClientToken => ("a client's liveliness token", String::new()),
             ChannelKind::Get(reply) => ("query", format!("`{reply}`")),
-            ChannelKind::Command(args, reply) => ("command", format!("`{args}`, `{reply}`")),
+            ChannelKind::Command(verb) => {
+                let (args, reply) = (verb.args, verb.reply);
+                ("command", format!("`{args}`, `{reply}`"))
+            }
         };
         let parameters: Vec<String> = channel
             .parameters

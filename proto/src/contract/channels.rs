@@ -1,21 +1,28 @@
 //! Every key that a daemon serves.
 
+use std::sync::LazyLock;
+
+use crate::verbs::{Definition, NodeVerb, SwarmVerb};
+
 /// Something that stands on a key of the bus.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug)]
 pub struct Channel {
     /// Its key, below the prefix; `{swarm}`, `{node}`, `{controller}` and `{experiment}` stand for
     /// names.
     pub key: &'static str,
     /// How it is used.
     pub kind: ChannelKind,
+    /// Whether a query whose key has wildcards is answered. It is not if the reply takes long, is large or
+    /// is for operators, which a query for `**` does not intend.
+    pub answers_wildcards: bool,
     /// The parameters of a query's selector: each with what it is.
     pub parameters: &'static [(&'static str, &'static str)],
     /// What it is for, in a line.
     pub doc: &'static str,
 }
 
-/// How a key is used. Messages are named as in [`super::schemas`].
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// How a key is used. A message is named as in [`super::messages`].
+#[derive(Clone, Copy, Debug)]
 pub enum ChannelKind {
     /// The daemon publishes this message.
     Published(&'static str),
@@ -29,9 +36,11 @@ pub enum ChannelKind {
     ClientToken,
     /// A query that changes nothing, answered with this message.
     Get(&'static str),
-    /// A query that changes something: its arguments, within `request` or alone, and its answer.
-    Command(&'static str, &'static str),
+    /// A query that changes something: its arguments are within `request` or alone.
+    Command(&'static Definition),
 }
+
+use ChannelKind::{ClientToken, Get, Published, PublishedAndQueried, Put, Token};
 
 /// The parameters of a page of a run's time series.
 const PAGE_OF_RUN: &[(&str, &str)] = &[
@@ -117,395 +126,320 @@ const PAGE_OF_AUDIT: &[(&str, &str)] = &[
     ),
 ];
 
-/// Every key a daemon serves.
-pub const CHANNELS: &[Channel] = &{
-    use ChannelKind::{ClientToken, Command, Get, Published, PublishedAndQueried, Put, Token};
-    const fn plain(key: &'static str, kind: ChannelKind, doc: &'static str) -> Channel {
-        Channel {
-            key,
-            kind,
-            parameters: &[],
-            doc,
-        }
+const fn plain(key: &'static str, kind: ChannelKind, doc: &'static str) -> Channel {
+    Channel {
+        key,
+        kind,
+        answers_wildcards: true,
+        parameters: &[],
+        doc,
     }
-    [
-        Channel {
-            key: "{swarm}/state",
-            kind: PublishedAndQueried("state"),
-            parameters: &[("format", "`json` or `cbor`, the default")],
-            doc: "The newest state, as a CBOR map of typed arrays. A published one has an \
-                  `attachment`, a reply has none.",
-        },
-        plain(
-            "{swarm}/order",
-            Published("order"),
-            "Order and drift beside each state.",
-        ),
-        plain(
-            "{swarm}/event",
-            Published("event"),
-            "The events of the swarm, numbered. An advanced subscriber that joins late gets the \
-             last 64.",
-        ),
-        plain(
-            "{swarm}/alive/{node}",
-            Token,
-            "Exists while the swarm exists.",
-        ),
-        plain(
-            "{swarm}/claim/{node}/{instance}/{standing}",
-            Token,
-            "Held by a daemon that has a swarm of this name, and serves it unless it is `waiting`.",
-        ),
-        plain(
-            "{swarm}/get/status",
-            Get("status.reply"),
-            "The status of the swarm.",
-        ),
-        plain(
-            "{swarm}/get/controllers",
-            Get("controllers.reply"),
-            "The joined controllers: their individuals, misses and puts.",
-        ),
-        plain(
-            "{swarm}/get/spec",
-            Get("spec.reply"),
-            "The spec of the swarm.",
-        ),
-        plain(
-            "{swarm}/get/parameters",
-            Get("parameters.reply"),
-            "Every parameter: value, range, unit, default, whether it may change.",
-        ),
-        Channel {
-            key: "{swarm}/get/measures",
-            kind: Get("measures.reply"),
-            parameters: &[(
-                "names",
-                "the measures, separated by commas, such as `order,clusters.count(0.1)`; by \
-                 default all that need no earlier state",
-            )],
-            doc: "Measures of the newest state, by name.",
-        },
-        Channel {
-            key: "{swarm}/get/events",
-            kind: Get("events.reply"),
-            parameters: PAGE,
-            doc: "The events after the one with a given number.",
-        },
-        Channel {
-            key: "{swarm}/get/journal",
-            kind: Get("journal.reply"),
-            parameters: PAGE_OF_JOURNAL,
-            doc: "The applied commands, from the stored journal. A page reads at most 10,000 lines of \
-                  it.",
-        },
-        plain(
-            "{swarm}/get/snapshot",
-            Get("snapshot.reply"),
-            "Everything that the swarm's next steps depend on, as CBOR. A daemon of the same \
-             model version can restore it.",
-        ),
-        Channel {
-            key: "{swarm}/get/verify",
-            kind: Get("verify.reply"),
-            doc: "Whether a replay of the swarm's journal gives the same hashes. The reply takes as \
-                  long as the replay.",
-            parameters: &[(
+}
+
+/// One that a query with wildcards does not reach.
+const fn alone(key: &'static str, kind: ChannelKind, doc: &'static str) -> Channel {
+    Channel {
+        answers_wildcards: false,
+        ..plain(key, kind, doc)
+    }
+}
+
+/// What a swarm publishes and answers.
+const OF_A_SWARM: &[Channel] = &[
+    Channel {
+        key: "{swarm}/state",
+        kind: PublishedAndQueried("state"),
+        answers_wildcards: true,
+        parameters: &[("format", "`json` or `cbor`, the default")],
+        doc: "The newest state, as a CBOR map of typed arrays. A published one has an \
+              `attachment`, a reply has none.",
+    },
+    plain(
+        "{swarm}/order",
+        Published("order"),
+        "Order and drift beside each state.",
+    ),
+    plain(
+        "{swarm}/event",
+        Published("event"),
+        "The events of the swarm, numbered. An advanced subscriber that joins late gets the \
+         last 64.",
+    ),
+    plain(
+        "{swarm}/alive/{node}",
+        Token,
+        "Exists while the swarm exists.",
+    ),
+    plain(
+        "{swarm}/claim/{node}/{instance}/{standing}",
+        Token,
+        "Held by a daemon that has a swarm of this name, and serves it unless it is `waiting`.",
+    ),
+    plain(
+        "{swarm}/get/status",
+        Get("status.reply"),
+        "The status of the swarm.",
+    ),
+    plain(
+        "{swarm}/get/controllers",
+        Get("controllers.reply"),
+        "The joined controllers: their individuals, misses and puts.",
+    ),
+    plain(
+        "{swarm}/get/spec",
+        Get("spec.reply"),
+        "The spec of the swarm.",
+    ),
+    plain(
+        "{swarm}/get/parameters",
+        Get("parameters.reply"),
+        "Every parameter: value, range, unit, default, whether it may change.",
+    ),
+    Channel {
+        key: "{swarm}/get/measures",
+        kind: Get("measures.reply"),
+        answers_wildcards: true,
+        parameters: &[(
+            "names",
+            "the measures, separated by commas, such as `order,clusters.count(0.1)`; by \
+             default all that need no earlier state",
+        )],
+        doc: "Measures of the newest state, by name.",
+    },
+    Channel {
+        key: "{swarm}/get/events",
+        kind: Get("events.reply"),
+        answers_wildcards: true,
+        parameters: PAGE,
+        doc: "The events after the one with a given number.",
+    },
+    Channel {
+        key: "{swarm}/get/journal",
+        kind: Get("journal.reply"),
+        answers_wildcards: true,
+        parameters: PAGE_OF_JOURNAL,
+        doc: "The applied commands, from the stored journal. A page reads at most 10,000 lines of \
+              it.",
+    },
+    alone(
+        "{swarm}/get/snapshot",
+        Get("snapshot.reply"),
+        "Everything that the swarm's next steps depend on, as CBOR. A daemon of the same \
+         model version can restore it.",
+    ),
+    Channel {
+        key: "{swarm}/get/verify",
+        kind: Get("verify.reply"),
+        doc: "Whether a replay of the swarm's journal gives the same hashes. The reply takes as \
+              long as the replay.",
+        answers_wildcards: false,
+        parameters: &[(
+            "timeout_secs",
+            "a number above 0, at most 3600, 60 by default: the replay ends after this time, and \
+             the reply is `deadline_exceeded`",
+        )],
+    },
+    Channel {
+        key: "{swarm}/get/experiment",
+        kind: Get("experiment.file.reply"),
+        doc: "The commands applied since the swarm's start, as the file of an experiment. Its run \
+              ends with the swarm's hash.",
+        answers_wildcards: false,
+        parameters: &[
+            (
+                "replicates",
+                "a whole number: the file has so many runs, with other seeds than the swarm",
+            ),
+            (
+                "setpoints",
+                "the name of a file, of letters, digits, `.`, `-` and `_`: the file of the \
+                 experiment names this CSV, which `setpoints` of the reply contains, instead of \
+                 containing it",
+            ),
+        ],
+    },
+    Channel {
+        key: "{swarm}/get/wait",
+        kind: Get("status.reply"),
+        answers_wildcards: false,
+        parameters: &[
+            (
+                "step",
+                "a whole number: the reply is sent when the swarm reaches this step",
+            ),
+            (
+                "phase",
+                "`paused`, `running` or `faulted`: the reply is sent when the swarm is in \
+                 this phase",
+            ),
+            (
+                "event",
+                "the name of a condition, given to `when` as `event`: the reply is sent once it \
+                 has held, or if the swarm has faulted; it is `not_found` if no such condition \
+                 waits and none of the newest commands is that it held",
+            ),
+            (
+                "condition",
+                "a condition, such as `order > 0.9 for 20`: the reply is sent when it holds, in the \
+                 present state or after a later step, or if the swarm has faulted",
+            ),
+            (
+                "id",
+                "with `condition`: the id of the wait, which has the form of a name. The client holds \
+                 the token of this id; a query that repeats the id and the condition continues the wait. \
+                 Over HTTP the connection holds the wait, and the id may be left out",
+            ),
+            (
                 "timeout_secs",
-                "a number above 0, at most 3600, 60 by default: the replay ends after this time, and \
-                 the reply is `deadline_exceeded`",
-            )],
-        },
-        Channel {
-            key: "{swarm}/get/experiment",
-            kind: Get("experiment.file.reply"),
-            doc: "The commands applied since the swarm's start, as the file of an experiment. Its run \
-                  ends with the swarm's hash.",
-            parameters: &[
-                (
-                    "replicates",
-                    "a whole number: the file has so many runs, with other seeds than the swarm",
-                ),
-                (
-                    "setpoints",
-                    "the name of a file, of letters, digits, `.`, `-` and `_`: the file of the \
-                     experiment names this CSV, which `setpoints` of the reply contains, instead of \
-                     containing it",
-                ),
-            ],
-        },
-        Channel {
-            key: "{swarm}/get/wait",
-            kind: Get("status.reply"),
-            parameters: &[
-                (
-                    "step",
-                    "a whole number: the reply is sent when the swarm reaches this step",
-                ),
-                (
-                    "phase",
-                    "`paused`, `running` or `faulted`: the reply is sent when the swarm is in \
-                     this phase",
-                ),
-                (
-                    "event",
-                    "the name of a condition, given to `when` as `event`: the reply is sent once it \
-                     has held, or if the swarm has faulted; it is `not_found` if no such condition \
-                     waits and none of the newest commands is that it held",
-                ),
-                (
-                    "condition",
-                    "a condition, such as `order > 0.9 for 20`: the reply is sent when it holds, in the \
-                     present state or after a later step, or if the swarm has faulted",
-                ),
-                (
-                    "id",
-                    "with `condition`: the id of the wait, which has the form of a name. The client holds \
-                     the token of this id; a query that repeats the id and the condition continues the wait. \
-                     Over HTTP the connection holds the wait, and the id may be left out",
-                ),
-                (
-                    "timeout_secs",
-                    "a number above 0, at most 30: the reply is `deadline_exceeded` after this \
-                     time, or earlier if more than 1024 requests wait for the swarm",
-                ),
-            ],
-            doc: "The status, when the swarm reaches a step or a phase, or a condition holds or has held; \
-                 requires one of `step`, `phase`, `condition` and `event`.",
-        },
-        plain(
-            "{swarm}/cmd/delete",
-            Command("delete.args", "delete.reply"),
-            "Deletes the swarm.",
-        ),
-        plain(
-            "{swarm}/cmd/run",
-            Command("run.args", "run.reply"),
-            "Steps at a rate.",
-        ),
-        plain(
-            "{swarm}/cmd/pause",
-            Command("pause.args", "pause.reply"),
-            "Pauses.",
-        ),
-        plain(
-            "{swarm}/cmd/step",
-            Command("step.args", "step.reply"),
-            "Takes steps.",
-        ),
-        plain(
-            "{swarm}/cmd/reset",
-            Command("reset.args", "reset.reply"),
-            "Restarts from the spec.",
-        ),
-        plain(
-            "{swarm}/cmd/set",
-            Command("set.args", "set.reply"),
-            "Changes parameters.",
-        ),
-        plain(
-            "{swarm}/cmd/inform",
-            Command("inform.args", "inform.reply"),
-            "Gives individuals a direction of their own.",
-        ),
-        plain(
-            "{swarm}/cmd/uninform",
-            Command("uninform.args", "uninform.reply"),
-            "Takes individuals' direction away.",
-        ),
-        plain(
-            "{swarm}/cmd/inject",
-            Command("inject.args", "inject.reply"),
-            "Adds individuals.",
-        ),
-        plain(
-            "{swarm}/cmd/remove",
-            Command("remove.args", "remove.reply"),
-            "Removes individuals.",
-        ),
-        plain(
-            "{swarm}/cmd/batch",
-            Command("batch.args", "batch.reply"),
-            "Applies several changes at one step, or none.",
-        ),
-        plain(
-            "{swarm}/cmd/fork",
-            Command("fork.args", "fork.reply"),
-            "Creates a paused copy of this swarm, of its present state or that at an earlier \
-             step.",
-        ),
-        plain(
-            "{swarm}/cmd/join",
-            Command("join.args", "join.reply"),
-            "Registers a controller, and claims its individuals.",
-        ),
-        plain(
-            "{swarm}/cmd/advance",
-            Command("advance.args", "advance.reply"),
-            "Permits steps; the swarm takes them when all its controllers in lock-step have \
-             permitted them.",
-        ),
-        plain(
-            "{swarm}/cmd/leave",
-            Command("leave.args", "leave.reply"),
-            "Removes a controller.",
-        ),
-        plain(
-            "{swarm}/cmd/annotate",
-            Command("annotate.args", "annotate.reply"),
-            "Writes a note into the journal and the events; the state is unchanged.",
-        ),
-        plain(
-            "{swarm}/cmd/seek",
-            Command("seek.args", "seek.reply"),
-            "Moves a playback to another frame.",
-        ),
-        plain(
-            "{swarm}/cmd/when",
-            Command("when.args", "when.reply"),
-            "Pauses the swarm, changes it or publishes an event once a condition holds.",
-        ),
-        plain(
-            "{swarm}/ctl/{controller}",
-            Put("control.args"),
-            "Set-points of a controller that joined in mode `free_running`; newer ones replace \
-             older ones.",
-        ),
-        plain(
-            "{swarm}/ctl/{controller}/alive",
-            ClientToken,
-            "Held by a controller; if it disappears, the daemon removes the controller.",
-        ),
-        plain(
-            "{swarm}/wait/{id}/alive",
-            ClientToken,
-            "Held by a client that waits for a condition with this `id`; 2 s after it disappears, the wait \
-             ends.",
-        ),
-        plain("@node/{node}/alive", Token, "Exists while the daemon runs."),
-        plain(
-            "@node/{node}/claim/{instance}/{standing}",
-            Token,
-            "Held by a daemon of this name.",
-        ),
-        plain(
-            "@node/{node}/get/hello",
-            Get("node.hello.reply"),
-            "The version of the daemon, and its limits.",
-        ),
-        plain(
-            "@node/{node}/get/whoami",
-            Get("node.whoami.reply"),
-            "The user whose token the request carries, and the verbs that this user may send.",
-        ),
-        plain(
-            "@node/{node}/get/status",
-            Get("node.status.reply"),
-            "The status of the daemon.",
-        ),
-        plain(
-            "@node/{node}/get/swarms",
-            Get("node.swarms.reply"),
-            "Every swarm that the daemon hosts.",
-        ),
-        plain(
-            "@node/{node}/get/schema",
-            Get("node.schema.reply"),
-            "The JSON Schema of every message.",
-        ),
-        plain(
-            "@node/{node}/get/metrics",
-            Get("node.metrics.reply"),
-            "Metrics of the daemon and its swarms.",
-        ),
-        plain(
-            "@node/{node}/cmd/create",
-            Command("create.args", "create.reply"),
-            "Creates a swarm, paused.",
-        ),
-        plain(
-            "@node/{node}/cmd/restore",
-            Command("restore.args", "restore.reply"),
-            "Creates a swarm from a snapshot, paused.",
-        ),
-        plain(
-            "@node/{node}/cmd/discard",
-            Command("discard.args", "discard.reply"),
-            "Deletes the swarm of a name on this daemon only.",
-        ),
-        plain(
-            "@node/{node}/get/experiments",
-            Get("node.experiments.reply"),
-            "Every experiment of the daemon, and its progress.",
-        ),
-        plain(
-            "@node/{node}/cmd/experiment",
-            Command("experiment.args", "experiment.reply"),
-            "Submits, pauses, resumes, cancels or deletes an experiment.",
-        ),
-        plain(
-            "@node/{node}/cmd/replay",
-            Command("replay.args", "replay.reply"),
-            "Uploads a recording, and plays it as a swarm.",
-        ),
-        Channel {
-            key: "@node/{node}/get/audit",
-            kind: Get("node.audit.reply"),
-            parameters: PAGE_OF_AUDIT,
-            doc: "Who sent which commands, and with what outcome. Requires an operator, and a key \
-                  without wildcards.",
-        },
-        plain(
-            "@node/{node}/get/recordings",
-            Get("node.recordings.reply"),
-            "Every recording of the daemon, and its status.",
-        ),
-        Channel {
-            key: "@node/{node}/get/recording",
-            kind: Get("node.recording.reply"),
-            parameters: &[
-                ("name", "the recording"),
-                (
-                    "part",
-                    "a whole number, 0 by default: the number of a complete part",
-                ),
-                (
-                    "offset",
-                    "a whole number, 0 by default: the byte at which the piece begins",
-                ),
-            ],
-            doc: "A piece of a recording. Requires an operator, and a key without wildcards.",
-        },
-        plain(
-            "@node/{node}/cmd/record",
-            Command("record.args", "record.reply"),
-            "Begins, stops or deletes a recording in the daemon's data directory.",
-        ),
-        plain(
-            "@node/{node}/experiment/{experiment}/progress",
-            PublishedAndQueried("experiment.progress"),
-            "The progress of an experiment, at most twice a second while it changes.",
-        ),
-        Channel {
-            key: "@node/{node}/experiment/{experiment}/results",
-            kind: Get("experiment.results"),
-            parameters: PAGE,
-            doc: "The rows of the finished runs of an experiment. Rows are numbered from 1 in the \
-                 order of the plan.",
-        },
-        Channel {
-            key: "@node/{node}/experiment/{experiment}/order",
-            kind: Get("experiment.order"),
-            parameters: PAGE_OF_RUN,
-            doc: "The order of one run over time, if the experiment measures it, as CBOR.",
-        },
-        Channel {
-            key: "@node/{node}/experiment/{experiment}/series",
-            kind: Get("experiment.series"),
-            parameters: PAGE_OF_SERIES,
-            doc: "The chosen measures of one run over time, if the experiment has `series_every`, as \
-                  CBOR; or its trajectory, if the experiment has `record_every`.",
-        },
-    ]
-};
+                "a number above 0, at most 30: the reply is `deadline_exceeded` after this \
+                 time, or earlier if more than 1024 requests wait for the swarm",
+            ),
+        ],
+        doc: "The status, when the swarm reaches a step or a phase, or a condition holds or has held; \
+             requires one of `step`, `phase`, `condition` and `event`.",
+    },
+];
+
+/// What the clients of a swarm put and hold.
+const OF_CLIENTS: &[Channel] = &[
+    plain(
+        "{swarm}/ctl/{controller}",
+        Put("control.args"),
+        "Set-points of a controller that joined in mode `free_running`; newer ones replace \
+         older ones.",
+    ),
+    plain(
+        "{swarm}/ctl/{controller}/alive",
+        ClientToken,
+        "Held by a controller; if it disappears, the daemon removes the controller.",
+    ),
+    plain(
+        "{swarm}/wait/{id}/alive",
+        ClientToken,
+        "Held by a client that waits for a condition with this `id`; 2 s after it disappears, the wait \
+         ends.",
+    ),
+];
+
+/// What a daemon answers.
+const OF_A_NODE: &[Channel] = &[
+    plain("@node/{node}/alive", Token, "Exists while the daemon runs."),
+    plain(
+        "@node/{node}/claim/{instance}/{standing}",
+        Token,
+        "Held by a daemon of this name.",
+    ),
+    plain(
+        "@node/{node}/get/hello",
+        Get("node.hello.reply"),
+        "The version of the daemon, and its limits.",
+    ),
+    plain(
+        "@node/{node}/get/whoami",
+        Get("node.whoami.reply"),
+        "The user whose token the request carries, and the verbs that this user may send.",
+    ),
+    plain(
+        "@node/{node}/get/status",
+        Get("node.status.reply"),
+        "The status of the daemon.",
+    ),
+    plain(
+        "@node/{node}/get/swarms",
+        Get("node.swarms.reply"),
+        "Every swarm that the daemon hosts.",
+    ),
+    plain(
+        "@node/{node}/get/schema",
+        Get("node.schema.reply"),
+        "The JSON Schema of every message.",
+    ),
+    plain(
+        "@node/{node}/get/metrics",
+        Get("node.metrics.reply"),
+        "Metrics of the daemon and its swarms.",
+    ),
+    plain(
+        "@node/{node}/get/experiments",
+        Get("node.experiments.reply"),
+        "Every experiment of the daemon, and its progress.",
+    ),
+    Channel {
+        key: "@node/{node}/get/audit",
+        kind: Get("node.audit.reply"),
+        answers_wildcards: false,
+        parameters: PAGE_OF_AUDIT,
+        doc: "Who sent which commands, and with what outcome. Requires an operator, and a key \
+              without wildcards.",
+    },
+    plain(
+        "@node/{node}/get/recordings",
+        Get("node.recordings.reply"),
+        "Every recording of the daemon, and its status.",
+    ),
+    Channel {
+        key: "@node/{node}/get/recording",
+        kind: Get("node.recording.reply"),
+        answers_wildcards: false,
+        parameters: &[
+            ("name", "the recording"),
+            (
+                "part",
+                "a whole number, 0 by default: the number of a complete part",
+            ),
+            (
+                "offset",
+                "a whole number, 0 by default: the byte at which the piece begins",
+            ),
+        ],
+        doc: "A piece of a recording. Requires an operator, and a key without wildcards.",
+    },
+];
+
+/// What a daemon publishes and answers about an experiment.
+const OF_AN_EXPERIMENT: &[Channel] = &[
+    plain(
+        "@node/{node}/experiment/{experiment}/progress",
+        PublishedAndQueried("experiment.progress"),
+        "The progress of an experiment, at most twice a second while it changes.",
+    ),
+    Channel {
+        key: "@node/{node}/experiment/{experiment}/results",
+        kind: Get("experiment.results"),
+        answers_wildcards: false,
+        parameters: PAGE,
+        doc: "The rows of the finished runs of an experiment. Rows are numbered from 1 in the \
+             order of the plan.",
+    },
+    Channel {
+        key: "@node/{node}/experiment/{experiment}/order",
+        kind: Get("experiment.order"),
+        answers_wildcards: false,
+        parameters: PAGE_OF_RUN,
+        doc: "The order of one run over time, if the experiment measures it, as CBOR.",
+    },
+    Channel {
+        key: "@node/{node}/experiment/{experiment}/series",
+        kind: Get("experiment.series"),
+        answers_wildcards: false,
+        parameters: PAGE_OF_SERIES,
+        doc: "The chosen measures of one run over time, if the experiment has `series_every`, as \
+              CBOR; or its trajectory, if the experiment has `record_every`.",
+    },
+];
+
+/// Every key a daemon serves.
+pub static CHANNELS: LazyLock<Vec<Channel>> = LazyLock::new(|| {
+    let commands = |definitions: &'static [Definition]| {
+        let definitions = definitions.iter();
+        definitions.map(|it| plain(it.key, ChannelKind::Command(it), it.doc))
+    };
+    let given = |channels: &'static [Channel]| channels.iter().copied();
+    given(OF_A_SWARM)
+        .chain(commands(SwarmVerb::DEFINITIONS))
+        .chain(given(OF_CLIENTS))
+        .chain(given(OF_A_NODE))
+        .chain(commands(NodeVerb::DEFINITIONS))
+        .chain(given(OF_AN_EXPERIMENT))
+        .collect()
+});

@@ -4,7 +4,8 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::changes::Select;
-use super::{Return, one};
+use super::Return;
+use super::swarms::one;
 use crate::keys::NAME_RULE;
 use crate::{LARGEST_WHOLE, State};
 

@@ -14,6 +14,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use jostle_physics::simulation::Spec;
+use jostle_proto::verbs::{NodeVerb, SwarmVerb};
 use jostle_proto::{Arguments, keys};
 
 pub use record::count;
@@ -34,12 +35,12 @@ impl Context {
     pub(crate) fn command(&self, swarm: &Arc<str>, incoming: &Incoming) {
         let responder = self.responder(incoming);
         let prefix = keys::cmd(&self.prefix, swarm, "");
-        let verb = incoming.key.strip_prefix(&prefix);
-        let done = match verb {
+        let verb = incoming.key.strip_prefix(&prefix).unwrap_or_default();
+        let done = match SwarmVerb::of(verb) {
             _ if incoming.is_wild => Err(CommandError::Wildcard),
-            Some("fork") => self.fork(swarm, incoming, &responder),
-            Some("seek") => self.seek(swarm, incoming, &responder),
-            verb => self.swarm_command(swarm, verb.unwrap_or_default(), incoming, &responder),
+            Some(SwarmVerb::Fork) => self.fork(swarm, incoming, &responder),
+            Some(SwarmVerb::Seek) => self.seek(swarm, incoming, &responder),
+            _ => self.swarm_command(swarm, verb, incoming, &responder),
         };
         if let Err(error) = done {
             let step = self.registry.find(swarm).and_then(|handle| handle.step());
@@ -147,7 +148,7 @@ impl Context {
         }
         let prefix = keys::node_cmd(&self.prefix, &self.node, "");
         let given = incoming.key.strip_prefix(&prefix).unwrap_or_default();
-        let Some(verb) = keys::NODE_VERBS.into_iter().find(|it| *it == given) else {
+        let Some(verb) = NodeVerb::of(given) else {
             return Err(CommandError::UnknownVerb {
                 verb: truncate(given),
                 known: &keys::NODE_VERBS,
@@ -161,23 +162,23 @@ impl Context {
             user: self.user(incoming),
         };
         match verb {
-            "create" => self.execute(verb, &command, Self::create),
-            "restore" => self.execute(verb, &command, Self::restore),
-            "discard" => self.execute(verb, &command, Self::discard),
-            "experiment" => self.execute(verb, &command, Self::experiment),
-            "record" => self.execute(verb, &command, Self::record),
-            _ => self.replay(&command),
+            NodeVerb::Create => self.execute(verb, &command, Self::create),
+            NodeVerb::Restore => self.execute(verb, &command, Self::restore),
+            NodeVerb::Discard => self.execute(verb, &command, Self::discard),
+            NodeVerb::Experiment => self.execute(verb, &command, Self::experiment),
+            NodeVerb::Record => self.execute(verb, &command, Self::record),
+            NodeVerb::Replay => self.replay(&command),
         }
     }
 
     /// Begins a command to the daemon, and executes it unless it is a duplicate.
     fn execute<A: Arguments>(
         &self,
-        verb: &'static str,
+        verb: NodeVerb,
         command: &Parsed<'_>,
         execute: fn(&Self, &Parsed<'_>, A) -> Result<(), CommandError>,
     ) -> Result<(), CommandError> {
-        match self.begin(verb, command, DEFAULT_TIMEOUT, |_| false)? {
+        match self.begin(verb.name(), command, DEFAULT_TIMEOUT, |_| false)? {
             Some(args) => execute(self, command, args),
             None => Ok(()),
         }

@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
+use jostle_proto::verbs::OwnVerb;
 use jostle_proto::{NodeReply, OpenArgs, ReplayArgs, ReplayResult, Request, UploadArgs};
 
 use crate::api::context::{Context, Parsed, reject_preconditions};
@@ -146,9 +147,12 @@ fn play(
 /// Parses a recorded command.
 fn read_command(verb: &str, args: &str) -> Result<Command, String> {
     let request = Request::from_json(args.as_bytes()).map_err(|error| error.to_string())?;
-    let read = match verb {
-        "fired" => commands::read_journaled("fired", &request).map(|(command, _)| command),
-        verb => commands::read(verb, &request).map(|(message, _)| message.command),
+    // Of what a swarm gave itself, a recording has only the conditions that held.
+    let read = match OwnVerb::of(verb) {
+        Some(OwnVerb::Fired) => commands::own(OwnVerb::Fired, &request),
+        Some(OwnVerb::Deadline | OwnVerb::Lost | OwnVerb::Control | OwnVerb::Idle) | None => {
+            commands::read(verb, &request).map(|(message, _)| message.command)
+        }
     };
     read.map_err(|error| error.to_string())
 }

@@ -9,7 +9,8 @@ use jostle_convert::value::{new_max_idle_secs, whole};
 use jostle_convert::{WireError, change};
 use jostle_physics::simulation::Change;
 use jostle_proto::verbs::{
-    AdvanceArgs, AnnotateArgs, DeleteArgs, LeaveArgs, PauseArgs, ResetArgs, Return, StepArgs,
+    AdvanceArgs, AnnotateArgs, DeleteArgs, LeaveArgs, OwnVerb, PauseArgs, ResetArgs, Return, StepArgs,
+    SwarmVerb,
 };
 use jostle_proto::{MAX_LABEL_LENGTH, Request, is_plain, keys};
 use unicode_width::UnicodeWidthStr as _;
@@ -34,60 +35,8 @@ const MAX_TIMEOUT_SECS: f64 = 3600.0;
 
 /// Parses a command to a swarm, and whether its reply contains the state.
 pub fn read(verb: &str, request: &Request) -> Result<(CommandMessage, bool), CommandError> {
-    // The registry forks, and a playback seeks: a swarm executes neither.
-    let is_executed = |verb: &&&str| !["fork", "seek"].contains(*verb);
-    let known = keys::SWARM_VERBS.iter().filter(is_executed);
-    let Some(verb) = known.copied().find(|known| *known == verb) else {
-        return Err(CommandError::UnknownVerb {
-            verb: truncate(verb),
-            known: &keys::SWARM_VERBS,
-        });
-    };
-    let mut returns_state = false;
-    let command = match verb {
-        "delete" => {
-            let DeleteArgs {} = request.args()?;
-            Command::Delete
-        }
-        "run" => swarm::run(request.args()?)?,
-        "pause" => {
-            let PauseArgs {} = request.args()?;
-            Command::Pause
-        }
-        "step" => {
-            let args: StepArgs = request.args()?;
-            returns_state = args.return_ == Return::State;
-            Command::Step(swarm::count(args.steps)?)
-        }
-        "reset" => {
-            let ResetArgs { seed } = request.args()?;
-            Command::Reset(seed.map(|seed| whole("seed", seed)).transpose()?)
-        }
-        "set" => Command::Change(change::set(request.args().map_err(swarm::explain_set)?)?),
-        "inform" => Command::Change(change::inform(request.args()?)?),
-        "uninform" => Command::Change(change::uninform(request.args()?)?),
-        "inject" => Command::Change(change::inject(request.args()?)?),
-        "remove" => Command::Change(change::remove(request.args()?)?),
-        "batch" => swarm::batch(request.args()?)?,
-        "join" => swarm::join(request.args()?)?,
-        "advance" => {
-            if request.at_step.is_some() {
-                let problem = "cannot schedule an advance: a controller advances from the step of the \
-                               swarm: leave it out";
-                return Err(CommandError::field("at_step", problem));
-            }
-            let args: AdvanceArgs = request.args()?;
-            returns_state = args.return_ == Return::State;
-            swarm::advance(args)?
-        }
-        "leave" => Command::Leave(controller(request)?),
-        "annotate" => {
-            swarm::check_note(&request.args()?)?;
-            Command::Annotate
-        }
-        "when" => swarm::when(request.args()?)?,
-        _ => unreachable!("every known verb is above"),
-    };
+    let verb = SwarmVerb::of(verb).ok_or_else(|| unknown_verb(verb))?;
+    let (command, returns_state) = parse(verb, request)?;
     let at_step = request.at_step;
     let at_step = at_step.map(|step| whole("at_step", step));
     let message = CommandMessage {
@@ -97,11 +46,71 @@ pub fn read(verb: &str, request: &Request) -> Result<(CommandMessage, bool), Com
             expect_epoch: request.expect_epoch,
             expect_step: request.expect_step,
         },
-        sender: Arc::new(sender(verb, request)?),
+        sender: Arc::new(sender(verb.name(), request)?),
         user: None,
         reply_to: ReplyTo::ignored(),
     };
     Ok((message, returns_state))
+}
+
+fn unknown_verb(verb: &str) -> CommandError {
+    CommandError::UnknownVerb {
+        verb: truncate(verb),
+        known: &keys::SWARM_VERBS,
+    }
+}
+
+/// Parses the arguments of a command, and whether its reply contains the state.
+fn parse(verb: SwarmVerb, request: &Request) -> Result<(Command, bool), CommandError> {
+    let mut returns_state = false;
+    let command = match verb {
+        SwarmVerb::Delete => {
+            let DeleteArgs {} = request.args()?;
+            Command::Delete
+        }
+        SwarmVerb::Run => swarm::run(request.args()?)?,
+        SwarmVerb::Pause => {
+            let PauseArgs {} = request.args()?;
+            Command::Pause
+        }
+        SwarmVerb::Step => {
+            let args: StepArgs = request.args()?;
+            returns_state = args.return_ == Return::State;
+            Command::Step(swarm::count(args.steps)?)
+        }
+        SwarmVerb::Reset => {
+            let ResetArgs { seed } = request.args()?;
+            Command::Reset(seed.map(|seed| whole("seed", seed)).transpose()?)
+        }
+        SwarmVerb::Set => {
+            Command::Change(change::set(request.args().map_err(swarm::explain_set)?)?)
+        }
+        SwarmVerb::Inform => Command::Change(change::inform(request.args()?)?),
+        SwarmVerb::Uninform => Command::Change(change::uninform(request.args()?)?),
+        SwarmVerb::Inject => Command::Change(change::inject(request.args()?)?),
+        SwarmVerb::Remove => Command::Change(change::remove(request.args()?)?),
+        SwarmVerb::Batch => swarm::batch(request.args()?)?,
+        SwarmVerb::Join => swarm::join(request.args()?)?,
+        SwarmVerb::Advance => {
+            if request.at_step.is_some() {
+                let problem = "cannot schedule an advance: a controller advances from the step of the \
+                               swarm: leave it out";
+                return Err(CommandError::field("at_step", problem));
+            }
+            let args: AdvanceArgs = request.args()?;
+            returns_state = args.return_ == Return::State;
+            swarm::advance(args)?
+        }
+        SwarmVerb::Leave => Command::Leave(controller(request)?),
+        SwarmVerb::Annotate => {
+            swarm::check_note(&request.args()?)?;
+            Command::Annotate
+        }
+        SwarmVerb::When => swarm::when(request.args()?)?,
+        // The registry forks, and a playback seeks: a swarm executes neither.
+        SwarmVerb::Fork | SwarmVerb::Seek => return Err(unknown_verb(verb.name())),
+    };
+    Ok((command, returns_state))
 }
 
 /// Checks what the changes of a new command have in ranges that were larger in earlier versions.
@@ -121,27 +130,29 @@ pub fn check_new(changes: &[Change]) -> Result<(), CommandError> {
 }
 
 /// Parses a command from the journal: one of a client, or one that the swarm gave itself.
-pub fn read_journaled(
-    verb: &'static str,
-    request: &Request,
-) -> Result<(Command, bool), CommandError> {
-    let command = match verb {
-        "deadline" => Command::Deadline(controller(request)?),
-        "lost" => Command::Lost(controller(request)?),
-        "idle" => Command::Idle(controller(request)?),
-        "fired" => swarm::fired(request.args()?)?,
-        "control" => set_points::parse_journaled(request)?,
+pub fn read_journaled(verb: &str, request: &Request) -> Result<(Command, bool), CommandError> {
+    if let Some(verb) = OwnVerb::of(verb) {
+        return Ok((own(verb, request)?, false));
+    }
+    match SwarmVerb::of(verb).ok_or_else(|| unknown_verb(verb))? {
         // Earlier versions accepted more characters.
-        "annotate" => {
+        SwarmVerb::Annotate => {
             let AnnotateArgs { .. } = request.args()?;
-            Command::Annotate
+            Ok((Command::Annotate, false))
         }
-        verb => {
-            let (message, returns_state) = read(verb, request)?;
-            return Ok((message.command, returns_state));
-        }
-    };
-    Ok((command, false))
+        verb => parse(verb, request),
+    }
+}
+
+/// Parses a command that the swarm gave itself.
+pub fn own(verb: OwnVerb, request: &Request) -> Result<Command, CommandError> {
+    Ok(match verb {
+        OwnVerb::Deadline => Command::Deadline(controller(request)?),
+        OwnVerb::Lost => Command::Lost(controller(request)?),
+        OwnVerb::Idle => Command::Idle(controller(request)?),
+        OwnVerb::Fired => swarm::fired(request.args()?)?,
+        OwnVerb::Control => set_points::parse_journaled(request)?,
+    })
 }
 
 fn controller(request: &Request) -> Result<String, CommandError> {

@@ -5,7 +5,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, AtomicUsize, Ordering};
 use std::sync::mpsc::{SyncSender, TrySendError};
 
-use jostle_proto::{Claimant, keys};
+use jostle_proto::verbs::SwarmVerb;
+use jostle_proto::Claimant;
 use tracing::debug;
 use zenoh::bytes::ZBytes;
 use zenoh::key_expr::KeyExpr;
@@ -89,12 +90,11 @@ impl Gateway {
         let Target::Command(swarm) = &incoming.target else {
             return false;
         };
-        let verb = incoming.key.rsplit('/').next();
-        let is_slow = verb.is_none_or(|verb| matches!(verb, "fork" | "seek" | "delete"));
+        let verb = incoming.key.rsplit('/').next().and_then(SwarmVerb::of);
         let is_first = self.queued.load(Ordering::Acquire) == 0;
         bytes <= MAX_INLINE_BYTES
             && is_first
-            && !is_slow
+            && verb.is_some_and(is_short)
             && self.claims.gate(&Name::Swarm(swarm.to_string()), true) == Gate::Open
     }
 }
@@ -222,18 +222,42 @@ fn received(
     }
 }
 
+/// Whether the handler of this verb does not take long.
+fn is_short(verb: SwarmVerb) -> bool {
+    match verb {
+        SwarmVerb::Fork | SwarmVerb::Seek | SwarmVerb::Delete => false,
+        SwarmVerb::Run
+        | SwarmVerb::Pause
+        | SwarmVerb::Step
+        | SwarmVerb::Reset
+        | SwarmVerb::Set
+        | SwarmVerb::Inform
+        | SwarmVerb::Uninform
+        | SwarmVerb::Inject
+        | SwarmVerb::Remove
+        | SwarmVerb::Batch
+        | SwarmVerb::Join
+        | SwarmVerb::Advance
+        | SwarmVerb::Leave
+        | SwarmVerb::Annotate
+        | SwarmVerb::When => true,
+    }
+}
+
 /// The verb of a command, if this is its first use; `used` has a bit for each verb.
 fn first_use(key: &str, used: &AtomicU32) -> Option<&'static str> {
     let (_, last) = key.rsplit_once('/')?;
-    let verb = keys::SWARM_VERBS.iter().position(|verb| *verb == last)?;
-    let bit = 1 << verb;
+    let verb = SwarmVerb::of(last)?;
+    let bit = 1 << verb as u32;
     let is_new =
         used.load(Ordering::Relaxed) & bit == 0 && used.fetch_or(bit, Ordering::Relaxed) & bit == 0;
-    is_new.then_some(keys::SWARM_VERBS[verb])
+    is_new.then_some(verb.name())
 }
 
 #[cfg(test)]
 mod tests {
+    use jostle_proto::keys;
+
     use super::*;
 
     #[test]

@@ -2,7 +2,7 @@
 
 use jostle_proto::contract::{CHANNELS, Channel, ChannelKind};
 use jostle_proto::{NodeReply, Schemas};
-use serde_json::json;
+use serde_json::{Map, Value, json};
 
 use crate::arguments::SchemaArguments;
 use crate::context::Context;
@@ -31,8 +31,18 @@ pub async fn schema(context: &Context, arguments: &SchemaArguments) -> Result<()
         let docs: Vec<String> = messages.iter().map(|it| purpose(it).1).collect();
         return output.data(&table::documented(&table, &docs));
     };
+    let of_verb = ["args", "reply"].map(|kind| format!("{message}.{kind}"));
+    let of_verb: Map<String, Value> = schemas
+        .iter()
+        .filter(|(name, _)| of_verb.contains(name))
+        .map(|(name, schema)| (name.clone(), schema.clone()))
+        .collect();
     match schemas.get(message) {
         Some(schema) => output.print(schema, &format!("{schema:#}")),
+        None if !of_verb.is_empty() => {
+            let text = serde_json::to_string_pretty(&of_verb).unwrap_or_default();
+            output.print(&of_verb, &text)
+        }
         None => {
             let there: Vec<String> = schemas.into_keys().collect();
             let what = format!("message {message}");
@@ -49,7 +59,7 @@ fn purpose(message: &str) -> (String, String) {
         | ChannelKind::PublishedAndQueried(it)
         | ChannelKind::Put(it)
         | ChannelKind::Get(it) => it == message,
-        ChannelKind::Command(args, reply) => args == message || reply == message,
+        ChannelKind::Command(verb) => verb.args == message || verb.reply == message,
         ChannelKind::Token | ChannelKind::ClientToken => false,
     };
     let what = match message {

@@ -10,9 +10,15 @@ use jostle_proto::{Reply, Snapshot, State, to_cbor};
 use serde_json::{Value, json};
 
 use crate::types::written_back;
-use jostle_contract::{fixtures, folder, message};
+use jostle_contract::{fixtures, folder, message, rewrite};
 
 /// Whether clients send this message.
+/// Reads a message into its type and writes it back.
+fn written_back(message: &str, text: &str) -> Result<Value, String> {
+    let text = rewrite(message, text)?;
+    serde_json::from_str(&text).map_err(|it| it.to_string())
+}
+
 #[test]
 fn every_message_and_every_error_code_has_a_fixture() {
     let fixtures = fixtures().unwrap();

@@ -6,4 +6,3 @@ mod coverage;
 mod documents;
 mod fixtures;
 mod readme;
-mod types;

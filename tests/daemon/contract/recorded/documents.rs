@@ -5,7 +5,7 @@ use std::fs;
 use std::path::Path;
 use std::sync::Mutex;
 
-use jostle_proto::contract::{is_received, schemas};
+use jostle_proto::contract::{is_received, messages};
 use jostle_proto::verbs::{AdvanceResult, StepResult};
 use jostle_proto::{Attachment, OrderPage, Reply, SeriesPage, Snapshot, State, to_cbor};
 use serde::Serialize;
@@ -13,7 +13,7 @@ use serde::de::DeserializeOwned;
 use serde_json::Value;
 use zenoh::bytes::Encoding;
 
-use crate::contract::{proto, types};
+use crate::contract::proto;
 
 /// Writes the fixtures instead of comparing them.
 const RECORD: &str = "JOSTLE_RECORD";
@@ -208,7 +208,7 @@ impl Recorded {
             value
         };
         // In the order of the type's fields.
-        let text = types::written_back_as_text(message, &value.to_string());
+        let text = jostle_contract::rewrite(message, &value.to_string());
         let text = text.unwrap_or_else(|error| panic!("{name}: {error}")) + "\n";
         let back: Value = serde_json::from_str(&text).unwrap();
         assert_eq!(back, value, "{name} is what its type says");
@@ -282,7 +282,7 @@ impl Recorded {
 
 /// The message that a fixture is of.
 fn message(name: &str) -> &'static str {
-    let messages = schemas().into_keys().filter(|message| {
+    let messages = messages().into_iter().filter(|message| {
         let rest = name.strip_prefix(message);
         rest.is_some_and(|rest| rest.is_empty() || rest.starts_with('.'))
     });
