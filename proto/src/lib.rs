@@ -21,6 +21,7 @@ mod event;
 mod experiment;
 mod message;
 mod metrics;
+mod parameters;
 mod queries;
 mod recording;
 mod replay;
@@ -46,6 +47,7 @@ pub use experiment::{
     RunCommand, RunUnderWay, SeriesPage, SubmitArgs,
 };
 pub use metrics::{Metrics, RecordingMetrics, StoreMetrics, SwarmMetrics};
+pub use parameters::{MAX_PUBLISHED_MEASURES, ParameterValues, Spec};
 pub use queries::{
     Audit, AuditLine, AuditOutcome, Awaited, Controller, ControllerList, Events, ExperimentFile,
     Hello, Histogram, HistoryFrom, Journal, JournalEntry, Limits, MeasureValue, Measures,
@@ -63,8 +65,8 @@ pub use result_row::{
 };
 pub use role::{Credentials, Role, WhoAmI};
 pub use snapshot::Snapshot;
-pub use spec::{Attraction, ContactRule, MAX_PUBLISHED_MEASURES, Spec, Start, Stepping};
-pub use state::{Certificate, Order, OrderSample, ParameterValues, Phase, State, to_cbor};
+pub use spec::{Attraction, ContactRule, Start, Stepping};
+pub use state::{Certificate, Order, OrderSample, Phase, State, to_cbor};
 pub use units::{LENGTH_UNIT, NO_UNIT, SPEED_UNIT, TIME_UNIT};
 pub use walk::{Arguments, Lenient};
 

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::verbs::{Mode, News, OnTimeout};
 use crate::walk::{Lenient, lenient};
-use crate::{Attraction, ContactRule, Spec, Stepping, column, to_cbor};
+use crate::{Attraction, ContactRule, ParameterValues, Spec, Stepping, column, to_cbor};
 
 /// The version of the layout of snapshots; it grows when an older reader would misread them.
 pub const SNAPSHOT_VERSION: u32 = 1;
@@ -158,6 +158,60 @@ pub struct SnapshotParameters {
     /// without a limit.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub max_idle_secs: Option<f64>,
+}
+
+impl SnapshotParameters {
+    /// The values; those that are left out are those of `spec`.
+    pub fn values(&self, spec: &Spec) -> ParameterValues {
+        let attraction = self.attraction.as_ref().map(|it| it.0);
+        ParameterValues {
+            pi1: self.pi1,
+            pi2: self.pi2,
+            pi3: self.pi3,
+            pi4: self.pi4,
+            contacts: self.contacts.unwrap_or(spec.contacts),
+            stepping: self.stepping.unwrap_or(spec.stepping),
+            relinearise: self.relinearise.unwrap_or(spec.relinearise),
+            attraction: attraction.unwrap_or(spec.attraction),
+            noise: self.noise.unwrap_or(spec.noise),
+            publish_every: self.publish_every,
+            measures: self.measures.clone(),
+            max_idle_secs: self.max_idle_secs,
+        }
+    }
+}
+
+impl From<ParameterValues> for SnapshotParameters {
+    fn from(values: ParameterValues) -> Self {
+        let ParameterValues {
+            pi1,
+            pi2,
+            pi3,
+            pi4,
+            contacts,
+            stepping,
+            relinearise,
+            attraction,
+            noise,
+            publish_every,
+            measures,
+            max_idle_secs,
+        } = values;
+        SnapshotParameters {
+            pi1,
+            pi2,
+            pi3,
+            pi4,
+            contacts: Some(contacts),
+            stepping: Some(stepping),
+            relinearise: Some(relinearise),
+            attraction: Some(Lenient(attraction)),
+            noise: Some(noise),
+            publish_every,
+            measures,
+            max_idle_secs,
+        }
+    }
 }
 
 /// The phase of a swarm in detail.

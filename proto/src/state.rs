@@ -5,8 +5,7 @@ use std::collections::BTreeMap;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::walk::lenient;
-use crate::{Attraction, ContactRule, Stepping, column};
+use crate::column;
 
 /// The phase of a swarm.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -184,39 +183,6 @@ pub struct OrderSample {
     /// undefined or the group is too large for it. Left out without any.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub measures: Option<BTreeMap<String, Option<f64>>>,
-}
-
-/// The values of the parameters that commands can change.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-pub struct ParameterValues {
-    /// Length over width of a body.
-    pub pi1: f64,
-    /// Weight of individuals informed without one.
-    pub pi2: f64,
-    /// Body size over turning radius.
-    pub pi3: f64,
-    /// Translational over rotational drag.
-    pub pi4: f64,
-    /// Which of a pair's contacts constrain it.
-    pub contacts: ContactRule,
-    /// What a contact limits.
-    pub stepping: Stepping,
-    /// How many more programs a step solves about what the last one predicts.
-    pub relinearise: u8,
-    /// What an individual turns towards.
-    #[serde(deserialize_with = "lenient")]
-    pub attraction: Attraction,
-    /// Intensity of white noise on the turning rate, squared angle over time.
-    pub noise: f64,
-    /// Steps between two published states.
-    pub publish_every: u64,
-    /// The measures in each published order; left out without any.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub measures: Option<Vec<String>>,
-    /// For how many seconds the swarm waits for a controller in lock-step that sends nothing; left out
-    /// without a limit.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub max_idle_secs: Option<f64>,
 }
 
 #[cfg(test)]

@@ -16,7 +16,7 @@ use crate::{
 
 pub use changes::{
     BatchArgs, BatchResult, Change, Changed, Foremost, IdsResult, InformArgs, InjectArgs,
-    MAX_CHANGES, Pose, Region, RemoveArgs, Select, SetArgs, SetResult, UninformArgs,
+    MAX_CHANGES, Pose, Region, RemoveArgs, Select, SetResult, UninformArgs,
 };
 pub use controllers::{
     AdvanceArgs, AdvanceResult, Control, Departed, Departure, JoinArgs, JoinResult, LeaveArgs,
@@ -27,6 +27,7 @@ pub use swarms::{
     MAX_NOTE_CHARS, PauseArgs, ResetArgs, ResetResult, RestoreArgs, Return, RunArgs, RunResult,
     Scheduled, StepArgs, StepResult,
 };
+pub use crate::parameters::SetArgs;
 pub use when::{WhenArgs, WhenResult};
 
 /// What is known of a verb.

@@ -111,19 +111,8 @@ pub fn decode_spec(spec: &str, parameters: &str) -> Result<(Spec, Parameters), S
     let n = usize::try_from(sent.n).unwrap_or(usize::MAX);
     let spec = jostle_convert::spec::from_proto(&sent, n).map_err(|it| it.to_string())?;
     let values: ParameterValues = serde_json::from_str(parameters).map_err(|it| it.to_string())?;
-    let parameters = Parameters {
-        pi1: values.pi1,
-        pi2: values.pi2,
-        pi3: values.pi3,
-        pi4: values.pi4,
-        dt: spec.parameters.dt,
-        contacts: jostle_convert::spec::contact_rule(values.contacts),
-        stepping: jostle_convert::spec::stepping(values.stepping),
-        relinearise: jostle_convert::spec::relinearise(values.relinearise)
-            .map_err(|it| it.to_string())?,
-        attraction: jostle_convert::spec::attraction(values.attraction),
-        noise: values.noise,
-    };
+    let parameters = jostle_convert::parameters::parameters(&values, spec.parameters.dt);
+    let parameters = parameters.map_err(|it| it.to_string())?;
     for parameters in [&spec.parameters, &parameters] {
         parameters.check(0.0).map_err(|it| it.to_string())?;
     }

@@ -3,7 +3,7 @@
 use std::time::SystemTime;
 
 use jostle_convert::hexadecimal;
-use jostle_convert::spec::parameter_values;
+use jostle_convert::parameters::values;
 use jostle_proto as proto;
 
 use crate::convert::controllers::waiting_for;
@@ -76,7 +76,7 @@ pub fn status(seen: &Frame, history_from: Option<proto::HistoryFrom>) -> proto::
         informed: informed(seen),
         seed: seen.seed,
         dt: seen.parameters.dt,
-        parameters: parameter_values(
+        parameters: values(
             seen.parameters,
             seen.publish_every,
             &seen.measures,
@@ -157,7 +157,7 @@ pub fn parameters(seen: &Frame, limits: Limits) -> proto::Parameters {
     let mut parameters = proto::contract::parameters();
     let now = seen.parameters;
     // All numbers are finite and all keys are strings, so this cannot fail.
-    let values = parameter_values(now, seen.publish_every, &seen.measures, seen.max_idle_secs);
+    let values = values(now, seen.publish_every, &seen.measures, seen.max_idle_secs);
     let values = serde_json::to_value(values).expect("parameters are JSON");
     for parameter in &mut parameters {
         match parameter.name.as_str() {

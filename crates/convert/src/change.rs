@@ -3,7 +3,7 @@
 use jostle_physics::model::selection::Selection;
 use jostle_physics::model::{Drive, body, injection};
 use jostle_physics::simulation::{
-    Change, ChangeKind, ChangeOutcome, Placement, SetPoints, SettingValues, Settings,
+    Change, ChangeKind, ChangeOutcome, Placement, SetPoints, SettingValues,
 };
 use jostle_proto::verbs::{
     self, Changed, Foremost, IdsResult, InformArgs, InjectArgs, Pose, Region, RemoveArgs, Select,
@@ -11,8 +11,7 @@ use jostle_proto::verbs::{
 };
 use thiserror::Error;
 
-use crate::measures::published;
-use crate::spec::{self, parameter_values};
+use crate::parameters::{set_args, settings, values};
 use crate::value::{self, WireError};
 
 /// The longest time for which individuals can be informed, in time units.
@@ -52,21 +51,7 @@ pub fn change(change: verbs::Change) -> Result<Change, ArgsError> {
 /// Returns the message of a change, which [`change`] converts to the same change.
 pub fn to_proto(change: &Change) -> verbs::Change {
     match change {
-        Change::Set(settings) => verbs::Change::Set(SetArgs {
-            pi1: settings.pi1,
-            pi2: settings.pi2,
-            pi3: settings.pi3,
-            pi4: settings.pi4,
-            contacts: settings.contacts.map(spec::contact_rule_to_proto),
-            stepping: settings.stepping.map(spec::stepping_to_proto),
-            relinearise: settings.relinearise.map(u8::from),
-            attraction: settings.attraction.map(spec::attraction_to_proto),
-            noise: settings.noise,
-            publish_every: settings.publish_every,
-            measures: settings.measures.clone(),
-            max_idle_secs: settings.max_idle_secs.map(Option::unwrap_or_default),
-            make_room: settings.make_room,
-        }),
+        Change::Set(settings) => verbs::Change::Set(set_args(settings)),
         Change::Inform {
             selection,
             direction,
@@ -139,54 +124,7 @@ fn selection_to_proto(selection: &Selection) -> Select {
 /// [`ArgsError`] if no parameter is given, or `make_room` without `pi1`. The simulation checks
 /// ranges, since they depend on its state.
 pub fn set(args: SetArgs) -> Result<Change, ArgsError> {
-    let is_empty = args == SetArgs::default();
-    let SetArgs {
-        pi1,
-        pi2,
-        pi3,
-        pi4,
-        contacts,
-        stepping,
-        relinearise,
-        attraction,
-        noise,
-        publish_every,
-        measures,
-        max_idle_secs,
-        make_room,
-    } = args;
-    if make_room && pi1.is_none() {
-        return Err(ArgsError::Field {
-            field: "make_room",
-            problem: "requires a new pi1: give both",
-        });
-    }
-    if is_empty {
-        return Err(ArgsError::Field {
-            field: "args",
-            problem: "has no parameter: give pi1, pi2, pi3, pi4, contacts, stepping, relinearise, \
-                      attraction, noise, publish_every, measures or max_idle_secs",
-        });
-    }
-    let publish_every = publish_every.map(value::publish_every).transpose()?;
-    let measures = measures.as_deref().map(published).transpose();
-    let measures = measures.map_err(WireError::from)?;
-    let max_idle_secs = max_idle_secs.map(value::max_idle_secs).transpose()?;
-    Ok(Change::Set(Settings {
-        pi1,
-        pi2,
-        pi3,
-        pi4,
-        contacts: contacts.map(spec::contact_rule),
-        stepping: stepping.map(spec::stepping),
-        relinearise: relinearise.map(spec::relinearise).transpose()?,
-        attraction: attraction.map(spec::attraction),
-        noise,
-        publish_every,
-        measures,
-        max_idle_secs,
-        make_room,
-    }))
+    Ok(Change::Set(settings(args)?))
 }
 
 /// `inform`: sets the direction and the weight of individuals.
@@ -369,8 +307,8 @@ pub fn changed(kind: ChangeKind, outcome: ChangeOutcome) -> Changed {
 
 /// Returns the result of `set`.
 pub fn set_result(before: &SettingValues, now: &SettingValues, scaled_by: f64) -> SetResult {
-    let values = |it: &SettingValues| {
-        parameter_values(
+    let of = |it: &SettingValues| {
+        values(
             it.parameters,
             it.publish_every,
             &it.measures,
@@ -378,8 +316,8 @@ pub fn set_result(before: &SettingValues, now: &SettingValues, scaled_by: f64) -
         )
     };
     SetResult {
-        before: values(before),
-        now: values(now),
+        before: of(before),
+        now: of(now),
         scaled_by,
         published_hz: None,
     }

@@ -1,7 +1,7 @@
 //! Conversions between messages (`jostle_proto`) and physics (`jostle_physics`).
 //!
 //! [`spec`] and [`change`] convert the arguments of requests, and check them as far as they can be
-//! checked without a swarm. [`snapshot`] writes and reads the state of a simulation, and [`past`]
+//! checked without a swarm, with [`parameters`]. [`snapshot`] writes and reads the state of a simulation, and [`past`]
 //! the states of earlier steps. [`error`]
 //! gives the code and the details of errors, [`range`] describes the valid values of fields. No
 //! bus, no runtime and no database is needed.
@@ -9,6 +9,7 @@
 pub mod change;
 pub mod error;
 pub mod measures;
+pub mod parameters;
 pub mod past;
 pub mod range;
 pub mod snapshot;

@@ -6,13 +6,14 @@ use jostle_physics::model::{self, Configuration, MODEL_VERSION, State, WarmConta
 use jostle_physics::observables::RunningMeans;
 use jostle_physics::simulation::{Checkpoint, Exactness, Spec};
 use jostle_proto::snapshot::{
-    Drive, Lapse, SNAPSHOT_VERSION, SnapshotParameters, SnapshotPhase, SolverMemory, Sums,
+    Drive, Lapse, SNAPSHOT_VERSION, SnapshotPhase, SolverMemory, Sums,
 };
-use jostle_proto::{self as proto, LARGEST_WHOLE, Lenient};
+use jostle_proto::{self as proto, LARGEST_WHOLE};
 use thiserror::Error;
 
 use crate::measures::published;
-use crate::spec::{self, parameter_values};
+use crate::parameters::{parameters, values};
+use crate::spec;
 use crate::value::{WireError, count, max_idle_secs, publish_every};
 
 /// Maximum distance of a group's origin from 0, in cells: a double represents it exactly.
@@ -76,10 +77,7 @@ pub fn to_proto(swarm: &str, checkpoint: &Checkpoint, doing: SnapshotPhase) -> p
         model_version: MODEL_VERSION,
         swarm: swarm.to_owned(),
         spec: spec::to_proto(spec, spec.seed),
-        parameters: SnapshotParameters {
-            max_idle_secs: *max_idle_secs,
-            ..parameters_to_proto(state.parameters, *publish_every, measures)
-        },
+        parameters: values(state.parameters, *publish_every, measures, *max_idle_secs).into(),
         epoch: *epoch,
         step: state.step,
         seq: *seq,
@@ -224,7 +222,7 @@ pub fn state(snapshot: &proto::Snapshot) -> Result<(Spec, State), SnapshotError>
         lapses_at[index] = Some(lapse.at_step);
     }
     let state = State {
-        parameters: parameters(&snapshot.parameters, spec.parameters)
+        parameters: parameters(&snapshot.parameters.values(&snapshot.spec), spec.parameters.dt)
             .map_err(|error| unreadable(&error.to_string()))?,
         seed: spec.seed,
         step: snapshot.step,
@@ -254,52 +252,6 @@ pub fn state(snapshot: &proto::Snapshot) -> Result<(Spec, State), SnapshotError>
         },
     };
     Ok((spec, state))
-}
-
-fn parameters_to_proto(
-    now: model::Parameters,
-    publish_every: u64,
-    measures: &[String],
-) -> SnapshotParameters {
-    let now = parameter_values(now, publish_every, measures, None);
-    SnapshotParameters {
-        pi1: now.pi1,
-        pi2: now.pi2,
-        pi3: now.pi3,
-        pi4: now.pi4,
-        contacts: Some(now.contacts),
-        stepping: Some(now.stepping),
-        relinearise: Some(now.relinearise),
-        attraction: Some(Lenient(now.attraction)),
-        noise: Some(now.noise),
-        publish_every,
-        measures: now.measures,
-        max_idle_secs: None,
-    }
-}
-
-/// Returns the parameters in a snapshot. `at_start` are those of its spec, which replace missing
-/// ones; `dt` is always that of the spec.
-fn parameters(
-    saved: &SnapshotParameters,
-    at_start: model::Parameters,
-) -> Result<model::Parameters, WireError> {
-    let relinearise = saved.relinearise.map(spec::relinearise).transpose()?;
-    Ok(model::Parameters {
-        pi1: saved.pi1,
-        pi2: saved.pi2,
-        pi3: saved.pi3,
-        pi4: saved.pi4,
-        dt: at_start.dt,
-        contacts: saved.contacts.map_or(at_start.contacts, spec::contact_rule),
-        stepping: saved.stepping.map_or(at_start.stepping, spec::stepping),
-        relinearise: relinearise.unwrap_or(at_start.relinearise),
-        attraction: saved
-            .attraction
-            .as_ref()
-            .map_or(at_start.attraction, |it| spec::attraction(it.0)),
-        noise: saved.noise.unwrap_or(at_start.noise),
-    })
 }
 
 fn drive(saved: &Drive) -> (u32, model::Drive) {

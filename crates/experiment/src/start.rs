@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use jostle_convert::{snapshot, spec};
-use jostle_physics::model::{Parameters, State};
+use jostle_physics::model::State;
 use jostle_physics::observables::RunningMeans;
 use jostle_physics::simulation::{
     Change, ChangeError, Checkpoint, Exactness, ReserveMemory, Settings, Simulation, Spec, Start,
@@ -108,28 +108,10 @@ impl Base {
         reserve: ReserveMemory,
     ) -> Result<Simulation, ChangeError> {
         let mut simulation = Simulation::from_checkpoint(&self.0, reserve);
-        let Parameters {
-            pi2,
-            pi3,
-            pi4,
-            contacts,
-            stepping,
-            relinearise,
-            attraction,
-            noise,
-            ..
-        } = spec.parameters;
-        // No command: it has no number of its own.
+        // No command: it has no number of its own. The bodies of the state keep their shape.
         let settings = Change::Set(Settings {
-            pi2: Some(pi2),
-            pi3: Some(pi3),
-            pi4: Some(pi4),
-            contacts: Some(contacts),
-            stepping: Some(stepping),
-            relinearise: Some(relinearise),
-            attraction: Some(attraction),
-            noise: Some(noise),
-            ..Settings::default()
+            pi1: None,
+            ..Settings::all(spec.parameters)
         });
         simulation.apply_at(simulation.seq, &settings)?;
         simulation.state.seed = spec.seed;

@@ -6,65 +6,8 @@ use schemars::JsonSchema;
 use serde::de::{Error as _, IgnoredAny, SeqAccess, Visitor};
 use serde::{Deserialize, Serialize};
 
-use crate::{
-    Attraction, ContactRule, LARGEST_WHOLE, MAX_PUBLISHED_MEASURES, ParameterValues, Stepping,
-};
-
-/// Changes the given parameters, at least one.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct SetArgs {
-    /// Length over width of a body: 1 to 32.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schemars(range(min = 1.0, max = 32.0))]
-    pub pi1: Option<f64>,
-    /// Weight of individuals informed without one: 0 or more. Those informed keep theirs.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schemars(range(min = 0.0, max = 1e6))]
-    pub pi2: Option<f64>,
-    /// Body size over turning radius: above 0.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schemars(extend("exclusiveMinimum" = 0), range(max = 1e6))]
-    pub pi3: Option<f64>,
-    /// Translational over rotational drag: above 0.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schemars(extend("exclusiveMinimum" = 0), range(max = 1e6))]
-    pub pi4: Option<f64>,
-    /// Which of a pair's contacts constrain it; all but `closest` need that no axes cross.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub contacts: Option<ContactRule>,
-    /// What a contact limits.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub stepping: Option<Stepping>,
-    /// How many more programs a step solves about what the last one predicts: 0 or 1.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schemars(range(max = 1))]
-    pub relinearise: Option<u8>,
-    /// What an individual turns towards.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub attraction: Option<Attraction>,
-    /// Intensity of white noise on the turning rate, squared angle over time: 0 or more.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schemars(range(min = 0.0, max = 1e6))]
-    pub noise: Option<f64>,
-    /// Steps between two published states: 1 or more.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schemars(range(min = 1, max = 1_000_000_000))]
-    pub publish_every: Option<u64>,
-    /// Remove a controller in lock-step for which the swarm has waited so many seconds, and which has
-    /// sent nothing meanwhile: 0.1 or more; 0 is no limit.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schemars(range(min = 0.0, max = 1e6))]
-    pub max_idle_secs: Option<f64>,
-    /// The measures in each published order, such as `milling`, at most 16 that need no earlier
-    /// state; none if empty.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schemars(length(max = MAX_PUBLISHED_MEASURES))]
-    pub measures: Option<Vec<String>>,
-    /// With `pi1`: scale positions about the centroid by the least factor that makes room.
-    #[serde(default)]
-    pub make_room: bool,
-}
+use crate::parameters::SetArgs;
+use crate::{LARGEST_WHOLE, ParameterValues};
 
 /// The result of `set`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]

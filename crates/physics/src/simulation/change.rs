@@ -251,6 +251,38 @@ pub struct Settings {
 }
 
 impl Settings {
+    /// Returns the settings that set all of these parameters but `dt`, which no command changes.
+    #[must_use]
+    pub fn all(parameters: Parameters) -> Self {
+        let Parameters {
+            pi1,
+            pi2,
+            pi3,
+            pi4,
+            dt: _,
+            contacts,
+            stepping,
+            relinearise,
+            attraction,
+            noise,
+        } = parameters;
+        Settings {
+            pi1: Some(pi1),
+            pi2: Some(pi2),
+            pi3: Some(pi3),
+            pi4: Some(pi4),
+            contacts: Some(contacts),
+            stepping: Some(stepping),
+            relinearise: Some(relinearise),
+            attraction: Some(attraction),
+            noise: Some(noise),
+            publish_every: None,
+            max_idle_secs: None,
+            measures: None,
+            make_room: false,
+        }
+    }
+
     /// Returns `before` with these settings, unchecked.
     #[must_use]
     pub fn of(&self, before: Parameters) -> Parameters {

@@ -9,7 +9,6 @@ use jostle_proto::verbs::StepResult;
 use jostle_proto::{Reply, Snapshot, State, to_cbor};
 use serde_json::{Value, json};
 
-use crate::types::written_back;
 use jostle_contract::{fixtures, folder, message, rewrite};
 
 /// Whether clients send this message.

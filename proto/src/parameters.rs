@@ -1,0 +1,261 @@
+//! The parameters of a swarm: one row each, from which the messages that have them are made.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::walk::lenient;
+use crate::{Attraction, ContactRule, LARGEST_WHOLE, Start, Stepping};
+
+/// Maximum number of measures in a published order.
+pub const MAX_PUBLISHED_MEASURES: usize = 16;
+
+/// Makes [`Spec`], [`SetArgs`] and [`ParameterValues`]. A row is a field of the spec, in its order:
+///
+/// ```text
+/// /// What it is, with its range.
+/// #[serde(its default)] #[schemars(its range, unit, and the commands that change it)] #[reply(…)]
+/// name: Type,
+/// ```
+///
+/// A `live` row is also an optional field of the arguments of `set`, with the same range, and a field of
+/// the values in replies. `#[reply(…)]` are the attributes of serde there: a row that is added later
+/// needs `default`, since recordings of earlier versions lack it.
+macro_rules! parameters {
+    (
+        $(
+            fixed { $(
+                $(#[doc = $fixed_doc:literal])+
+                $(#[serde($($fixed_serde:tt)+)])?
+                $(#[schemars($($fixed_schema:tt)+)])?
+                $fixed:ident: $Fixed:ty,
+            )+ }
+            live { $(
+                $(#[doc = $doc:literal])+
+                $(#[serde($($serde:tt)+)])?
+                $(#[schemars($($schema:tt)+)])?
+                $(#[reply($($reply:tt)+)])?
+                $live:ident: $Live:ty,
+            )+ }
+        )+
+        last { $($last:tt)+ }
+    ) => {
+        /// The description of a swarm: same spec, same seed, same bytes.
+        ///
+        /// Lengths are in body sizes, speeds in free speeds, times in their quotient. Everything but `n`
+        /// may be left out.
+        #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+        #[serde(deny_unknown_fields)]
+        pub struct Spec {
+            $(
+                $(
+                    $(#[doc = $fixed_doc])+
+                    $(#[serde($($fixed_serde)+)])?
+                    $(#[schemars($($fixed_schema)+)])?
+                    pub $fixed: $Fixed,
+                )+
+                $(
+                    $(#[doc = $doc])+
+                    $(#[serde($($serde)+)])?
+                    $(#[schemars($($schema)+)])?
+                    pub $live: $Live,
+                )+
+            )+
+            $($last)+
+        }
+
+        /// Changes the given parameters, at least one. A new `pi2` is not that of individuals informed
+        /// before; `contacts` other than `closest` require that no axes cross.
+        #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+        #[serde(deny_unknown_fields)]
+        pub struct SetArgs {
+            $($(
+                $(#[doc = $doc])+
+                #[serde(default, skip_serializing_if = "Option::is_none")]
+                $(#[schemars($($schema)+)])?
+                pub $live: Option<$Live>,
+            )+)+
+            /// Remove a controller in lock-step for which the swarm has waited so many seconds, and which
+            /// has sent nothing meanwhile: 0.1 or more; 0 is no limit.
+            #[serde(default, skip_serializing_if = "Option::is_none")]
+            #[schemars(range(min = 0.0, max = 1e6))]
+            pub max_idle_secs: Option<f64>,
+            /// The measures in each published order, such as `milling`, at most 16 that need no earlier
+            /// state; none if empty.
+            #[serde(default, skip_serializing_if = "Option::is_none")]
+            #[schemars(length(max = MAX_PUBLISHED_MEASURES))]
+            pub measures: Option<Vec<String>>,
+            /// With `pi1`: scale positions about the centroid by the least factor that makes room.
+            #[serde(default)]
+            pub make_room: bool,
+        }
+
+        impl SetArgs {
+            /// What is wrong with arguments that have no parameter.
+            pub const NONE: &str = concat!(
+                "has no parameter: give ",
+                $($(stringify!($live), ", ",)+)+
+                "measures or max_idle_secs"
+            );
+        }
+
+        /// The values of the parameters that commands can change.
+        #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+        pub struct ParameterValues {
+            $($(
+                $(#[doc = $doc])+
+                $(#[serde($($reply)+)])?
+                pub $live: $Live,
+            )+)+
+            /// The measures in each published order; left out without any.
+            #[serde(default, skip_serializing_if = "Option::is_none")]
+            pub measures: Option<Vec<String>>,
+            /// For how many seconds the swarm waits for a controller in lock-step that sends nothing; left
+            /// out without a limit.
+            #[serde(default, skip_serializing_if = "Option::is_none")]
+            pub max_idle_secs: Option<f64>,
+        }
+
+        impl Spec {
+            /// The values at the start.
+            pub fn values(&self) -> ParameterValues {
+                ParameterValues {
+                    $($($live: self.$live,)+)+
+                    measures: self.measures.clone(),
+                    max_idle_secs: None,
+                }
+            }
+        }
+    };
+}
+
+parameters! {
+    fixed {
+        /// The number of individuals: 1 to the daemon's limit; in a spec that at the start.
+        #[schemars(range(min = 1), extend("x-unit" = "individuals", "x-changed-by" = ["inject", "remove"]))]
+        n: u64,
+    }
+    live {
+        /// Length over width of a body: 1 (a disc) to 32.
+        #[serde(default = "default::pi1")]
+        #[schemars(range(min = 1.0, max = 32.0), extend("x-unit" = "1", "x-changed-by" = ["set"]))]
+        pi1: f64,
+        /// Weight of the preferred direction of individuals informed without a weight: 0 or more.
+        #[serde(default = "default::pi2")]
+        #[schemars(range(min = 0.0, max = 1e6), extend("x-unit" = "1", "x-changed-by" = ["set"]))]
+        pi2: f64,
+        /// Body size over turning radius: above 0.
+        #[serde(default = "default::pi3")]
+        #[schemars(range(max = 1e6), extend("exclusiveMinimum" = 0, "x-unit" = "1", "x-changed-by" = ["set"]))]
+        pi3: f64,
+        /// Translational over rotational drag: above 0.
+        #[serde(default = "default::pi4")]
+        #[schemars(range(max = 1e6), extend("exclusiveMinimum" = 0, "x-unit" = "1", "x-changed-by" = ["set"]))]
+        pi4: f64,
+    }
+    fixed {
+        /// The time step: above 0, and short enough that a step cannot carry a body across another.
+        #[serde(default = "default::dt")]
+        #[schemars(range(max = 1.0), extend("exclusiveMinimum" = 0, "x-unit" = "body size / free speed"))]
+        dt: f64,
+    }
+    live {
+        /// Which of a pair's contacts constrain it.
+        #[serde(default)]
+        #[schemars(extend("x-unit" = "1", "x-changed-by" = ["set"]))]
+        contacts: ContactRule,
+        /// What a contact limits.
+        #[serde(default)]
+        #[schemars(extend("x-unit" = "1", "x-changed-by" = ["set"]))]
+        stepping: Stepping,
+        /// How many more programs a step solves about what the last one predicts: 0 or 1. One more
+        /// leaves less overlap, and goes with `position` alone.
+        #[serde(default)]
+        #[schemars(range(max = 1), extend("x-unit" = "1", "x-changed-by" = ["set"]))]
+        relinearise: u8,
+    }
+    fixed {
+        /// The seed of every draw: 0 to 2⁵³ - 1.
+        #[serde(default)]
+        #[schemars(range(max = LARGEST_WHOLE), extend("x-unit" = "1", "x-changed-by" = ["reset"]))]
+        seed: u64,
+        /// Where the individuals begin.
+        #[serde(default)]
+        start: Start,
+    }
+    live {
+        /// What an individual turns towards.
+        #[serde(default)]
+        #[schemars(extend("x-unit" = "1", "x-changed-by" = ["set"]))]
+        #[reply(deserialize_with = "lenient")]
+        attraction: Attraction,
+        /// Intensity of white noise on the turning rate, squared angle over time: 0 or more.
+        #[serde(default)]
+        #[schemars(range(min = 0.0, max = 1e6), extend("x-unit" = "free speed / body size", "x-changed-by" = ["set"]))]
+        noise: f64,
+        /// Steps between two published states: 1 or more.
+        #[serde(default = "default::publish_every")]
+        #[schemars(range(min = 1, max = 1_000_000_000), extend("x-unit" = "steps", "x-changed-by" = ["set"]))]
+        publish_every: u64,
+    }
+    last {
+        /// The measures in each published order, such as `milling`, at most 16 that need no earlier
+        /// state; none if left out.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        #[schemars(length(max = MAX_PUBLISHED_MEASURES), extend("x-unit" = "1", "x-changed-by" = ["set"]))]
+        pub measures: Option<Vec<String>>,
+        /// Time units per second of wall clock; `null` is as fast as possible.
+        #[serde(default = "default::rate")]
+        #[schemars(extend("exclusiveMinimum" = 0, "x-unit" = "time units / s", "x-changed-by" = ["run"]), range(max = 1e6))]
+        pub rate: Option<f64>,
+    }
+}
+
+impl Spec {
+    /// The spec of `n` individuals with everything else left out.
+    pub fn new(n: u64) -> Self {
+        Spec {
+            n,
+            pi1: default::pi1(),
+            pi2: default::pi2(),
+            pi3: default::pi3(),
+            pi4: default::pi4(),
+            dt: default::dt(),
+            contacts: ContactRule::default(),
+            stepping: Stepping::default(),
+            relinearise: 0,
+            seed: 0,
+            start: Start::default(),
+            attraction: Attraction::default(),
+            noise: 0.0,
+            publish_every: default::publish_every(),
+            measures: None,
+            rate: default::rate(),
+        }
+    }
+}
+
+/// The defaults of Table 1 and of the service.
+mod default {
+    pub(super) fn pi1() -> f64 {
+        4.0
+    }
+    pub(super) fn pi2() -> f64 {
+        0.5
+    }
+    pub(super) fn pi3() -> f64 {
+        1.0
+    }
+    pub(super) fn pi4() -> f64 {
+        10.0
+    }
+    pub(super) fn dt() -> f64 {
+        0.02
+    }
+    pub(super) fn publish_every() -> u64 {
+        5
+    }
+    #[expect(clippy::unnecessary_wraps, reason = "the field it fills is optional")]
+    pub(super) fn rate() -> Option<f64> {
+        Some(1.0)
+    }
+}
