@@ -118,8 +118,10 @@ pub fn verbs(typed: &OsStr) -> Vec<CompletionCandidate> {
     beginning_with(typed, keys::SWARM_VERBS.iter().chain(&keys::NODE_VERBS))
 }
 
+/// The messages, and the verbs that have them.
 pub fn messages(typed: &OsStr) -> Vec<CompletionCandidate> {
-    beginning_with(typed, contract::messages())
+    let verbs = keys::SWARM_VERBS.into_iter().chain(keys::NODE_VERBS);
+    beginning_with(typed, contract::messages().into_iter().chain(verbs))
 }
 
 /// The measures of one state, which a daemon evaluates.

@@ -14,7 +14,7 @@ use thiserror::Error;
 use crate::measures::published;
 use crate::parameters::{parameters, values};
 use crate::spec;
-use crate::value::{WireError, count, max_idle_secs, publish_every};
+use crate::value::{count, max_idle_secs, publish_every};
 
 /// Maximum distance of a group's origin from 0, in cells: a double represents it exactly.
 const MAX_ORIGIN: u64 = LARGEST_WHOLE;

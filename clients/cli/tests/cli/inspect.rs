@@ -384,6 +384,11 @@ async fn daemons_and_messages_are_listed() {
     let schema: Value = serde_json::from_str(&daemon.said("schema step.args").await).unwrap();
     assert_eq!(schema["additionalProperties"], false);
     assert_eq!(daemon.reply("schema step.args").await, schema);
+    let of_verb = daemon.reply("schema step").await;
+    let reply = daemon.reply("schema step.reply").await;
+    assert_eq!(of_verb, json!({"step.args": schema, "step.reply": reply}));
+    let printed = daemon.said("schema step").await;
+    assert_eq!(serde_json::from_str::<Value>(&printed).unwrap(), of_verb);
     let unknown = daemon.refusal("schema step.arg").await;
     assert_eq!(unknown["code"], "not_found");
     assert_eq!(unknown["details"]["nearest"], json!(["step.args"]));
