@@ -1,6 +1,9 @@
 //! Specs, changes and errors, compared with literals.
 #![expect(clippy::unwrap_used, reason = "tests")]
 
+use std::collections::BTreeSet;
+use std::{env, fs};
+
 use jostle_convert::change::{change, set_points, to_proto};
 use jostle_convert::range::range_of;
 use jostle_convert::value::{count, publish_every, rate, weight, whole};
@@ -11,6 +14,7 @@ use jostle_physics::simulation::{
     Change, ChangeError, Placement, ReserveError, Settings, Simulation, Spec, Start,
 };
 use jostle_proto::ErrorCode;
+use jostle_proto::contract::{is_received, schemas};
 use jostle_proto::verbs::SetPoints;
 use serde_json::{Value, json};
 
@@ -434,4 +438,53 @@ fn a_range_is_found_by_the_path_else_by_the_last_name_without_indices() {
     ] {
         assert_eq!(range_of(field), range, "{field}");
     }
+}
+
+/// Adds the paths of all fields of a value that `schema` describes, without indices.
+fn add_paths(schema: &Value, root: &Value, path: &str, paths: &mut BTreeSet<String>) {
+    if let Some(name) = schema["$ref"].as_str() {
+        let definition = &root["$defs"][name.trim_start_matches("#/$defs/")];
+        add_paths(definition, root, path, paths);
+    }
+    for kind in ["oneOf", "anyOf"] {
+        for variant in schema[kind].as_array().into_iter().flatten() {
+            add_paths(variant, root, path, paths);
+        }
+    }
+    if schema["items"].is_object() {
+        add_paths(&schema["items"], root, path, paths);
+    }
+    for (name, field) in schema["properties"].as_object().into_iter().flatten() {
+        let dot = if path.is_empty() { "" } else { "." };
+        let path = format!("{path}{dot}{name}");
+        add_paths(field, root, &path, paths);
+        paths.insert(path);
+    }
+}
+
+/// `tests/ranges.txt` has the range of each field of each request, as errors give it: `JOSTLE_RECORD=1`
+/// writes it.
+#[test]
+fn the_range_of_each_field_is_the_recorded_one() {
+    let mut listed = String::new();
+    for (message, schema) in schemas() {
+        if !is_received(message) {
+            continue;
+        }
+        let (schema, mut paths) = (schema.to_value(), BTreeSet::new());
+        add_paths(&schema, &schema, "", &mut paths);
+        for path in paths {
+            let range = range_of(&path).unwrap_or("-");
+            listed += &format!("{message} {path}: {range}\n");
+        }
+    }
+    let file = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/ranges.txt");
+    if env::var_os("JOSTLE_RECORD").is_some() {
+        fs::write(file, &listed).unwrap();
+    }
+    let recorded = fs::read_to_string(file).unwrap();
+    for (now, before) in listed.lines().zip(recorded.lines()) {
+        assert_eq!(now, before);
+    }
+    assert_eq!(listed.lines().count(), recorded.lines().count());
 }
