@@ -90,7 +90,7 @@ fn fixtures(message: &str) -> Vec<(String, Value)> {
 /// Fails unless a reply equals what its type writes.
 fn check_reply(message: &str, reply: &Value) {
     let back = jostle_contract::rewrite(message, &reply.to_string());
-    let back = back.map(|text| serde_json::from_str::<Value>(&text).unwrap());
+    let back = back.map(|text: String| serde_json::from_str::<Value>(&text).unwrap());
     assert_eq!(back.as_ref(), Ok(reply), "{message}");
 }
 
@@ -451,15 +451,30 @@ async fn the_verbs_and_nouns_that_errors_name_are_those_of_the_document() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn the_schemas_that_a_daemon_serves_are_those_in_the_repository() {
+    let read = |file: &str| -> Value {
+        let text = fs::read_to_string(proto().join(file)).unwrap();
+        serde_json::from_str(&text).unwrap()
+    };
+    let messages = read("asyncapi.json")["components"]["messages"].take();
     let daemon = Daemon::start().await;
     let mut served = daemon.client.node("schema").await;
     let served = served["schemas"].as_object_mut().unwrap();
-    for entry in fs::read_dir(proto().join("schema")).unwrap() {
-        let path = entry.unwrap().path();
-        let name = path.file_stem().unwrap().to_str().unwrap();
-        let text = fs::read_to_string(&path).unwrap();
-        let schema: Value = serde_json::from_str(&text).unwrap();
-        assert_eq!(served.remove(name), Some(schema), "{name}");
+    for (name, message) in messages.as_object().unwrap() {
+        let Some(place) = message["payload"]["$ref"].as_str() else {
+            continue;
+        };
+        let (file, definition) = place.split_once("#/$defs/").unwrap();
+        let mut document = read(file);
+        let mut schema = served.remove(name).unwrap();
+        let schema = schema.as_object_mut().unwrap();
+        assert_eq!(schema.remove("title"), Some(json!(definition)), "{name}");
+        assert_eq!(schema.remove("$schema").as_ref(), document.get("$schema"), "{name}");
+        let nested = schema.remove("$defs").unwrap_or_default();
+        for (nested, schema) in nested.as_object().into_iter().flatten() {
+            assert_eq!(*schema, document["$defs"][nested], "{name}: {nested}");
+        }
+        let root = document["$defs"][definition].take();
+        assert_eq!(Value::Object(schema.clone()), root, "{name}");
     }
     assert!(served.is_empty(), "{served:?}");
     daemon.stop().await;
