@@ -14,7 +14,8 @@ use crate::message::{REQUEST, SchemaOf};
 use crate::schema::{has_type, received, sent};
 use crate::{Parameter, ParameterKind, Spec};
 
-pub use crate::message::{Visitor, is_received, visit};
+pub use crate::message::{is_received, visit};
+pub use crate::visitor::Visitor;
 pub use channels::{CHANNELS, Channel, ChannelKind};
 
 /// The names of all messages.
@@ -218,7 +219,10 @@ mod tests {
     #[test]
     fn each_schema_is_its_definition_in_a_document_with_what_it_refers_to() {
         let documents = documents().unwrap();
-        assert_eq!(documents.keys().collect::<Vec<_>>(), [&"received.json", &"sent.json"]);
+        assert_eq!(
+            documents.keys().collect::<Vec<_>>(),
+            [&"received.json", &"sent.json"]
+        );
         for (message, schema) in schemas() {
             let (file, name) = definition(message, &schema);
             let document = &documents[file];

@@ -33,6 +33,7 @@ mod spec;
 mod state;
 mod units;
 pub mod verbs;
+mod visitor;
 mod walk;
 
 pub use attachment::{Attachment, unix_nanos};

@@ -5,31 +5,17 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 use crate::schema::{received, sent};
+use crate::visitor::Visitor;
 use crate::walk::{Arguments, Lenient};
 use crate::{
     Attachment, Audit, ControllerList, Error, Event, Events, ExperimentFile, Experiments, Hello,
-    Journal, Measures, Metrics, NodeReply, NodeStatus, OrderPage, OrderSample, Parameters, Progress,
-    RecordingPiece, Recordings, Reply, Request, ResultsPage, Schemas, SeriesPage, Snapshot, Spec, State,
-    Status, Swarms, Verified, WhoAmI, verbs,
+    Journal, Measures, Metrics, NodeReply, NodeStatus, OrderPage, OrderSample, Parameters,
+    Progress, RecordingPiece, Recordings, Reply, Request, ResultsPage, Schemas, SeriesPage,
+    Snapshot, Spec, State, Status, Swarms, Verified, WhoAmI, verbs,
 };
 
 /// The envelope of requests.
 pub(crate) const REQUEST: &str = "request";
-
-/// What is done with the type of a message.
-pub trait Visitor {
-    /// What it gives.
-    type Output;
-
-    /// The envelope of requests.
-    fn request(self) -> Self::Output;
-
-    /// What a daemon receives: arguments of a verb, or set-points.
-    fn received<T: Arguments + Serialize>(self) -> Self::Output;
-
-    /// What a daemon sends.
-    fn sent<T: JsonSchema + DeserializeOwned + Serialize>(self) -> Self::Output;
-}
 
 /// Calls `visitor` with the type of the message of this name; `None` if there is no such message.
 pub fn visit<V: Visitor>(message: &str, visitor: V) -> Option<V::Output> {

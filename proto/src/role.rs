@@ -7,7 +7,6 @@ use serde::{Deserialize, Serialize};
 
 use serde_json::{Map, Value, json};
 
-use crate::verbs::{NodeVerb, SwarmVerb};
 use crate::{Error, ErrorCode, keys};
 
 /// What a person may do. Each may do what the one before may.
@@ -28,18 +27,6 @@ pub enum Role {
 impl Role {
     /// Every role, the least first.
     pub const ALL: [Role; 3] = [Role::Viewer, Role::Controller, Role::Operator];
-
-    /// Whether it may have a swarm or a daemon execute `verb`.
-    pub fn may(self, verb: &str) -> bool {
-        self >= Self::least(verb)
-    }
-
-    /// The least role that may have `verb` executed: an operator, if it is unknown.
-    pub fn least(verb: &str) -> Role {
-        let of_swarms = SwarmVerb::of(verb).map(SwarmVerb::definition);
-        let known = of_swarms.or_else(|| NodeVerb::of(verb).map(NodeVerb::definition));
-        known.map_or(Role::Operator, |it| it.role)
-    }
 
     fn with_article(self) -> String {
         match self {

@@ -8,12 +8,13 @@ mod when;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-use crate::message::Visitor;
+use crate::visitor::Visitor;
 use crate::{
-    ExperimentArgs, ExperimentResult, NodeReply, RecordArgs, Recording, ReplayArgs, ReplayResult, Reply,
-    Role, SeekArgs,
+    ExperimentArgs, ExperimentResult, NodeReply, RecordArgs, Recording, ReplayArgs, ReplayResult,
+    Reply, Role, SeekArgs,
 };
 
+pub use crate::parameters::SetArgs;
 pub use changes::{
     BatchArgs, BatchResult, Change, Changed, Foremost, IdsResult, InformArgs, InjectArgs,
     MAX_CHANGES, Pose, Region, RemoveArgs, Select, SetResult, UninformArgs,
@@ -27,7 +28,6 @@ pub use swarms::{
     MAX_NOTE_CHARS, PauseArgs, ResetArgs, ResetResult, RestoreArgs, Return, RunArgs, RunResult,
     Scheduled, StepArgs, StepResult,
 };
-pub use crate::parameters::SetArgs;
 pub use when::{WhenArgs, WhenResult};
 
 /// What is known of a verb.
@@ -220,10 +220,26 @@ verbs! {
     }
 }
 
+impl Role {
+    /// Whether it may have a swarm or a daemon execute `verb`.
+    pub fn may(self, verb: &str) -> bool {
+        self >= Self::least(verb)
+    }
+
+    /// The least role that may have `verb` executed: an operator, if it is unknown.
+    pub fn least(verb: &str) -> Role {
+        let of_swarms = SwarmVerb::of(verb).map(SwarmVerb::definition);
+        let known = of_swarms.or_else(|| NodeVerb::of(verb).map(NodeVerb::definition));
+        known.map_or(Role::Operator, |it| it.role)
+    }
+}
+
 /// Calls `visitor` with the type of the message of this name, if it is of a verb.
 pub(crate) fn visit<V: Visitor>(message: &str, visitor: V) -> Option<V::Output> {
     let visited = SwarmVerb::visit(message, visitor);
-    visited.or_else(|visitor| NodeVerb::visit(message, visitor)).ok()
+    visited
+        .or_else(|visitor| NodeVerb::visit(message, visitor))
+        .ok()
 }
 
 /// Commands that a swarm gives itself because of its controllers and conditions, in its journal and its

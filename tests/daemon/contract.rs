@@ -468,7 +468,11 @@ async fn the_schemas_that_a_daemon_serves_are_those_in_the_repository() {
         let mut schema = served.remove(name).unwrap();
         let schema = schema.as_object_mut().unwrap();
         assert_eq!(schema.remove("title"), Some(json!(definition)), "{name}");
-        assert_eq!(schema.remove("$schema").as_ref(), document.get("$schema"), "{name}");
+        assert_eq!(
+            schema.remove("$schema").as_ref(),
+            document.get("$schema"),
+            "{name}"
+        );
         let nested = schema.remove("$defs").unwrap_or_default();
         for (nested, schema) in nested.as_object().into_iter().flatten() {
             assert_eq!(*schema, document["$defs"][nested], "{name}: {nested}");

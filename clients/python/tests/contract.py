@@ -103,10 +103,14 @@ OF_CONTROLLERS = {"advance": "advance", "control": "put", "leave": "leave"}
 
 def schemas() -> dict[str, dict[str, Any]]:
     """Every schema of the contract, by the name of its message."""
-    return {
-        path.stem: json.loads(path.read_text(encoding="utf-8"))
-        for path in sorted((PROTO / "schema").glob("*.json"))
-    }
+    document = json.loads((PROTO / "asyncapi.json").read_text(encoding="utf-8"))
+    found = {}
+    for name, message in document["components"]["messages"].items():
+        if "payload" in message:
+            file, definition = message["payload"]["$ref"].split("#/$defs/")
+            defined = json.loads((PROTO / file).read_text(encoding="utf-8"))["$defs"]
+            found[name] = {**defined[definition], "$defs": defined}
+    return found
 
 
 def fixtures(suffix: str) -> list[tuple[str, Path]]:

@@ -9,29 +9,12 @@ use jostle_proto::verbs::{
     self, Changed, Foremost, IdsResult, InformArgs, InjectArgs, Pose, Region, RemoveArgs, Select,
     SetArgs, SetResult, UninformArgs,
 };
-use thiserror::Error;
 
 use crate::parameters::{set_args, settings, values};
-use crate::value::{self, WireError};
+use crate::value::{self, ArgsError, WireError};
 
 /// The longest time for which individuals can be informed, in time units.
 const MAX_FOR_TIME: f64 = 1e9;
-
-/// Why arguments are rejected.
-#[derive(Clone, Debug, Error, PartialEq)]
-pub enum ArgsError {
-    /// A value is outside its range.
-    #[error(transparent)]
-    Value(#[from] WireError),
-    /// A field is missing or inconsistent with others.
-    #[error("{field} {problem}")]
-    Field {
-        /// The field.
-        field: &'static str,
-        /// What is wrong with it, and the remedy.
-        problem: &'static str,
-    },
-}
 
 /// Converts an entry of a batch.
 ///

@@ -16,8 +16,7 @@ pub mod snapshot;
 pub mod spec;
 pub mod value;
 
-pub use change::ArgsError;
 pub use error::WireCode;
 pub use measures::MeasuresError;
 pub use snapshot::{SnapshotError, hexadecimal};
-pub use value::WireError;
+pub use value::{ArgsError, WireError};

@@ -7,9 +7,8 @@ use jostle_proto as proto;
 use jostle_proto::ParameterValues;
 use jostle_proto::verbs::SetArgs;
 
-use crate::change::ArgsError;
 use crate::measures::{published, published_to_proto};
-use crate::value::{self, WireError};
+use crate::value::{self, ArgsError, WireError};
 
 /// Converts the values of parameters.
 ///

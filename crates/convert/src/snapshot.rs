@@ -5,9 +5,7 @@ use std::fmt::Display;
 use jostle_physics::model::{self, Configuration, MODEL_VERSION, State, WarmContact};
 use jostle_physics::observables::RunningMeans;
 use jostle_physics::simulation::{Checkpoint, Exactness, Spec};
-use jostle_proto::snapshot::{
-    Drive, Lapse, SNAPSHOT_VERSION, SnapshotPhase, SolverMemory, Sums,
-};
+use jostle_proto::snapshot::{Drive, Lapse, SNAPSHOT_VERSION, SnapshotPhase, SolverMemory, Sums};
 use jostle_proto::{self as proto, LARGEST_WHOLE};
 use thiserror::Error;
 
@@ -222,8 +220,11 @@ pub fn state(snapshot: &proto::Snapshot) -> Result<(Spec, State), SnapshotError>
         lapses_at[index] = Some(lapse.at_step);
     }
     let state = State {
-        parameters: parameters(&snapshot.parameters.values(&snapshot.spec), spec.parameters.dt)
-            .map_err(|error| unreadable(&error.to_string()))?,
+        parameters: parameters(
+            &snapshot.parameters.values(&snapshot.spec),
+            spec.parameters.dt,
+        )
+        .map_err(|error| unreadable(&error.to_string()))?,
         seed: spec.seed,
         step: snapshot.step,
         configuration: Configuration {

@@ -46,6 +46,22 @@ pub enum WireError {
     },
 }
 
+/// Why arguments are rejected.
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum ArgsError {
+    /// A value is outside its range.
+    #[error(transparent)]
+    Value(#[from] WireError),
+    /// A field is missing or inconsistent with others.
+    #[error("{field} {problem}")]
+    Field {
+        /// The field.
+        field: &'static str,
+        /// What is wrong with it, and the remedy.
+        problem: &'static str,
+    },
+}
+
 impl WireError {
     /// Returns the error for a number outside its range.
     pub fn out_of_range<V: Copy + Into<Value> + ToString>(field: &'static str, value: V) -> Self {

@@ -66,7 +66,9 @@ impl Visitor for Rewriter<'_> {
     }
 
     fn received<T: Arguments + Serialize>(self) -> Self::Output {
-        let args: T = Rewriter::request(&self)?.args().map_err(|it| it.to_string())?;
+        let args: T = Rewriter::request(&self)?
+            .args()
+            .map_err(|it| it.to_string())?;
         Self::write(&args)
     }
 

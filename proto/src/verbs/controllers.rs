@@ -3,8 +3,8 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::changes::Select;
 use super::Return;
+use super::changes::Select;
 use super::swarms::one;
 use crate::keys::NAME_RULE;
 use crate::{LARGEST_WHOLE, State};

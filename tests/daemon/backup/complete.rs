@@ -17,7 +17,7 @@ use super::fixture::{
 };
 
 /// Short runs of one condition, each with a trajectory: run `#0` is the first of the plan.
-const TRAJECTORIES: &str = "name = \"order\"\nseed = 3\nreplicates = 120\nduration = 40\n[[grid]]\n\
+const TRAJECTORIES: &str = "name = \"order\"\nseed = 3\nreplicates = 300\nduration = 40\n[[grid]]\n\
     pi1 = 1\nn = 6\n[measure]\nrecord_every = 40\n";
 
 /// Experiments that are copied before it.
@@ -81,7 +81,7 @@ async fn a_backup_under_record_every_has_the_trajectory_of_every_run_that_it_lis
     restore(&folder, &elsewhere).unwrap();
     let (names, files) = (listed(&restored), trajectories(&restored));
     println!("{} runs, {} trajectories", names.len(), files.len());
-    assert!((3..120).contains(&names.len()), "{}", names.len());
+    assert!((3..300).contains(&names.len()), "{}", names.len());
     let missing: Vec<&String> = names.iter().filter(|it| !files.contains_key(*it)).collect();
     assert!(missing.is_empty(), "{missing:?} of {} runs", names.len());
 
@@ -91,7 +91,7 @@ async fn a_backup_under_record_every_has_the_trajectory_of_every_run_that_it_lis
     experiment(&client, "finished").await;
     experiment(&again, "finished").await;
     let all = trajectories(&live);
-    assert_eq!(all.len(), 120);
+    assert_eq!(all.len(), 300);
     assert!(trajectories(&restored) == all, "other trajectories");
 }
 
