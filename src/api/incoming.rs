@@ -5,8 +5,8 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
-use jostle_proto::verbs::journaled;
 use jostle_proto::Request;
+use jostle_proto::verbs::journaled;
 
 use crate::api::admission::{HeldBytes, Permit, Places};
 use crate::convert::Payload;

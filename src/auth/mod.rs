@@ -42,8 +42,8 @@ pub struct User {
 /// That the daemon's certificate expires on a day, and the remedy.
 fn own_expiry(until: &str) -> String {
     format!(
-        "the daemon's certificate {} {until}: run `jostled auth address --host NAME` with each of its \
-         names, then restart the daemon",
+        "the daemon's certificate {} {until}: run `jostled auth address --auth-dir FOLDER` with a \
+         `--host NAME` for each of its names, then restart the daemon",
         expires(until)
     )
 }

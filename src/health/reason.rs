@@ -67,8 +67,8 @@ pub enum Reason {
     Contested(Contested),
     /// The certificate of the daemon has expired: its last day.
     #[error(
-        "the daemon's certificate expired on {0}: run `jostled auth address --host NAME` with each of \
-         its names, then restart the daemon"
+        "the daemon's certificate expired on {0}: run `jostled auth address --auth-dir FOLDER` with a \
+         `--host NAME` for each of its names, then restart the daemon"
     )]
     CertificateEnded(String),
     /// `people.json` cannot be reloaded.

@@ -32,7 +32,10 @@ impl Context {
         args: &C,
         describe: impl FnOnce(&Reply<C::Result>) -> String,
     ) -> Result<(), Failure> {
-        let reply = self.client.command(swarm, C::VERB.name(), args, sending).await?;
+        let reply = self
+            .client
+            .command(swarm, C::VERB.name(), args, sending)
+            .await?;
         self.output.outcome(&reply, C::VERB.name(), describe)
     }
 }

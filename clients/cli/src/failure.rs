@@ -3,7 +3,7 @@
 use std::fmt::Display;
 use std::io;
 
-use jostle_client::Error;
+use jostle_client::{Error, MAY_EXECUTE};
 use jostle_experiment::stdout::StdoutError;
 use jostle_proto::ErrorCode;
 use serde_json::{Map, Value, json};
@@ -342,6 +342,10 @@ impl From<Error> for Failure {
                 // Only how long the client tried: zenoh's text names no remedy.
                 let tried = cause.starts_with("tried for").then(|| format!(", {cause}"));
                 let tried = tried.unwrap_or_default();
+                let tried = match cause.ends_with(MAY_EXECUTE) {
+                    true => format!("{tried}; {MAY_EXECUTE}"),
+                    false => tried,
+                };
                 let message = format!(
                     "no daemon answers at {endpoint}{tried}: start one with `jostled serve`, or name \
                      another with -e"

@@ -66,7 +66,8 @@ fn execute(arguments: Arguments, output: Output) -> Result<(), Failure> {
         verbs::execute(arguments, output)
     }));
     verbs::restore_terminal();
-    // A thread may still block in a name lookup or in a write to stdout.
-    runtime.shutdown_background();
+    // A thread may still block in a name lookup or in a write to stdout, and a verb that did not end in
+    // time still runs: it would panic in a runtime that is shut down.
+    std::mem::forget(runtime);
     outcome
 }

@@ -138,13 +138,13 @@ mod wait_numbers;
 pub use jostle_proto as proto;
 
 pub use client::{Client, Subscription, Target};
-pub use jostle_proto::verbs::Command;
 pub use connect::{ConnectOptions, DEFAULT_ENDPOINT};
 pub use controller::Controller;
 pub use error::Error;
 pub use follow::{EventsFrom, Follow, FollowOptions, Update};
+pub use jostle_proto::verbs::Command;
 pub use payload::{Message, Payload};
-pub use requests::CommandOptions;
+pub use requests::{CommandOptions, MAY_EXECUTE};
 pub use wait::ConditionWait;
 
 /// The example of the README.

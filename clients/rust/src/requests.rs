@@ -14,6 +14,10 @@ use crate::client::{Client, TIMEOUT_MARGIN, Target, hold_time};
 use crate::error::Error;
 use crate::payload::Payload;
 
+/// The end of the cause of an [`Error::NoDaemon`] of a command: it may have been sent before the
+/// connection was lost, to a daemon that is only suspended.
+pub const MAY_EXECUTE: &str = "it may still execute the request if it is only suspended";
+
 /// Every daemon accepts requests up to this length.
 const ALWAYS_ACCEPTED: usize = 256 * 1024;
 
@@ -49,7 +53,9 @@ impl Client {
         args: &C,
     ) -> Result<Reply<C::Result>, Error> {
         let options = CommandOptions::default();
-        self.command(swarm, C::VERB.name(), args, options).await?.read()
+        self.command(swarm, C::VERB.name(), args, options)
+            .await?
+            .read()
     }
 
     /// Executes a verb on a swarm once, however often it is sent. The reply to a command that waits
@@ -83,6 +89,7 @@ impl Client {
         let target = Target::Swarm(swarm);
         self.query_within(target, &key, Some(request), timeout, self.0.timeout)
             .await
+            .map_err(may_execute)
     }
 
     /// Executes a verb on the daemon once, however often it is sent.
@@ -108,6 +115,7 @@ impl Client {
         let target = Target::Node(&node);
         self.query_within(target, &key, Some(request), timeout, self.0.timeout)
             .await
+            .map_err(may_execute)
     }
 
     /// Creates a swarm.
@@ -333,4 +341,15 @@ impl Client {
 /// The length of a request as JSON.
 fn length(request: &Request) -> Result<usize, Error> {
     Ok(serde_json::to_vec(request).map_err(Error::internal)?.len())
+}
+
+/// Adds to the error of a command that it may be executed.
+fn may_execute(error: Error) -> Error {
+    match error {
+        Error::NoDaemon { endpoint, cause } => Error::NoDaemon {
+            endpoint,
+            cause: format!("{cause}; {MAY_EXECUTE}"),
+        },
+        error => error,
+    }
 }

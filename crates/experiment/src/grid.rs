@@ -179,6 +179,7 @@ fn read_grid(
             }
             _ => vec![value.clone()],
         };
+        check_zeros(source, key, &values)?;
         grid.add(source, key, values)?;
     }
     grid.finished(source)
@@ -205,7 +206,7 @@ pub fn check_axis(
             "unknown axis {key:?}: use one of {axes}, replicates, or a variable that an [[at]] or \
              [stop] uses as \"${key}\""
         )
-    } else if is_taken(key) && !(source.is_stored && key == FAULT) {
+    } else if is_taken(key) && !(source.is_stored && LATER_TAKEN.contains(&key)) {
         format!(
             "{key:?} is a column of the results, a measure or a field of [spec]: rename the variable"
         )
@@ -238,10 +239,15 @@ fn check(source: Source<'_>, key: &str, value: &Spanned<Value>) -> Result<(), Pl
     }
 }
 
+/// Names that variables could have in earlier versions: columns of faults, of series and trajectories,
+/// and of the printed table.
+const LATER_TAKEN: [&str; 7] = [FAULT, "step", "id", "x", "y", "alpha", "runs"];
+
 /// Returns whether a variable must not have this name.
 fn is_taken(name: &str) -> bool {
     let fields = toml::Table::try_from(Spec::new(1)).unwrap_or_default();
     fields.contains_key(name)
+        || LATER_TAKEN.contains(&name)
         || ["rate", "start"].contains(&name)
         || OCCASIONAL_COLUMNS.contains(&name)
         || COLUMNS.iter().any(|column| column.name == name)
@@ -253,6 +259,21 @@ fn check_variable(source: Source<'_>, key: &str, value: &Spanned<Value>) -> Resu
     match number(value.get_ref()) {
         Some(number) if number.is_finite() => Ok(()),
         _ => Err(source.reject(&value.span(), format!("{key}: a variable is a number"))),
+    }
+}
+
+/// Rejects -0, which would be a condition beside that of 0, and was one in earlier versions.
+fn check_zeros(source: Source<'_>, key: &str, values: &[Spanned<Value>]) -> Result<(), PlanError> {
+    let is_negative_zero = |value: &Value| {
+        let number = value.as_float();
+        number.is_some_and(|it| it == 0.0 && it.is_sign_negative())
+    };
+    let mut values = values.iter();
+    match values.find(|it| is_negative_zero(it.get_ref())) {
+        Some(value) if !source.is_stored => {
+            Err(source.reject(&value.span(), format!("{key}: write 0 for -0")))
+        }
+        _ => Ok(()),
     }
 }
 

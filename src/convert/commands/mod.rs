@@ -9,8 +9,8 @@ use jostle_convert::value::{new_max_idle_secs, whole};
 use jostle_convert::{WireError, change};
 use jostle_physics::simulation::Change;
 use jostle_proto::verbs::{
-    AdvanceArgs, AnnotateArgs, DeleteArgs, LeaveArgs, OwnVerb, PauseArgs, ResetArgs, Return, StepArgs,
-    SwarmVerb,
+    AdvanceArgs, AnnotateArgs, DeleteArgs, LeaveArgs, OwnVerb, PauseArgs, ResetArgs, Return,
+    StepArgs, SwarmVerb,
 };
 use jostle_proto::{MAX_LABEL_LENGTH, Request, is_plain, keys};
 use unicode_width::UnicodeWidthStr as _;

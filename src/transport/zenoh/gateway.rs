@@ -5,8 +5,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, AtomicUsize, Ordering};
 use std::sync::mpsc::{SyncSender, TrySendError};
 
-use jostle_proto::verbs::SwarmVerb;
 use jostle_proto::Claimant;
+use jostle_proto::verbs::SwarmVerb;
 use tracing::debug;
 use zenoh::bytes::ZBytes;
 use zenoh::key_expr::KeyExpr;

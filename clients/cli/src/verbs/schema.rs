@@ -1,6 +1,7 @@
 //! `schema`: the JSON Schemas of the messages, from the daemon.
 
 use jostle_proto::contract::{CHANNELS, Channel, ChannelKind};
+use jostle_proto::verbs::{NodeVerb, SwarmVerb};
 use jostle_proto::{NodeReply, Schemas};
 use serde_json::{Map, Value, json};
 
@@ -31,10 +32,12 @@ pub async fn schema(context: &Context, arguments: &SchemaArguments) -> Result<()
         let docs: Vec<String> = messages.iter().map(|it| purpose(it).1).collect();
         return output.data(&table::documented(&table, &docs));
     };
-    let of_verb = ["args", "reply"].map(|kind| format!("{message}.{kind}"));
+    let definition = SwarmVerb::of(message).map(SwarmVerb::definition);
+    let definition = definition.or_else(|| NodeVerb::of(message).map(NodeVerb::definition));
+    let of_verb = definition.map(|it| [it.args, it.reply]).unwrap_or_default();
     let of_verb: Map<String, Value> = schemas
         .iter()
-        .filter(|(name, _)| of_verb.contains(name))
+        .filter(|(name, _)| of_verb.contains(&name.as_str()))
         .map(|(name, schema)| (name.clone(), schema.clone()))
         .collect();
     match schemas.get(message) {

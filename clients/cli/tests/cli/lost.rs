@@ -27,6 +27,27 @@ async fn a_command_whose_reply_is_lost_is_executed_once() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_command_that_gets_no_reply_before_the_connection_is_lost_may_be_executed_and_says_so() {
+    let daemon = Daemon::start().await;
+    daemon.said("create demo --n 10").await;
+    let link = Link::to(&daemon.endpoint);
+    link.lose_answers();
+    let stepping = Running::begin(&link.endpoint, "step demo 3 --timeout 3", "");
+    until("the command is carried out", async || {
+        daemon.reply("status demo").await["step"] == 3
+    })
+    .await;
+    link.cut();
+    let ended = stepping.end().await;
+    ended.assert_stderr(6, "no daemon answers at");
+    ended.assert_stderr(
+        6,
+        "it may still execute the request if it is only suspended",
+    );
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_request_to_a_busy_daemon_is_retried_unchanged() {
     let impostor = Impostor::start(&["jostle/demo/alive/a"], "jostle/x", "jostle/y").await;
     let hello = include_str!("../../../../proto/fixtures/node.hello.reply.json");

@@ -1,4 +1,5 @@
 use super::*;
+use crate::grid::AXES;
 use jostle_physics::model::ParametersError;
 use jostle_physics::simulation::ChangeError;
 
@@ -270,4 +271,40 @@ fn informed_fractions_round_half_up() {
         .map(|run| plan.point(run).informed)
         .collect();
     assert_eq!(counts, [0, 1, 3, 5, 10, 0, 1, 1, 3, 5]);
+}
+
+#[test]
+fn each_axis_of_a_grid_is_a_column_of_the_results() {
+    let columns = jostle_proto::OccasionalColumns {
+        varied: AXES.map(str::to_owned).into(),
+        extra: Vec::new(),
+        series: Vec::new(),
+    };
+    let occasional = jostle_results::table::occasional(&columns);
+    for axis in AXES {
+        let mut always = jostle_results::COLUMNS.iter();
+        let is_always = always.any(|column| column.name == axis);
+        assert_ne!(is_always, occasional.iter().any(|it| it == axis), "{axis}");
+    }
+}
+
+#[test]
+fn names_of_columns_and_minus_zero_are_rejected_in_new_experiments_and_read_in_stored_ones() {
+    for (name, value, reason) in [
+        ("step", "1", "rename the variable"),
+        ("id", "1", "rename the variable"),
+        ("x", "1", "rename the variable"),
+        ("y", "1", "rename the variable"),
+        ("alpha", "1", "rename the variable"),
+        ("runs", "1", "rename the variable"),
+        ("level", "-0.0", "write 0 for -0"),
+    ] {
+        let text = format!(
+            "{HEAD}[[grid]]\nn = 3\n{name} = [{value}, 2]\n[[at]]\ntime = 1\nset = {{ noise = \"${name}\" }}\n"
+        );
+        let (plan, accepted) = Plan::new_or_stored(Files::from(&*text)).unwrap();
+        assert_eq!(plan.runs().len(), 2, "{name}");
+        let error = accepted.unwrap_err().to_string();
+        assert!(error.contains(reason), "{name}: {error}");
+    }
 }

@@ -1,6 +1,7 @@
 use std::fs;
 
 use jostle_convert::hexadecimal;
+use jostle_physics::model::Parameters;
 use jostle_physics::model::selection::Selection;
 use jostle_proto::snapshot::SnapshotPhase;
 use jostle_proto::to_cbor;
