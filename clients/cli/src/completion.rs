@@ -118,10 +118,10 @@ pub fn verbs(typed: &OsStr) -> Vec<CompletionCandidate> {
     beginning_with(typed, keys::SWARM_VERBS.iter().chain(&keys::NODE_VERBS))
 }
 
-/// The messages, and the verbs that have them.
+/// The verbs that have messages, and the messages.
 pub fn messages(typed: &OsStr) -> Vec<CompletionCandidate> {
     let verbs = keys::SWARM_VERBS.into_iter().chain(keys::NODE_VERBS);
-    beginning_with(typed, contract::messages().into_iter().chain(verbs))
+    beginning_with(typed, verbs.chain(contract::messages()))
 }
 
 /// The measures of one state, which a daemon evaluates.
@@ -424,7 +424,7 @@ mod tests {
     fn messages_are_completed() {
         assert_eq!(
             completed(&messages(OsStr::new("batch"))),
-            ["batch.args", "batch.reply"]
+            ["batch", "batch.args", "batch.reply"]
         );
     }
 

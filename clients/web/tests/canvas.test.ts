@@ -31,11 +31,20 @@ function state(step: number, x: number[], origin: [number, number] = [0, 0], epo
     direction: new Float64Array(n),
     order: {
       order: 0,
+      mean_order: null,
+      velocity: [0, 0],
+      mean_velocity: null,
       direction: null,
       drift: null,
+      mean_drift: null,
     },
     certificate: {
       contacts: 0,
+      crossed: 0,
+      degraded: 0,
+      iterations: 0,
+      residual: 0,
+      worst_gap: null,
     },
   };
 }

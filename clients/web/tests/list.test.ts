@@ -2,9 +2,9 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import { DEFAULT_QUERY, formatQuery, parseQuery, selectRows } from "../src/pages/list_query.ts";
 import { parseRoute } from "../src/ui/router.ts";
-import type { SwarmRow } from "../src/wire/messages.ts";
+import type { SwarmSummary } from "../src/wire/messages.ts";
 
-function row(swarm: string, other: Partial<SwarmRow> = {}): SwarmRow {
+function row(swarm: string, other: Partial<SwarmSummary> = {}): SwarmSummary {
   return {
     swarm,
     phase: "running",

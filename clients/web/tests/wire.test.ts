@@ -21,7 +21,8 @@ import { brief, degrees, fixed, rates, short, signed } from "../src/ui/format.ts
 import { parseRoute } from "../src/ui/router.ts";
 import { linkCommand } from "../src/ui/session.ts";
 import { command, get, RequestError } from "../src/wire/http.ts";
-import type { Hello, OrderMessage, Parameter, Reply, SwarmEvent } from "../src/wire/messages.ts";
+import type { OrderSample, Parameter, Reply } from "../src/wire/messages.ts";
+import type { Hello, SwarmEvent } from "../src/wire/page.ts";
 import { decodeState } from "../src/wire/state.ts";
 
 const FIXTURES = new URL("../../../../proto/fixtures/", import.meta.url);
@@ -81,7 +82,7 @@ test("every parameter has a range as text", () => {
 });
 
 test("the history is bounded, and drops points when time goes back", () => {
-  const message = momentOfOrder(json<OrderMessage>("order.json"));
+  const message = momentOfOrder(json<OrderSample>("order.json"));
   const history = new History(SERIES);
   for (let k = 0; k < MAX_POINTS + 50; k += 1) {
     history.add({ ...message, time: k }, 1000 * k);
@@ -95,7 +96,7 @@ test("the history is bounded, and drops points when time goes back", () => {
 });
 
 test("of points in quick succession the newest is kept", () => {
-  const message = momentOfOrder(json<OrderMessage>("order.json"));
+  const message = momentOfOrder(json<OrderSample>("order.json"));
   const history = new History(SERIES);
   const times = [1, 1.1, 1.2, 1.3, 1.4];
   times.forEach((time, k) => {
@@ -106,7 +107,7 @@ test("of points in quick succession the newest is kept", () => {
 });
 
 test("a change while paused replaces the last point", () => {
-  const message = momentOfOrder(json<OrderMessage>("order.json"));
+  const message = momentOfOrder(json<OrderSample>("order.json"));
   const history = new History(SERIES);
   history.add({ ...message, time: 1, drift: null }, 0);
   history.add({ ...message, time: 2, drift: null }, 5000);
@@ -123,12 +124,12 @@ test("a state and the order of the same frame give the same moment", () => {
   assert.equal(moment.informed, [...state.weight].filter((it) => it > 0).length);
   assert.equal(moment.n, state.id.length);
   assert.equal(moment.drift, state.order.drift);
-  const message = json<OrderMessage>("order.json");
+  const message = json<OrderSample>("order.json");
   assert.deepEqual(Object.keys(momentOfOrder(message)).sort(), Object.keys(moment).sort());
 });
 
 test("the direction of the informed is shown, and its strength if they disagree", () => {
-  const newest = momentOfOrder(json<OrderMessage>("order.json"));
+  const newest = momentOfOrder(json<OrderSample>("order.json"));
   const shown = (direction: number | null, direction_strength: number | null) =>
     directionOf({ ...newest, direction, direction_strength });
   assert.equal(shown(1.5708, 1), "90.0°");

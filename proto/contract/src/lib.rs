@@ -13,6 +13,8 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::Value;
 
+mod typescript;
+
 /// The folder `proto/`.
 pub fn folder() -> &'static Path {
     Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/.."))
@@ -25,6 +27,18 @@ pub fn folder() -> &'static Path {
 pub fn files() -> io::Result<BTreeMap<PathBuf, String>> {
     let mut files = BTreeMap::new();
     for (name, document) in contract::documents().map_err(io::Error::other)? {
+        let (types, title) = match name {
+            "sent.json" => (
+                "messages.ts",
+                "What a daemon sends. A newer one may send more, and fields with `?` may be missing.",
+            ),
+            _ => (
+                "requests.ts",
+                "What a daemon receives; it rejects unknown fields.",
+            ),
+        };
+        let page = Path::new("../clients/web/src/wire");
+        files.insert(page.join(types), typescript::types(&document, title));
         let text = serde_json::to_string_pretty(&document)? + "\n";
         files.insert(Path::new("schema").join(name), text);
     }

@@ -6,6 +6,7 @@ mod audit;
 mod bounds;
 mod charts;
 mod claims;
+mod contract;
 mod doctor;
 mod exits;
 mod experiments;

@@ -10,7 +10,7 @@ import type { Page } from "../ui/router.ts";
 import type { Session } from "../ui/session.ts";
 import { tokenNote } from "../ui/token_dialog.ts";
 import { command, commandNode, RequestError } from "../wire/http.ts";
-import type { SwarmRow } from "../wire/messages.ts";
+import type { SwarmSummary } from "../wire/messages.ts";
 import type { State } from "../wire/state.ts";
 import { ANIMATIONS, type Animation } from "./animations.ts";
 
@@ -50,7 +50,7 @@ export function animationPage(animation: Animation, session: Session): Page {
   const put = (name: (typeof NUMBERS)[number], text: string) => setText(numbers.get(name)!, text);
   let counted = Number.NEGATIVE_INFINITY;
   let counting: ReturnType<typeof setTimeout> | undefined;
-  let row: SwarmRow | undefined;
+  let row: SwarmSummary | undefined;
   const showState = (state: State) => {
     phase.show(state.phase);
     const n = state.id.length;

@@ -5,7 +5,7 @@
  * The paper gives no number of individuals for [35] nor whether some are informed; the
  * red lines are the preference vectors p, eq. (3).
  */
-import type { Spec } from "../wire/messages.ts";
+import type { Spec } from "../wire/requests.ts";
 
 export interface Animation {
   /** The swarm's name. */

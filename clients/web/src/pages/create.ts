@@ -4,7 +4,7 @@ import { openDialog } from "../ui/dialog.ts";
 import { el } from "../ui/dom.ts";
 import { form, nameField, numberField, numberIn } from "../ui/field.ts";
 import { command, commandNode } from "../wire/http.ts";
-import type { Spec } from "../wire/messages.ts";
+import type { Spec } from "../wire/requests.ts";
 
 /** The fields with their ranges; an empty field means the daemon's default. */
 const FIELDS = {

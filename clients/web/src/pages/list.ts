@@ -6,7 +6,7 @@ import { selectField } from "../ui/field.ts";
 import type { Page } from "../ui/router.ts";
 import type { Session } from "../ui/session.ts";
 import { tokenNote } from "../ui/token_dialog.ts";
-import type { SwarmRow } from "../wire/messages.ts";
+import type { SwarmSummary } from "../wire/messages.ts";
 import { openCreate } from "./create.ts";
 import {
   DEFAULT_QUERY,
@@ -145,7 +145,7 @@ function setChildren(grid: HTMLElement, elements: readonly HTMLElement[]): void 
 export function listPage(session: Session): Page {
   const cards = new Map<string, SwarmCard>();
   const byElement = new Map<Element, SwarmCard>();
-  let rows: SwarmRow[] = [];
+  let rows: SwarmSummary[] = [];
   const grid = el("div", { class: "cards swarm-cards" });
   const count = el("p", { class: "soft", role: "status" });
   const hint = el("span", {});
@@ -187,7 +187,7 @@ export function listPage(session: Session): Page {
     grid,
   );
 
-  const update = (card: SwarmCard, row: SwarmRow) =>
+  const update = (card: SwarmCard, row: SwarmSummary) =>
     card.show(row, session.orders.get(card.swarm) ?? []);
   const thumbnails = new Thumbnails((target, visible) => {
     const card = byElement.get(target)!;
@@ -203,7 +203,7 @@ export function listPage(session: Session): Page {
     byElement.delete(card.element);
     cards.delete(card.swarm);
   };
-  const cardOf = (row: SwarmRow) => {
+  const cardOf = (row: SwarmSummary) => {
     const existing = cards.get(row.swarm);
     if (existing) {
       return existing;
@@ -221,7 +221,7 @@ export function listPage(session: Session): Page {
     const selected = selectRows(rows, form.query);
     if (!sorts && grid.matches(":hover, :focus-within")) {
       const position = new Map([...grid.children].map((it, k) => [it, k]));
-      const at = (row: SwarmRow) => position.get(cardOf(row).element) ?? rows.length;
+      const at = (row: SwarmSummary) => position.get(cardOf(row).element) ?? rows.length;
       selected.sort((a, b) => at(a) - at(b));
     }
     setChildren(
@@ -242,7 +242,7 @@ export function listPage(session: Session): Page {
     );
   };
 
-  const show = (received: SwarmRow[]) => {
+  const show = (received: SwarmSummary[]) => {
     rows = received;
     const present = new Set(rows.map((row) => row.swarm));
     for (const card of [...cards.values()]) {

@@ -1,24 +1,24 @@
 /** The filter and the sort order of the list, and their form in the URL: `#/?q=fish&show=running&sort=-order`. */
-import type { SwarmRow } from "../wire/messages.ts";
+import type { SwarmSummary } from "../wire/messages.ts";
 
 export const SHOWS = {
   all: () => true,
-  running: (row: SwarmRow) => row.phase === "running",
-  paused: (row: SwarmRow) => row.phase === "paused",
-  faulted: (row: SwarmRow) => row.phase === "faulted",
-  playback: (row: SwarmRow) => row.replay ?? false,
-  contested: (row: SwarmRow) => Boolean(row.contested_by),
+  running: (row: SwarmSummary) => row.phase === "running",
+  paused: (row: SwarmSummary) => row.phase === "paused",
+  faulted: (row: SwarmSummary) => row.phase === "faulted",
+  playback: (row: SwarmSummary) => row.replay ?? false,
+  contested: (row: SwarmSummary) => Boolean(row.contested_by),
 } as const;
 
 export type Show = keyof typeof SHOWS;
 
 export const SORTS = {
   name: () => 0,
-  order: (row: SwarmRow) => row.order,
-  n: (row: SwarmRow) => row.n,
-  informed: (row: SwarmRow) => row.informed,
-  time: (row: SwarmRow) => row.time,
-  "real-time factor": (row: SwarmRow) => row.real_time_factor ?? -1,
+  order: (row: SwarmSummary) => row.order,
+  n: (row: SwarmSummary) => row.n,
+  informed: (row: SwarmSummary) => row.informed,
+  time: (row: SwarmSummary) => row.time,
+  "real-time factor": (row: SwarmSummary) => row.real_time_factor ?? -1,
 } as const;
 
 export type Sort = keyof typeof SORTS;
@@ -64,7 +64,7 @@ export function formatQuery({ text, show, sort, descending }: ListQuery): string
 }
 
 /** The rows that match a query, sorted; rows with equal values are sorted by name. */
-export function selectRows(rows: readonly SwarmRow[], query: ListQuery): SwarmRow[] {
+export function selectRows(rows: readonly SwarmSummary[], query: ListQuery): SwarmSummary[] {
   const words = query.text.toLowerCase().split(/\s+/).filter(Boolean);
   const shown = SHOWS[query.show];
   const value = SORTS[query.sort];

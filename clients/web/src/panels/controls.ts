@@ -15,7 +15,7 @@ import { plural } from "../ui/format.ts";
 import type { Session } from "../ui/session.ts";
 import { tokenNote } from "../ui/token_dialog.ts";
 import { command } from "../wire/http.ts";
-import type { Phase, SwarmRow } from "../wire/messages.ts";
+import type { Phase, SwarmSummary } from "../wire/messages.ts";
 
 /** The longest text of `annotate`. */
 const MAX_NOTE_CHARACTERS = 1000;
@@ -102,7 +102,7 @@ export class Controls {
   }
 
   /** Enables what the phase permits; nothing if there is no such swarm. */
-  show(row: Pick<SwarmRow, "phase" | "step" | "rate" | "replay"> | undefined): void {
+  show(row: Pick<SwarmSummary, "phase" | "step" | "rate" | "replay"> | undefined): void {
     this.there = row !== undefined;
     if (!row) {
       this.forget();

@@ -2,7 +2,7 @@
 import { el } from "../ui/dom.ts";
 import { angle, short, time, when } from "../ui/format.ts";
 import { get } from "../wire/http.ts";
-import type { EventsResult, SwarmEvent } from "../wire/messages.ts";
+import type { EventsPage, SwarmEvent } from "../wire/page.ts";
 
 /** Lines that are kept. */
 const MAX_LINES = 300;
@@ -140,7 +140,7 @@ export class Events {
   }
 
   /** The events from the last one that is shown; null if they are those of another swarm. */
-  private async request(): Promise<EventsResult | null> {
+  private async request(): Promise<EventsPage | null> {
     // With the last one: the event of its number may be one of another swarm.
     const { last, lastAt } = this;
     const result = await this.after(Math.max(0, last - 1));
@@ -156,9 +156,9 @@ export class Events {
     return result;
   }
 
-  private async after(number: number): Promise<EventsResult> {
+  private async after(number: number): Promise<EventsPage> {
     const noun = `events?after=${number}&limit=${MAX_EVENTS}`;
-    return (await get<EventsResult>(this.swarm, noun)).result;
+    return (await get<EventsPage>(this.swarm, noun)).result;
   }
 
   /** Replaces the events by those that the daemon has. */

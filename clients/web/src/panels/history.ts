@@ -1,5 +1,5 @@
 /** The data of the charts: the newest numbers of a swarm over its simulated time. */
-import type { OrderMessage } from "../wire/messages.ts";
+import type { OrderSample } from "../wire/messages.ts";
 import type { State } from "../wire/state.ts";
 
 export const MAX_POINTS = 2000;
@@ -25,7 +25,7 @@ export function momentOfState(state: State, real_time_factor: number | null): Mo
   return momentOfOrder({ ...state, n: state.id.length, informed, real_time_factor });
 }
 
-export function momentOfOrder(it: OrderMessage): Moment {
+export function momentOfOrder(it: Omit<OrderSample, "frame" | "rate" | "phase">): Moment {
   const { epoch, step, time, n, informed, real_time_factor } = it;
   const { order, direction, direction_strength = null, drift } = it.order;
   const { contacts } = it.certificate;

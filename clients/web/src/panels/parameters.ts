@@ -5,6 +5,7 @@ import { Followed, rowForm } from "../ui/field.ts";
 import { short } from "../ui/format.ts";
 import { command } from "../wire/http.ts";
 import type { Parameter } from "../wire/messages.ts";
+import type { Choice } from "../wire/page.ts";
 import { rangeOf } from "./ranges.ts";
 
 /** The additional argument of each kind of attraction. */
@@ -81,7 +82,9 @@ export class Parameters {
     const labelled = { "aria-labelledby": `parameter-${it.name}` };
     const button = el("button", { "aria-label": `set ${it.name}` }, "Set");
     if (it.kind === "choice") {
-      const names = it.choices.map((choice) => (typeof choice === "string" ? choice : choice.kind));
+      const names = (it.choices as Choice[]).map((choice) =>
+        typeof choice === "string" ? choice : choice.kind,
+      );
       const select = el(
         "select",
         labelled,

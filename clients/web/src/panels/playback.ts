@@ -4,7 +4,7 @@ import { el, setText } from "../ui/dom.ts";
 import { time } from "../ui/format.ts";
 import type { Session } from "../ui/session.ts";
 import { command, get } from "../wire/http.ts";
-import type { PlaybackPosition } from "../wire/messages.ts";
+import type { Replay } from "../wire/messages.ts";
 
 /** How often the position of a running playback is requested. */
 const POLL_MS = 500;
@@ -94,7 +94,7 @@ export class Playback {
     this.reads += 1;
     const { reads } = this;
     try {
-      const { result } = await get<{ replay: PlaybackPosition | null }>(this.swarm, "status");
+      const { result } = await get<{ replay: Replay | null }>(this.swarm, "status");
       // The reply to a later request may have overtaken this one.
       if (result.replay && !this.held && reads === this.reads) {
         const { of, position, duration } = result.replay;

@@ -1,10 +1,11 @@
 /** The range and unit of a parameter, as text. */
 import { short } from "../ui/format.ts";
 import type { Parameter } from "../wire/messages.ts";
+import type { Choice } from "../wire/page.ts";
 
 export function rangeOf(it: Parameter): string {
   if (it.kind === "choice") {
-    return it.choices
+    return (it.choices as Choice[])
       .map((choice) => (typeof choice === "string" ? choice : choice.kind))
       .join(", ");
   }

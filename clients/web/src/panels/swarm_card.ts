@@ -3,7 +3,7 @@ import { el, setText } from "../ui/dom.ts";
 import { fixed, time } from "../ui/format.ts";
 import { PhaseChip } from "../ui/phase.ts";
 import { Sparkline } from "../ui/sparkline.ts";
-import type { SwarmRow } from "../wire/messages.ts";
+import type { SwarmSummary } from "../wire/messages.ts";
 import { MAX_THUMBNAIL_N } from "./thumbnails.ts";
 
 /** The number of points that fill the sparkline's width. */
@@ -44,7 +44,7 @@ export class SwarmCard {
     );
   }
 
-  show(row: SwarmRow, orders: readonly number[]): void {
+  show(row: SwarmSummary, orders: readonly number[]): void {
     this.phase.show(row.phase);
     const isLarge = row.n > MAX_THUMBNAIL_N;
     this.large.hidden = !isLarge;

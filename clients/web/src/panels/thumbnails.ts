@@ -8,7 +8,7 @@ import { callAll } from "../ui/dom.ts";
 import { onTheme } from "../ui/theme.ts";
 import { currentState, get } from "../wire/http.ts";
 import type { Live } from "../wire/live.ts";
-import type { SwarmRow } from "../wire/messages.ts";
+import type { SwarmSummary } from "../wire/messages.ts";
 import type { State } from "../wire/state.ts";
 
 /** Larger swarms have no thumbnail: their states are long, and their bodies too small to see. */
@@ -29,7 +29,7 @@ const SHAPE_INTERVAL_MS = 10_000;
 interface Thumbnail {
   readonly swarm: string;
   readonly canvas: HTMLCanvasElement;
-  row: SwarmRow | null;
+  row: SwarmSummary | null;
   visible: boolean;
   /** The state on the canvas. */
   state: State | null;
@@ -43,7 +43,7 @@ interface Thumbnail {
 }
 
 /** Changes whenever the picture of a swarm that does not run changes. */
-function versionOf({ step, time, n, informed, order }: SwarmRow): string {
+function versionOf({ step, time, n, informed, order }: SwarmSummary): string {
   return [step, time, n, informed, order].join(" ");
 }
 
@@ -97,7 +97,7 @@ export class Thumbnails {
    * Requests pictures while there is a connection, and dims `page` while there is none. The first list
    * is a cached one, and may contain deleted swarms: no states are requested for it.
    */
-  follow(live: Live, page: Element, show: (rows: SwarmRow[]) => void): void {
+  follow(live: Live, page: Element, show: (rows: SwarmSummary[]) => void): void {
     let isCurrent = false;
     this.ends.push(
       live.listen({
@@ -143,7 +143,7 @@ export class Thumbnails {
   }
 
   /** Sets the row of a card's swarm; null if there is no such swarm. */
-  show(card: Element, row: SwarmRow | null): void {
+  show(card: Element, row: SwarmSummary | null): void {
     const thumbnail = this.all.get(card);
     if (thumbnail) {
       thumbnail.row = row;

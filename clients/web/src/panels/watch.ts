@@ -8,7 +8,8 @@ import type { Session } from "../ui/session.ts";
 import { lostText } from "../ui/token_dialog.ts";
 import { get } from "../wire/http.ts";
 import type { Connection } from "../wire/live.ts";
-import type { OrderMessage, Parameter, SwarmEvent, SwarmRow } from "../wire/messages.ts";
+import type { OrderSample, Parameter, SwarmSummary } from "../wire/messages.ts";
+import type { SwarmEvent } from "../wire/page.ts";
 import type { State } from "../wire/state.ts";
 import { Toolbar } from "./toolbar.ts";
 
@@ -20,9 +21,9 @@ const DESCRIBE_MS = 2000;
 
 export interface WatchEvents {
   state(state: State): void;
-  order?(message: OrderMessage): void;
+  order?(message: OrderSample): void;
   /** The swarm's row in the list; undefined if there is no such swarm. */
-  row(row: SwarmRow | undefined): void;
+  row(row: SwarmSummary | undefined): void;
   parameters?(parameters: Parameter[]): void;
   event?(event: SwarmEvent): void;
   /** The swarm was missing and its name exists again, perhaps as another swarm. */

@@ -1,7 +1,8 @@
 /** State that all pages share: the WebSocket, the daemon's identity, and this tab's permissions. */
 import { hello, RequestError } from "../wire/http.ts";
 import { Live } from "../wire/live.ts";
-import type { Hello, SwarmRow } from "../wire/messages.ts";
+import type { SwarmSummary } from "../wire/messages.ts";
+import type { Hello } from "../wire/page.ts";
 import { currentToken, keepToken } from "../wire/token.ts";
 import { callAll } from "./dom.ts";
 
@@ -116,7 +117,7 @@ export class Session {
     callAll(this.listeners);
   }
 
-  private recordOrders(rows: SwarmRow[]): void {
+  private recordOrders(rows: SwarmSummary[]): void {
     const present = new Set<string>();
     for (const row of rows) {
       present.add(row.swarm);

@@ -1,22 +1,23 @@
 /** Queries and commands over HTTP. */
 
-import type { ErrorBody, Hello, Reply } from "./messages.ts";
+import type { Reply } from "./messages.ts";
+import type { Hello, Problem } from "./page.ts";
 import { decodeState, type State } from "./state.ts";
 import { currentToken } from "./token.ts";
 
 /** An error reply of the daemon; `code` is `no_reply` if the request failed or timed out. */
 export class RequestError extends Error {
   readonly code: string;
-  readonly body: ErrorBody;
+  readonly body: Problem;
 
-  constructor(body: ErrorBody) {
+  constructor(body: Problem) {
     super(body.message);
     this.code = body.code;
     this.body = body;
   }
 }
 
-const NO_REPLY: ErrorBody = {
+const NO_REPLY: Problem = {
   code: "no_reply",
   message: "no reply from the daemon: check that it is running",
   details: {},
@@ -85,7 +86,7 @@ function read<T>(response: Response, bytes: ArrayBuffer): T {
     throw new RequestError({ code: "internal", message, details: {}, step: null });
   }
   if (!response.ok) {
-    throw new RequestError(body as ErrorBody);
+    throw new RequestError(body as Problem);
   }
   return body as T;
 }

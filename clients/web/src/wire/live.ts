@@ -4,7 +4,8 @@
  * Only the newest state is kept, undecoded, until it is taken. A lost or silent connection is retried
  * with exponential backoff.
  */
-import type { LiveText, OrderMessage, SwarmEvent, SwarmRow } from "./messages.ts";
+import type { OrderSample, SwarmSummary } from "./messages.ts";
+import type { LiveText, SwarmEvent } from "./page.ts";
 import { currentToken } from "./token.ts";
 
 const MIN_RETRY_MS = 500;
@@ -17,10 +18,10 @@ const MISSING_RETRY_MS = 500;
 export type Connection = "connecting" | "open" | "lost";
 
 export interface Listener {
-  swarms?(rows: SwarmRow[]): void;
+  swarms?(rows: SwarmSummary[]): void;
   /** A newer state has arrived; `takeState` returns it. */
   state?(): void;
-  order?(message: OrderMessage): void;
+  order?(message: OrderSample): void;
   event?(event: SwarmEvent): void;
   missed?(count: number): void;
   gone?(): void;
@@ -28,7 +29,7 @@ export interface Listener {
 }
 
 export class Live {
-  rows: SwarmRow[] = [];
+  rows: SwarmSummary[] = [];
   connection: Connection = "connecting";
 
   private readonly listeners = new Set<Listener>();

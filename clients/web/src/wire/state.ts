@@ -5,7 +5,8 @@
  * the two, which would lose precision.
  */
 import { decode } from "cborg";
-import type { Certificate, OrderNumbers, Stamp } from "./messages.ts";
+import type { Certificate, Order } from "./messages.ts";
+import type { Stamp } from "./page.ts";
 
 /** The unit of the origin, in body sizes. */
 export const ORIGIN_UNIT = 1024;
@@ -20,7 +21,7 @@ export interface State extends Stamp {
   alpha: Float64Array;
   weight: Float64Array;
   direction: Float64Array;
-  order: OrderNumbers;
+  order: Order;
   certificate: Certificate;
 }
 
