@@ -9,7 +9,7 @@ import { type Kind, Plot } from "./plot.ts";
 /** The minimum time between two requests. */
 const REQUEST_INTERVAL_MS = 500;
 /** The errors after which the same request may succeed, and the time until it is sent again. */
-const PASSING = ["busy", "deadline_exceeded"];
+const PASSING = ["busy", "deadline_exceeded", "no_reply"];
 const RETRY_MS = 2000;
 
 const UNDEFINED = "undefined for this group";

@@ -143,21 +143,27 @@ test("the numbers of an animation are those of its last state", async () => {
   );
 });
 
-test("a chart of a measure is drawn although the daemon was busy", async () => {
+test("a chart of a measure is drawn although the daemon was busy, or a connection broke", async () => {
   await daemon.create("busy", { n: 12, seed: 1 });
   const tab = await openTab();
   const { page } = tab;
   tab.expectsError(/^503 GET \/api\/get\/busy\/get\/measures/);
+  tab.expectsError(/ERR_CONNECTION_RESET \/api\/get\/busy\/get\/measures/);
   let asked = 0;
   await page.route(/measures\?names/, async (route) => {
     asked += 1;
     const error = { code: "busy", message: "busy: wait", details: {}, step: null };
-    await (asked === 1 ? route.fulfill({ status: 503, json: error }) : route.continue());
+    const fails = [
+      () => route.fulfill({ status: 503, json: error }),
+      () => route.abort("connectionreset"),
+    ];
+    await (fails[asked - 1] ?? (() => route.continue()))();
   });
   await page.goto(`${daemon.link}&/swarm/busy`);
   await page.locator(".chart-menu summary").click();
   await page.getByLabel("clusters.count", { exact: true }).check();
   await page.locator(".chart .none", { hasText: "busy: wait" }).waitFor();
+  await page.locator(".chart .none", { hasText: "no reply from the daemon" }).waitFor();
   await page.locator(".chart output", { hasText: /^\d+ clusters$/ }).waitFor();
   await page.goto("about:blank");
 });

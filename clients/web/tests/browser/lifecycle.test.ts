@@ -221,6 +221,7 @@ test("the picture dims when the daemon stops, and resumes when it is back", asyn
   const tab = await site.openTabAt("/swarm/school");
   const { page } = tab;
   await until("a state", () => step(page));
+  await page.locator("button.wide", { hasText: "Pause" }).waitFor();
   // When the connection is lost the page requests /api/hello, and reconnects until the daemon is back.
   // What the page has requested since it was opened may be in flight when the daemon is killed.
   const ends = "net::ERR_(CONNECTION_REFUSED|CONNECTION_RESET|EMPTY_RESPONSE)";
