@@ -17,7 +17,7 @@ import {
 } from "../src/panels/history.ts";
 import { directionOf } from "../src/panels/numbers.ts";
 import { rangeOf } from "../src/panels/ranges.ts";
-import { brief, degrees, fixed, rates, short, signed } from "../src/ui/format.ts";
+import { brief, degrees, fixed, rates, short, signed, ticks } from "../src/ui/format.ts";
 import { parseRoute } from "../src/ui/router.ts";
 import { linkCommand } from "../src/ui/session.ts";
 import { command, get, RequestError } from "../src/wire/http.ts";
@@ -241,5 +241,19 @@ test("a request is sent again while the daemon recovers its swarms, a command un
   } finally {
     globalThis.fetch = fetch;
     server.close();
+  }
+});
+
+test("the labels of an axis are exact, however narrow it is", () => {
+  for (const [values, labels] of [
+    [[3.2625, 3.265, 3.2675], "3.2625 3.265 3.2675"],
+    [[3.6915, 3.692, 3.6925], "3.6915 3.692 3.6925"],
+    [[12345, 12346, 12347], "12345 12346 12347"],
+    [[-0.2, -0.1, 0, 0.1 + 0.2], "−0.2 −0.1 0 0.3"],
+    [[0, 10, 20], "0 10 20"],
+    [[0, 2e-4, 4e-4], "0 2.0e-4 4.0e-4"],
+    [[7], "7"],
+  ] as const) {
+    assert.equal(ticks([...values]).join(" "), labels);
   }
 });

@@ -2,7 +2,7 @@
 import uPlot from "uplot";
 import "uplot/dist/uPlot.min.css";
 import { el } from "../ui/dom.ts";
-import { brief } from "../ui/format.ts";
+import { ticks } from "../ui/format.ts";
 import { isolated } from "./history.ts";
 
 export interface Kind {
@@ -76,7 +76,7 @@ export class Plot {
       scales: { x: { time: false }, y: scaleOf(kind.range) },
       axes: [
         { ...axis, size: 24, gap: 6, space: 44 },
-        { ...axis, size: 42, values: (_, splits) => splits.map(brief) },
+        { ...axis, size: 42, values: (_, splits) => ticks(splits) },
       ],
       series: [{}, { stroke: () => colour(kind.colour), width: 1.6, points, spanGaps: false }],
     };

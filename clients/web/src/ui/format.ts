@@ -40,6 +40,21 @@ export function brief(value: number | null | undefined): string {
   return text.replace(/^-/, "−");
 }
 
+/** The labels of an axis: as many decimals as tell its values apart and are exact for them. */
+export function ticks(values: number[]): string[] {
+  const spacing = Math.abs((values.at(-1) ?? 0) - (values[0] ?? 0)) / (values.length - 1);
+  if (!(spacing > 0) || values.every((it) => Math.abs(it) < 1e-3)) {
+    return values.map(brief);
+  }
+  const isExact = (decimals: number) =>
+    values.every((it) => Math.abs(it - Number(it.toFixed(decimals))) < 1e-3 * spacing);
+  let decimals = 0;
+  while (decimals < 12 && !isExact(decimals)) {
+    decimals += 1;
+  }
+  return values.map((it) => String(Number(it.toFixed(decimals))).replace(/^-/, "−"));
+}
+
 export function time(value: number): string {
   return value.toFixed(value < 1000 ? 2 : 1);
 }
