@@ -163,6 +163,8 @@ export class Events {
 
   /** Replaces the events by those that the daemon has. */
   private async readAgain(): Promise<void> {
+    // If a connection is lost meanwhile, the next one asks for it again.
+    this.stale = false;
     const all: SwarmEvent[] = [];
     for (let at = 0, newest = 1; at < newest; ) {
       const result = await this.after(at);
@@ -178,7 +180,6 @@ export class Events {
     for (const event of all) {
       this.add(event);
     }
-    this.stale = false;
   }
 
   private async read(): Promise<void> {

@@ -41,6 +41,11 @@ function scaleOf(range: Kind["range"]): uPlot.Scale {
   };
 }
 
+/** The width of the vertical axis: 7 px a character beside a margin, so that no label is cut off. */
+function widthOf(labels: string[] | null): number {
+  return Math.max(42, 7 + 7 * Math.max(0, ...(labels ?? []).map((it) => it.length)));
+}
+
 export class Plot {
   readonly element: HTMLElement;
   readonly now = el("output", {});
@@ -76,7 +81,7 @@ export class Plot {
       scales: { x: { time: false }, y: scaleOf(kind.range) },
       axes: [
         { ...axis, size: 24, gap: 6, space: 44 },
-        { ...axis, size: 42, values: (_, splits) => ticks(splits) },
+        { ...axis, size: (_, labels) => widthOf(labels), values: (_, splits) => ticks(splits) },
       ],
       series: [{}, { stroke: () => colour(kind.colour), width: 1.6, points, spanGaps: false }],
     };
