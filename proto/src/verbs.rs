@@ -1,4 +1,4 @@
-//! Every verb: one row of [`verbs!`] says its arguments, its reply, and who may send it.
+//! Every verb: one row of `verbs!` says its arguments, its reply, and who may send it.
 
 mod changes;
 mod controllers;
