@@ -149,7 +149,7 @@ fn zenoh(channel: &Channel) -> Value {
     let queryable = |declared: &str, wildcards: &str| {
         let parameters = channel.parameters.iter();
         let parameters: Map<String, Value> = parameters
-            .map(|(name, doc)| ((*name).to_owned(), json!(doc)))
+            .map(|it| (it.name.to_owned(), json!(format!("{}{}", it.range, it.doc))))
             .collect();
         json!({
             "kind": "queryable",

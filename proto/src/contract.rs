@@ -4,6 +4,7 @@
 //! document, and what a daemon answers on `get/schema`.
 
 mod channels;
+pub mod selectors;
 
 use std::collections::{BTreeMap, BTreeSet};
 

@@ -26,6 +26,9 @@ const ENVELOPE_FIELDS: [&str; 7] = [
 /// The longest `request_id` and `client`, in bytes.
 pub const MAX_LABEL_LENGTH: usize = 256;
 
+/// What they can be.
+const LABEL_RANGE: &str = "at most 256 bytes of text without control or bidirectional characters";
+
 /// The pattern of a `request_id`, a `client` and a note: the characters of [`is_plain`].
 pub(crate) const PLAIN_TEXT_RULE: &str =
     "^[^\\u0000-\\u001f\\u007f-\\u009f\\u061c\\u200e-\\u200f\\u2028-\\u202e\\u2066-\\u2069]*$";
@@ -47,11 +50,19 @@ pub struct Request {
     /// The client's id for this request. A request is executed once for each `client` and
     /// `request_id`; a retry gets the first reply.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schemars(length(max = MAX_LABEL_LENGTH), regex(pattern = PLAIN_TEXT_RULE))]
+    #[schemars(
+        length(max = MAX_LABEL_LENGTH),
+        regex(pattern = PLAIN_TEXT_RULE),
+        extend("x-range" = LABEL_RANGE)
+    )]
     pub request_id: Option<String>,
     /// The client, as the request names it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schemars(length(max = MAX_LABEL_LENGTH), regex(pattern = PLAIN_TEXT_RULE))]
+    #[schemars(
+        length(max = MAX_LABEL_LENGTH),
+        regex(pattern = PLAIN_TEXT_RULE),
+        extend("x-range" = LABEL_RANGE)
+    )]
     pub client: Option<String>,
     /// Execute it when the swarm is at this step. One in the past is a `conflict`; one in the
     /// future is acknowledged at once with `applies_at_step`, and an event has its result.

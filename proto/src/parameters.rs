@@ -9,6 +9,10 @@ use crate::{Attraction, ContactRule, LARGEST_WHOLE, Start, Stepping};
 /// Maximum number of measures in a published order.
 pub const MAX_PUBLISHED_MEASURES: usize = 16;
 
+/// What a rate can be.
+pub(crate) const RATE_RANGE: &str =
+    "a number above 0, at most 1e6, or null for as fast as possible";
+
 /// Makes [`Spec`], [`SetArgs`] and [`ParameterValues`]. A row is a field of the spec, in its order:
 ///
 /// ```text
@@ -77,7 +81,10 @@ macro_rules! parameters {
             /// Remove a controller in lock-step for which the swarm has waited so many seconds, and which
             /// has sent nothing meanwhile: 0.1 or more; 0 is no limit.
             #[serde(default, skip_serializing_if = "Option::is_none")]
-            #[schemars(range(min = 0.0, max = 1e6))]
+            #[schemars(
+                range(min = 0.0, max = 1e6),
+                extend("x-range" = "0 for no limit, or a number from 0.1 to 1e6")
+            )]
             pub max_idle_secs: Option<f64>,
             /// The measures in each published order, such as `milling`, at most 16 that need no earlier
             /// state; none if empty.
@@ -131,7 +138,14 @@ macro_rules! parameters {
 parameters! {
     fixed {
         /// The number of individuals: 1 to the daemon's limit; in a spec that at the start.
-        #[schemars(range(min = 1), extend("x-unit" = "individuals", "x-changed-by" = ["inject", "remove"]))]
+        #[schemars(
+            range(min = 1),
+            extend(
+                "x-range" = "a whole number from 1 to the daemon's max_individuals",
+                "x-unit" = "individuals",
+                "x-changed-by" = ["inject", "remove"]
+            )
+        )]
         n: u64,
     }
     live {
@@ -155,7 +169,14 @@ parameters! {
     fixed {
         /// The time step: above 0, and short enough that a step cannot carry a body across another.
         #[serde(default = "default::dt")]
-        #[schemars(range(max = 1.0), extend("exclusiveMinimum" = 0, "x-unit" = "body size / free speed"))]
+        #[schemars(
+            range(max = 1.0),
+            extend(
+                "exclusiveMinimum" = 0,
+                "x-range" = "a number above 0, at most 2r / (1 + h ω): 0.02 fits most swarms",
+                "x-unit" = "body size / free speed"
+            )
+        )]
         dt: f64,
     }
     live {
@@ -205,7 +226,15 @@ parameters! {
         pub measures: Option<Vec<String>>,
         /// Time units per second of wall clock; `null` is as fast as possible.
         #[serde(default = "default::rate")]
-        #[schemars(extend("exclusiveMinimum" = 0, "x-unit" = "time units / s", "x-changed-by" = ["run"]), range(max = 1e6))]
+        #[schemars(
+            range(max = 1e6),
+            extend(
+                "exclusiveMinimum" = 0,
+                "x-range" = RATE_RANGE,
+                "x-unit" = "time units / s",
+                "x-changed-by" = ["run"]
+            )
+        )]
         pub rate: Option<f64>,
     }
 }

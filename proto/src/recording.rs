@@ -34,7 +34,7 @@ pub struct BeginRecordingArgs {
     pub recording: Option<String>,
     /// `mcap` or left out. Clients of earlier versions send it; `parquet` is rejected.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schemars(with = "Option<String>")]
+    #[schemars(with = "Option<String>", extend("x-range" = "\"mcap\""))]
     pub format: Option<RecordingFormat>,
     /// Record the states whose step is a multiple of this, each of them; the swarm's `publish_every`
     /// if left out.

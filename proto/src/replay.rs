@@ -31,6 +31,7 @@ pub struct UploadArgs {
     #[schemars(range(max = LARGEST_WHOLE))]
     pub length: u64,
     /// The piece, as base64.
+    #[schemars(extend("x-range" = "base64 of a piece of the file"))]
     pub bytes: String,
 }
 

@@ -31,6 +31,10 @@ pub enum Stepping {
 /// What an individual turns towards.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
+#[schemars(extend(
+    "x-range" = "{\"kind\": \"all\"}, optionally with \"accuracy\"; or of kind \"voronoi\", \"metric\" with \
+                 \"radius\", \"topological\" with \"neighbours\", \"power\" with \"exponent\""
+))]
 pub enum Attraction {
     /// The mean of the unit vectors to all the others, eq. (4).
     All {
@@ -73,6 +77,9 @@ impl Default for Attraction {
 /// Where the individuals begin.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
+#[schemars(extend(
+    "x-range" = "{\"kind\": \"disc\"} or {\"kind\": \"given\", \"x\", \"y\", \"alpha\"}"
+))]
 pub enum Start {
     /// Uniformly in a disc, one after the other, none overlapping an earlier one.
     Disc {

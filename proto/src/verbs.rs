@@ -285,6 +285,12 @@ impl OwnVerb {
     }
 }
 
+/// What is known of the verb of this name, of a swarm or a node.
+pub fn definition(name: &str) -> Option<&'static Definition> {
+    let mut definitions = SwarmVerb::DEFINITIONS.iter().chain(NodeVerb::DEFINITIONS);
+    definitions.find(|it| it.name == name)
+}
+
 /// The name of a verb that a journal can have, of a client or of the swarm itself.
 pub fn journaled(name: &str) -> Option<&'static str> {
     let mut names = SWARM_VERBS.into_iter().chain(OWN_VERBS);

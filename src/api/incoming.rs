@@ -6,6 +6,9 @@ use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
 use jostle_proto::Request;
+use jostle_proto::contract::selectors::{
+    self, MAX_PAGE_ENTRIES, MAX_RUN_ENTRIES, PAGE_ENTRIES, QueryParameter,
+};
 use jostle_proto::verbs::journaled;
 
 use crate::api::admission::{HeldBytes, Permit, Places};
@@ -24,10 +27,6 @@ const JSON_ENCODINGS: [&str; 5] = [
     "zenoh/string",
     "zenoh/bytes",
 ];
-
-/// The default and the largest limit of a page of numbered records.
-const PAGE_RECORDS: usize = 256;
-const MAX_PAGE_RECORDS: usize = 1000;
 
 /// The latest time of a selector: the end of the year 9999.
 const MAX_UNIX_SECS: f64 = 253_402_300_800.0;
@@ -156,7 +155,7 @@ impl Incoming {
     ///
     /// [`CommandError::Field`] for an unknown format, [`CommandError::Parameter`].
     pub fn wants_json(&self) -> Result<bool, CommandError> {
-        match selector(self.parameters(), &["format"])?.first() {
+        match selector(self.parameters(), selectors::STATE)?.first() {
             None | Some((_, "cbor")) => Ok(false),
             Some((_, "json")) => Ok(true),
             Some(_) => Err(CommandError::Field {
@@ -196,8 +195,7 @@ impl Incoming {
 pub fn page<'a>(
     parameters: impl Iterator<Item = (&'a str, &'a str)>,
 ) -> Result<(u64, usize), CommandError> {
-    let known = &["after", "limit"];
-    let (_, after, limit) = page_of(parameters, known, PAGE_RECORDS, MAX_PAGE_RECORDS)?;
+    let (_, after, limit) = page_of(parameters, selectors::PAGE, PAGE_ENTRIES, MAX_PAGE_ENTRIES)?;
     Ok((after, limit))
 }
 
@@ -209,15 +207,7 @@ pub fn page<'a>(
 pub(super) fn page_of_journal<'a>(
     parameters: impl Iterator<Item = (&'a str, &'a str)>,
 ) -> Result<JournalFilter, CommandError> {
-    let known = &[
-        "after",
-        "limit",
-        "line",
-        "from_step",
-        "to_step",
-        "verb",
-        "client",
-    ];
+    let known = selectors::PAGE_OF_JOURNAL;
     let mut filter = JournalFilter::default();
     let mut rest = Vec::new();
     for (name, value) in selector(parameters, known)? {
@@ -247,7 +237,7 @@ pub(super) fn page_of_journal<'a>(
             problem: "is less than from_step",
         });
     }
-    let (_, after, limit) = page_of(rest.into_iter(), known, PAGE_RECORDS, MAX_PAGE_RECORDS)?;
+    let (_, after, limit) = page_of(rest.into_iter(), known, PAGE_ENTRIES, MAX_PAGE_ENTRIES)?;
     Ok(JournalFilter {
         after,
         limit,
@@ -270,17 +260,7 @@ fn whole(field: &'static str, value: &str) -> Result<u64, CommandError> {
 pub(super) fn page_of_audit<'a>(
     parameters: impl Iterator<Item = (&'a str, &'a str)>,
 ) -> Result<AuditFilter, CommandError> {
-    let known = &[
-        "after",
-        "before",
-        "limit",
-        "user",
-        "client",
-        "verb",
-        "name",
-        "from_time",
-        "to_time",
-    ];
+    let known = selectors::PAGE_OF_AUDIT;
     let mut filter = AuditFilter::default();
     let mut rest = Vec::new();
     for (name, value) in selector(parameters, known)? {
@@ -296,7 +276,7 @@ pub(super) fn page_of_audit<'a>(
             _ => rest.push((name, value)),
         }
     }
-    let (_, after, limit) = page_of(rest.into_iter(), known, PAGE_RECORDS, MAX_PAGE_RECORDS)?;
+    let (_, after, limit) = page_of(rest.into_iter(), known, PAGE_ENTRIES, MAX_PAGE_ENTRIES)?;
     Ok(AuditFilter {
         after,
         limit,
@@ -317,21 +297,20 @@ fn milliseconds(field: &'static str, value: &str) -> Result<u64, CommandError> {
     })
 }
 
-/// The run of an experiment, and a page of at most `max` of its records.
+/// The run of an experiment, and a page of of its records.
 pub(super) fn page_of_run<'a>(
     parameters: impl Iterator<Item = (&'a str, &'a str)>,
-    max: usize,
 ) -> Result<(&'a str, u64, usize), CommandError> {
-    let (run, after, limit) = page_of(parameters, &["run", "after", "limit"], max, max)?;
+    let (known, max) = (selectors::PAGE_OF_RUN, MAX_RUN_ENTRIES);
+    let (run, after, limit) = page_of(parameters, known, max, max)?;
     Ok((required(run)?, after, limit))
 }
 
 /// As [`page_of_run`], and whether the records are those of individuals.
 pub(super) fn page_of_series<'a>(
     parameters: impl Iterator<Item = (&'a str, &'a str)>,
-    max: usize,
 ) -> Result<((&'a str, u64, usize), bool), CommandError> {
-    let known = &["run", "after", "limit", "of"];
+    let (known, max) = (selectors::PAGE_OF_SERIES, MAX_RUN_ENTRIES);
     let mut of = None;
     // An unknown parameter is rejected below.
     let rest: Vec<_> = parameters.collect();
@@ -364,7 +343,7 @@ fn required(run: Option<&str>) -> Result<&str, CommandError> {
 
 fn page_of<'a>(
     parameters: impl Iterator<Item = (&'a str, &'a str)>,
-    known: &'static [&'static str],
+    known: &'static [QueryParameter],
     mut limit: usize,
     max: usize,
 ) -> Result<(Option<&'a str>, u64, usize), CommandError> {

@@ -11,6 +11,7 @@ use std::thread;
 use std::time::Duration;
 
 use fail::fail_point;
+use jostle_convert::Place;
 use parking_lot::Mutex;
 use serde::Deserialize;
 use tokio::runtime::Handle as Runtime;
@@ -227,10 +228,16 @@ impl Responder {
                 step,
                 error: error @ SwarmError::Faulted(_),
             }) => {
-                self.complete(move || Err(Payload::json(&CommandError::from(error).to_wire(step))));
+                let error = CommandError::from(error).to_wire(step, &self.place());
+                self.complete(move || Err(Payload::json(&error)));
             }
             Err(Rejection { step, error }) => self.reject(&error.into(), step),
         }
+    }
+
+    /// The place of what the request has.
+    fn place(&self) -> Place {
+        Place::of_key(&self.0.key)
     }
 
     /// Replies with an error; the request has changed nothing and its id may be used again. A
@@ -245,7 +252,7 @@ impl Responder {
             drop(self.0.slot.lock().take());
             return;
         }
-        let payload = Payload::json(&error.to_wire(step));
+        let payload = Payload::json(&error.to_wire(step, &self.place()));
         if let Some(slot) = self.0.slot.lock().take() {
             slot.reject(&payload);
         }
@@ -260,7 +267,7 @@ impl Responder {
                 pending.expire(move || {
                     let error = error(timeout.as_secs_f64());
                     let step = step.and_then(|step| step.get());
-                    Err(Payload::json(&error.to_wire(step)))
+                    Err(Payload::json(&error.to_wire(step, &Place::default())))
                 });
             }
         };
@@ -382,7 +389,7 @@ impl Drop for Pending {
         }
         let key = &self.key;
         error!(key, "a defect: a request was dropped without a result");
-        let payload = Payload::json(&CommandError::Dropped.to_wire(None));
+        let payload = Payload::json(&CommandError::Dropped.to_wire(None, &Place::default()));
         self.send(slot, Box::new(move || Err(payload)));
     }
 }
@@ -397,7 +404,11 @@ impl Outgoing {
         } = self;
         let reply = catch_unwind(AssertUnwindSafe(encode))
             // The command may have been executed.
-            .unwrap_or_else(|_| Err(Payload::json(&CommandError::Dropped.to_wire(None))));
+            .unwrap_or_else(|_| {
+                Err(Payload::json(
+                    &CommandError::Dropped.to_wire(None, &Place::default()),
+                ))
+            });
         if let Some(slot) = slot {
             slot.write(&reply);
         }

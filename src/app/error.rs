@@ -1,5 +1,6 @@
 //! Why the daemon does not start.
 
+use jostle_convert::Place;
 use thiserror::Error;
 
 use crate::audit::AuditError;
@@ -21,7 +22,7 @@ pub enum ServerError {
     #[error("cannot declare the daemon's keys: {0}")]
     Keys(String),
     /// The daemon's name or its prefix cannot be part of a key.
-    #[error("{}", .0.to_wire(None).message)]
+    #[error("{}", .0.to_wire(None, &Place::default()).message)]
     Name(CommandError),
     #[error("auth_dir: {0}")]
     Rights(#[from] AuthError),

@@ -1,5 +1,6 @@
 //! Events, and the history of executed commands.
 
+use jostle_convert::Place;
 use jostle_proto as proto;
 
 use crate::convert::error::CommandError;
@@ -50,7 +51,8 @@ pub fn event(swarm: &str, event: Event) -> proto::Event {
                 args: args(&sender),
                 client: sender.client.clone(),
                 request_id: sender.request_id.clone(),
-                error: CommandError::from(error).to_wire(Some(stamp.step)),
+                error: CommandError::from(error)
+                    .to_wire(Some(stamp.step), &Place::of_verb(sender.verb)),
             },
             EventKind::Lapsed(ids) => proto::EventKind::Lapsed { ids },
             EventKind::Fault(reason) => proto::EventKind::Fault { reason },

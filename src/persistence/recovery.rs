@@ -6,6 +6,7 @@ use std::sync::Arc;
 use std::sync::mpsc::channel;
 
 use fail::fail_point;
+use jostle_convert::Place;
 use jostle_physics::simulation::Spec;
 use tracing::{error, info, warn};
 
@@ -326,7 +327,9 @@ fn rebuild_reply(replies: &impl ReplyCache, swarm: &str, sender: &Arc<Sender>) -
     let returns_state =
         journal_reader::parse_request(sender).is_ok_and(|(_, returns_state)| returns_state);
     let swarm = swarm.to_owned();
-    let to_payload = |step, error| Payload::json(&CommandError::from(error).to_wire(step));
+    let place = Place::of_verb(sender.verb);
+    let to_payload =
+        move |step, error| Payload::json(&CommandError::from(error).to_wire(step, &place));
     ReplyTo::new(move |reply| match reply {
         Ok((stamp, outcome)) => {
             let frame = returns_state.then_some(0);

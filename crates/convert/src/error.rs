@@ -11,7 +11,7 @@ use jostle_proto::{ErrorCode, RequestError};
 use serde_json::{Map, Value, json};
 
 use crate::measures::MeasuresError;
-use crate::range::range_of;
+use crate::place::Place;
 use crate::value::WireError;
 
 /// The code and the details with which an error is sent to a client.
@@ -19,8 +19,8 @@ pub trait WireCode {
     /// Returns the code that clients branch on.
     fn code(&self) -> ErrorCode;
 
-    /// Returns the details for programs, such as `field` and `range`.
-    fn details(&self) -> Map<String, Value> {
+    /// Returns the details for programs, such as `field` and `range`: the range that the field has at `place`.
+    fn details(&self, _place: &Place) -> Map<String, Value> {
         Map::new()
     }
 }
@@ -30,13 +30,13 @@ impl WireCode for RequestError {
         ErrorCode::InvalidArgument
     }
 
-    fn details(&self) -> Map<String, Value> {
+    fn details(&self, place: &Place) -> Map<String, Value> {
         if self.field.is_empty() {
             return Map::new();
         }
         // The range of an unknown field does not help.
         let is_known = !self.problem.starts_with("unknown");
-        let range = is_known.then(|| range_of(&self.field)).flatten();
+        let range = is_known.then(|| place.range(&self.field)).flatten();
         named(&self.field, Value::Null, range)
     }
 }
@@ -46,9 +46,11 @@ impl WireCode for WireError {
         ErrorCode::InvalidArgument
     }
 
-    fn details(&self) -> Map<String, Value> {
+    fn details(&self, place: &Place) -> Map<String, Value> {
         match self {
-            WireError::OutOfRange { field, value } => named(field, value.clone(), range_of(field)),
+            WireError::OutOfRange { field, value } => {
+                named(field, value.clone(), place.range(field))
+            }
             WireError::Measures(_) => object(json!({"field": "measures"})),
             WireError::Length { field, length, n } => {
                 object(json!({"field": field, "length": length, "n": n}))
@@ -76,7 +78,7 @@ impl WireCode for ChangeError {
         }
     }
 
-    fn details(&self) -> Map<String, Value> {
+    fn details(&self, place: &Place) -> Map<String, Value> {
         object(match self {
             ChangeError::Reserve(ReserveError::NoMemory { n, needed, free }) => {
                 json!({"field": "n", "n": n, "needed": needed, "free": free})
@@ -88,7 +90,7 @@ impl WireCode for ChangeError {
             | ChangeError::Start(StartError::Parameters(error))
             | ChangeError::Selection(SelectionError::Number(error))
             | ChangeError::Injection(InjectionError::Parameters(error))
-            | ChangeError::Reshape(ReshapeError::Parameters(error)) => return error.details(),
+            | ChangeError::Reshape(ReshapeError::Parameters(error)) => return error.details(place),
             ChangeError::Weightless => json!({"field": "weight"}),
             ChangeError::Column {
                 column,
@@ -99,9 +101,10 @@ impl WireCode for ChangeError {
             }
             ChangeError::NoneLeft(n) => json!({"field": "select", "selected": n, "n": n}),
             ChangeError::Injection(InjectionError::Pose { index, error }) => {
-                let mut details = error.details();
+                let pose = format!("at[{index}]");
+                let mut details = error.details(&place.within(&pose));
                 if let Some(Value::String(field)) = details.get_mut("field") {
-                    *field = format!("at[{index}].{field}");
+                    *field = format!("{pose}.{field}");
                 }
                 return details;
             }
@@ -130,13 +133,13 @@ impl WireCode for ParametersError {
         ErrorCode::InvalidArgument
     }
 
-    fn details(&self) -> Map<String, Value> {
+    fn details(&self, place: &Place) -> Map<String, Value> {
         match *self {
             ParametersError::OutOfRange {
                 field,
                 value,
                 range,
-            } => named(field, number(value), range_of(field).or(Some(range))),
+            } => named(field, number(value), place.range(field).or(Some(range))),
             ParametersError::Clash { field, .. } => named(field, Value::Null, None),
             ParametersError::StepTooLong { dt, largest } => object(json!({
                 "field": "dt", "value": dt, "range": format!("(0, {largest}]"),
@@ -186,9 +189,9 @@ impl WireCode for MeasuresError {
         }
     }
 
-    fn details(&self) -> Map<String, Value> {
+    fn details(&self, place: &Place) -> Map<String, Value> {
         match self {
-            MeasuresError::TooCostly(error) => error.details(),
+            MeasuresError::TooCostly(error) => error.details(place),
             MeasuresError::TooLarge { n, .. } => {
                 object(json!({"n": n, "limit": histograms::MAX_INDIVIDUALS}))
             }
@@ -204,7 +207,7 @@ impl WireCode for TooCostly {
         ErrorCode::ResourceExhausted
     }
 
-    fn details(&self) -> Map<String, Value> {
+    fn details(&self, _place: &Place) -> Map<String, Value> {
         object(json!({"n": self.n, "limit": MAX_COSTLY_INDIVIDUALS}))
     }
 }

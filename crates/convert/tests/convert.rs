@@ -5,16 +5,15 @@ use std::collections::BTreeSet;
 use std::{env, fs};
 
 use jostle_convert::change::{change, set_points, to_proto};
-use jostle_convert::range::range_of;
 use jostle_convert::value::{count, publish_every, rate, weight, whole};
-use jostle_convert::{ArgsError, WireCode, spec};
+use jostle_convert::{ArgsError, Place, WireCode, spec};
 use jostle_physics::model::parameters::{Attraction, ContactRule, Parameters, Stepping};
 use jostle_physics::model::selection::Selection;
 use jostle_physics::simulation::{
     Change, ChangeError, Placement, ReserveError, Settings, Simulation, Spec, Start,
 };
 use jostle_proto::ErrorCode;
-use jostle_proto::contract::{is_received, schemas};
+use jostle_proto::contract::{CHANNELS, is_received, schemas};
 use jostle_proto::verbs::SetPoints;
 use serde_json::{Value, json};
 
@@ -339,7 +338,10 @@ fn a_rejected_change_has_its_code_and_field() {
     let mut simulation = Simulation::new(&Spec::new(4, 1)).unwrap();
     let mut code_of = |value: Value| {
         let error = simulation.apply(&read(value)).unwrap_err();
-        (error.code(), error.details()["field"].clone())
+        (
+            error.code(),
+            error.details(&Place::default())["field"].clone(),
+        )
     };
     let all = json!({"fraction": 1.0});
     let at = json!([{"x": 1e7, "y": 0.0, "alpha": 0.0}]);
@@ -385,59 +387,136 @@ fn a_rejected_change_has_its_code_and_field() {
     });
     assert_eq!(reserve.code(), ErrorCode::ResourceExhausted);
     assert_eq!(
-        Value::Object(reserve.details()),
+        Value::Object(reserve.details(&Place::default())),
         json!({"field": "n", "n": 9, "needed": 8, "free": 7})
     );
     let limit = ChangeError::from(ReserveError::TooMany { n: 9, limit: 8 });
     assert_eq!(
-        Value::Object(limit.details()),
+        Value::Object(limit.details(&Place::default())),
         json!({"field": "n", "n": 9, "limit": 8})
     );
     let cross = ChangeError::AxesCross { pairs: 3 };
     assert_eq!(cross.code(), ErrorCode::IncorrectState);
     assert_eq!(
-        Value::Object(cross.details()),
+        Value::Object(cross.details(&Place::default())),
         json!({"field": "contacts", "pairs": 3})
     );
     let mut spec = Spec::new(50, 1);
     spec.start = Start::Disc(Some(1.0));
     let full = Simulation::new(&spec).err().unwrap();
     assert_eq!(full.code(), ErrorCode::ResourceExhausted);
-    assert_eq!(full.details()["field"], "start.radius");
+    assert_eq!(full.details(&Place::default())["field"], "start.radius");
 }
 
 #[test]
-fn a_range_is_found_by_the_path_else_by_the_last_name_without_indices() {
-    for (field, range) in [
-        ("weight", Some("a number above 0, at most 1e6")),
-        ("set.weight", Some("a number from 0 to 1e6")),
-        ("set.weight[3]", Some("a number from 0 to 1e6")),
+fn a_range_is_that_of_the_field_of_this_message_without_indices() {
+    let of_verb = Place::of_verb;
+    let of_key = |noun: &str| Place::of_key(&format!("jostle/{noun}"));
+    for (place, field, range) in [
         (
-            "commands[2].args.weight",
+            of_verb("inform"),
+            "weight",
             Some("a number above 0, at most 1e6"),
         ),
-        ("poses[7].alpha", Some("a number from -1e6 to 1e6")),
-        ("start.alpha[1]", Some("a number from -1e6 to 1e6")),
         (
-            "begin.steps",
-            Some("a whole number from 1 to 9007199254740991"),
+            of_verb("advance"),
+            "set.weight[3]",
+            Some("a number from 0 to 1e6"),
         ),
-        ("steps", Some("a whole number from 1 to 1e9")),
-        ("begin.format", Some("\"mcap\"")),
-        ("format", Some("json or cbor")),
-        ("offset", Some("a whole number of bytes")),
-        ("length", Some("a whole number of bytes")),
         (
+            of_verb("control"),
+            "set.weight",
+            Some("a number from 0 to 1e6"),
+        ),
+        (
+            of_verb("batch").within("commands[2].args"),
+            "weight",
+            Some("a number above 0, at most 1e6"),
+        ),
+        (
+            of_verb("fired").within("commands[2].args"),
+            "for_time",
+            Some("a number above 0, at most 1e9"),
+        ),
+        (of_verb("inject"), "count", Some("a whole number from 1")),
+        (
+            of_verb("inject"),
+            "at[7].alpha",
+            Some("a number from -1e6 to 1e6"),
+        ),
+        (of_verb("inject"), "at[7].x", None),
+        (
+            of_verb("create").within("spec"),
+            "start.alpha[1]",
+            Some("a number from -1e6 to 1e6"),
+        ),
+        (
+            of_verb("create").within("spec"),
             "n",
             Some("a whole number from 1 to the daemon's max_individuals"),
         ),
-        ("weights", None),
-        ("", None),
-        (".", None),
-        ("[", None),
+        (
+            of_verb("record"),
+            "begin.steps",
+            Some("a whole number from 1 to 9007199254740991"),
+        ),
+        (of_verb("record"), "begin.format", Some("\"mcap\"")),
+        (
+            of_verb("step"),
+            "steps",
+            Some("a whole number from 1 to 1e9"),
+        ),
+        (
+            of_verb("step"),
+            "at_step",
+            Some("a whole number from 0 to 9007199254740991"),
+        ),
+        (
+            of_key("a/cmd/step"),
+            "timeout_secs",
+            Some("a number above 0, at most 3600"),
+        ),
+        (
+            of_key("a/get/wait"),
+            "timeout_secs",
+            Some("a number above 0, at most 30"),
+        ),
+        (
+            of_key("a/get/events"),
+            "limit",
+            Some("a whole number from 1 to 1000"),
+        ),
+        (
+            of_key("@node/b/experiment/c/series"),
+            "limit",
+            Some("a whole number from 1 to 40000"),
+        ),
+        (
+            of_key("@node/b/get/audit"),
+            "limit",
+            Some("a whole number from 1 to 1000"),
+        ),
+        (of_key("a/state"), "format", Some("`json` or `cbor`")),
+        (of_key("a/get/events"), "weight", None),
+        (of_key("a/get/journal"), "client", None),
+        (of_verb("step"), "weight", None),
+        (of_verb("step"), "", None),
+        (of_verb("inform"), ".", None),
+        (of_verb("inform"), "[", None),
+        (of_verb("bake"), "steps", None),
+        (Place::default(), "steps", None),
     ] {
-        assert_eq!(range_of(field), range, "{field}");
+        assert_eq!(place.range(field), range, "{place:?} {field}");
     }
+}
+
+/// So that the key of a query is that of one channel.
+#[test]
+fn the_nouns_of_queries_with_parameters_are_different() {
+    let with = CHANNELS.iter().filter(|it| !it.parameters.is_empty());
+    let nouns: Vec<_> = with.filter_map(|it| it.key.rsplit('/').next()).collect();
+    let set: BTreeSet<_> = nouns.iter().collect();
+    assert_eq!(set.len(), nouns.len());
 }
 
 /// Adds the paths of all fields of a value that `schema` describes, without indices.
@@ -471,10 +550,14 @@ fn the_range_of_each_field_is_the_recorded_one() {
         if !is_received(message) {
             continue;
         }
+        let place = match message.strip_suffix(".args") {
+            Some(verb) => Place::of_verb(verb),
+            None => Place::of_key("a/cmd/pause"),
+        };
         let (schema, mut paths) = (schema.to_value(), BTreeSet::new());
         add_paths(&schema, &schema, "", &mut paths);
         for path in paths {
-            let range = range_of(&path).unwrap_or("-");
+            let range = place.range(&path).unwrap_or("-");
             listed += &format!("{message} {path}: {range}\n");
         }
     }

@@ -171,7 +171,7 @@ fn keys() -> String {
         let parameters: Vec<String> = channel
             .parameters
             .iter()
-            .map(|(name, doc)| format!("`{name}`: {doc}"))
+            .map(|it| format!("`{}`: {}{}", it.name, it.range, it.doc))
             .collect();
         let what = match parameters.as_slice() {
             [] => channel.doc.to_owned(),

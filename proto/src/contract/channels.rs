@@ -2,6 +2,7 @@
 
 use std::sync::LazyLock;
 
+use super::selectors::{self, QueryParameter};
 use crate::verbs::{Definition, NodeVerb, SwarmVerb};
 
 /// Something that stands on a key of the bus.
@@ -15,8 +16,8 @@ pub struct Channel {
     /// Whether a query whose key has wildcards is answered. It is not if the reply takes long, is large or
     /// is for operators, which a query for `**` does not intend.
     pub answers_wildcards: bool,
-    /// The parameters of a query's selector: each with what it is.
-    pub parameters: &'static [(&'static str, &'static str)],
+    /// The parameters of a query's selector.
+    pub parameters: &'static [QueryParameter],
     /// What it is for, in a line.
     pub doc: &'static str,
 }
@@ -42,90 +43,6 @@ pub enum ChannelKind {
 
 use ChannelKind::{ClientToken, Get, Published, PublishedAndQueried, Put, Token};
 
-/// The parameters of a page of a run's time series.
-const PAGE_OF_RUN: &[(&str, &str)] = &[
-    ("run", "the name of the run, as in the results"),
-    (
-        "after",
-        "a whole number, 0 by default: the reply has only entries with higher numbers; the first \
-         entry is number 1",
-    ),
-    (
-        "limit",
-        "a whole number from 1 to 40000, the default: the reply has at most this number of entries",
-    ),
-];
-
-/// The same, and what an entry is of.
-const PAGE_OF_SERIES: &[(&str, &str)] = &[
-    PAGE_OF_RUN[0],
-    PAGE_OF_RUN[1],
-    PAGE_OF_RUN[2],
-    (
-        "of",
-        "`individuals` for the trajectory of the run, in which an entry is an individual at a step; \
-         left out for the measures",
-    ),
-];
-
-const PAGE: &[(&str, &str)] = &[
-    (
-        "after",
-        "a whole number, 0 by default: the reply has only entries with higher numbers",
-    ),
-    (
-        "limit",
-        "a whole number from 1 to 1000, 256 by default: the reply has at most this number of \
-         entries",
-    ),
-];
-
-const PAGE_OF_JOURNAL: &[(&str, &str)] = &[
-    PAGE[0],
-    PAGE[1],
-    (
-        "line",
-        "a whole number, `next` of the page before: where in the journal this page begins",
-    ),
-    (
-        "from_step",
-        "a whole number: the reply has only commands applied at this step or later, of any epoch",
-    ),
-    (
-        "to_step",
-        "a whole number: the reply has only commands applied at this step or earlier",
-    ),
-    ("verb", "a verb: the reply has only these commands"),
-    (
-        "client",
-        "the reply has only commands of this client, or of each client of this user",
-    ),
-];
-
-const PAGE_OF_AUDIT: &[(&str, &str)] = &[
-    PAGE[0],
-    (
-        "before",
-        "a whole number: the reply has only lines with lower numbers, the newest of them",
-    ),
-    PAGE[1],
-    ("user", "the reply has only commands of this user"),
-    ("client", "the reply has only commands of this client"),
-    ("verb", "the reply has only commands with this verb"),
-    (
-        "name",
-        "the reply has only commands on the swarm, experiment or recording of this name",
-    ),
-    (
-        "from_time",
-        "seconds since 1970: the reply has only lines with a command at or after this time",
-    ),
-    (
-        "to_time",
-        "seconds since 1970: the reply has only lines with a command at or before this time",
-    ),
-];
-
 const fn plain(key: &'static str, kind: ChannelKind, doc: &'static str) -> Channel {
     Channel {
         key,
@@ -150,7 +67,7 @@ const OF_A_SWARM: &[Channel] = &[
         key: "{swarm}/state",
         kind: PublishedAndQueried("state"),
         answers_wildcards: true,
-        parameters: &[("format", "`json` or `cbor`, the default")],
+        parameters: selectors::STATE,
         doc: "The newest state, as a CBOR map of typed arrays. A published one has an \
               `attachment`, a reply has none.",
     },
@@ -199,25 +116,21 @@ const OF_A_SWARM: &[Channel] = &[
         key: "{swarm}/get/measures",
         kind: Get("measures.reply"),
         answers_wildcards: true,
-        parameters: &[(
-            "names",
-            "the measures, separated by commas, such as `order,clusters.count(0.1)`; by \
-             default all that need no earlier state",
-        )],
+        parameters: selectors::MEASURES,
         doc: "Measures of the newest state, by name.",
     },
     Channel {
         key: "{swarm}/get/events",
         kind: Get("events.reply"),
         answers_wildcards: true,
-        parameters: PAGE,
+        parameters: selectors::PAGE,
         doc: "The events after the one with a given number.",
     },
     Channel {
         key: "{swarm}/get/journal",
         kind: Get("journal.reply"),
         answers_wildcards: true,
-        parameters: PAGE_OF_JOURNAL,
+        parameters: selectors::PAGE_OF_JOURNAL,
         doc: "The applied commands, from the stored journal. A page reads at most 10,000 lines of \
               it.",
     },
@@ -233,11 +146,7 @@ const OF_A_SWARM: &[Channel] = &[
         doc: "Whether a replay of the swarm's journal gives the same hashes. The reply takes as \
               long as the replay.",
         answers_wildcards: false,
-        parameters: &[(
-            "timeout_secs",
-            "a number above 0, at most 3600, 60 by default: the replay ends after this time, and \
-             the reply is `deadline_exceeded`",
-        )],
+        parameters: selectors::VERIFY,
     },
     Channel {
         key: "{swarm}/get/experiment",
@@ -245,56 +154,13 @@ const OF_A_SWARM: &[Channel] = &[
         doc: "The commands applied since the swarm's start, as the file of an experiment. Its run \
               ends with the swarm's hash.",
         answers_wildcards: false,
-        parameters: &[
-            (
-                "replicates",
-                "a whole number: the file has so many runs, with other seeds than the swarm",
-            ),
-            (
-                "setpoints",
-                "the name of a file, of letters, digits, `.`, `-` and `_`: the file of the \
-                 experiment names this CSV, which `setpoints` of the reply contains, instead of \
-                 containing it",
-            ),
-        ],
+        parameters: selectors::EXPORT,
     },
     Channel {
         key: "{swarm}/get/wait",
         kind: Get("status.reply"),
         answers_wildcards: false,
-        parameters: &[
-            (
-                "step",
-                "a whole number: the reply is sent when the swarm reaches this step",
-            ),
-            (
-                "phase",
-                "`paused`, `running` or `faulted`: the reply is sent when the swarm is in \
-                 this phase",
-            ),
-            (
-                "event",
-                "the name of a condition, given to `when` as `event`: the reply is sent once it \
-                 has held, or if the swarm has faulted; it is `not_found` if no such condition \
-                 waits and none of the newest commands is that it held",
-            ),
-            (
-                "condition",
-                "a condition, such as `order > 0.9 for 20`: the reply is sent when it holds, in the \
-                 present state or after a later step, or if the swarm has faulted",
-            ),
-            (
-                "id",
-                "with `condition`: the id of the wait, which has the form of a name. The client holds \
-                 the token of this id; a query that repeats the id and the condition continues the wait. \
-                 Over HTTP the connection holds the wait, and the id may be left out",
-            ),
-            (
-                "timeout_secs",
-                "a number above 0, at most 30: the reply is `deadline_exceeded` after this \
-                 time, or earlier if more than 1024 requests wait for the swarm",
-            ),
-        ],
+        parameters: selectors::WAIT,
         doc: "The status, when the swarm reaches a step or a phase, or a condition holds or has held; \
              requires one of `step`, `phase`, `condition` and `event`.",
     },
@@ -368,7 +234,7 @@ const OF_A_NODE: &[Channel] = &[
         key: "@node/{node}/get/audit",
         kind: Get("node.audit.reply"),
         answers_wildcards: false,
-        parameters: PAGE_OF_AUDIT,
+        parameters: selectors::PAGE_OF_AUDIT,
         doc: "Who sent which commands, and with what outcome. Requires an operator, and a key \
               without wildcards.",
     },
@@ -381,17 +247,7 @@ const OF_A_NODE: &[Channel] = &[
         key: "@node/{node}/get/recording",
         kind: Get("node.recording.reply"),
         answers_wildcards: false,
-        parameters: &[
-            ("name", "the recording"),
-            (
-                "part",
-                "a whole number, 0 by default: the number of a complete part",
-            ),
-            (
-                "offset",
-                "a whole number, 0 by default: the byte at which the piece begins",
-            ),
-        ],
+        parameters: selectors::RECORDING,
         doc: "A piece of a recording. Requires an operator, and a key without wildcards.",
     },
 ];
@@ -407,7 +263,7 @@ const OF_AN_EXPERIMENT: &[Channel] = &[
         key: "@node/{node}/experiment/{experiment}/results",
         kind: Get("experiment.results"),
         answers_wildcards: false,
-        parameters: PAGE,
+        parameters: selectors::PAGE,
         doc: "The rows of the finished runs of an experiment. Rows are numbered from 1 in the \
              order of the plan.",
     },
@@ -415,14 +271,14 @@ const OF_AN_EXPERIMENT: &[Channel] = &[
         key: "@node/{node}/experiment/{experiment}/order",
         kind: Get("experiment.order"),
         answers_wildcards: false,
-        parameters: PAGE_OF_RUN,
+        parameters: selectors::PAGE_OF_RUN,
         doc: "The order of one run over time, if the experiment measures it, as CBOR.",
     },
     Channel {
         key: "@node/{node}/experiment/{experiment}/series",
         kind: Get("experiment.series"),
         answers_wildcards: false,
-        parameters: PAGE_OF_SERIES,
+        parameters: selectors::PAGE_OF_SERIES,
         doc: "The chosen measures of one run over time, if the experiment has `series_every`, as \
               CBOR; or its trajectory, if the experiment has `record_every`.",
     },

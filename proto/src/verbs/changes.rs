@@ -28,9 +28,13 @@ pub struct SetResult {
 /// minus the number of annotations so far.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
+#[schemars(extend(
+    "x-range" = "one of {\"ids\": […]}, {\"count\": 5}, {\"fraction\": 0.1}, {\"within\": {\"x\", \"y\", \
+                 \"radius\"}}, {\"informed\": true}, {\"foremost\": {\"count\", \"along\"}}"
+))]
 pub enum Select {
     /// These.
-    Ids(Vec<u32>),
+    Ids(#[schemars(extend("x-range" = IDS_RANGE))] Vec<u32>),
     /// This many, drawn.
     Count(u64),
     /// This share, 0 to 1, drawn; rounded to a whole number of individuals.
@@ -146,7 +150,7 @@ pub struct RemoveArgs {
 pub struct BatchArgs {
     /// 1 to 256 of them, applied in this order as if each had been sent alone.
     #[serde(deserialize_with = "no_more_changes")]
-    #[schemars(length(min = 1, max = MAX_CHANGES))]
+    #[schemars(length(min = 1, max = MAX_CHANGES), extend("x-range" = CHANGES_RANGE))]
     pub commands: Vec<Change>,
     /// Seeds the draws of the first command together with the swarm's seed, instead of its `seq`;
     /// each further command adds 1.
@@ -158,6 +162,12 @@ pub struct BatchArgs {
     #[serde(default, skip_serializing_if = "is_false")]
     pub protocol: bool,
 }
+
+/// What ids can be.
+pub(super) const IDS_RANGE: &str = "a list of ids of individuals in the swarm";
+
+/// What the changes of a `batch` can be.
+pub(super) const CHANGES_RANGE: &str = "a list of 1 to 256 of {\"verb\": \"set\" | \"inform\" | \"uninform\" | \"inject\" | \"remove\", \"args\": {…}}";
 
 /// Maximum number of changes in one `batch`.
 pub const MAX_CHANGES: usize = 256;

@@ -4,7 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::Return;
-use super::changes::Select;
+use super::changes::{IDS_RANGE, Select};
 use super::swarms::one;
 use crate::keys::NAME_RULE;
 use crate::{LARGEST_WHOLE, State};
@@ -98,8 +98,12 @@ pub struct AdvanceArgs {
 /// Set-points of individuals that a controller steers: columns of equal length.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
+#[schemars(extend(
+    "x-range" = "{\"ids\": […], \"direction\": […]}, optionally with \"weight\": […]"
+))]
 pub struct SetPoints {
     /// The individuals.
+    #[schemars(extend("x-range" = IDS_RANGE))]
     pub ids: Vec<u32>,
     /// Their preferred directions in radians, counter-clockwise from +x.
     #[schemars(inner(range(min = -1e6, max = 1e6)))]

@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::envelope::PLAIN_TEXT_RULE;
 use crate::keys::NAME_RULE;
+use crate::parameters::RATE_RANGE;
 use crate::walk::lenient;
 use crate::{LARGEST_WHOLE, Spec, State};
 
@@ -67,7 +68,11 @@ pub struct RunArgs {
         deserialize_with = "present",
         skip_serializing_if = "Option::is_none"
     )]
-    #[schemars(with = "Option<f64>", extend("exclusiveMinimum" = 0), range(max = 1e6))]
+    #[schemars(
+        with = "Option<f64>",
+        range(max = 1e6),
+        extend("exclusiveMinimum" = 0, "x-range" = RATE_RANGE)
+    )]
     pub rate: Option<Option<f64>>,
 }
 
@@ -108,6 +113,7 @@ pub struct RestoreArgs {
     #[schemars(regex(pattern = NAME_RULE))]
     pub name: String,
     /// The snapshot as `get/snapshot` gave it, its CBOR as base64.
+    #[schemars(extend("x-range" = "the `result` of get/snapshot, its CBOR in base64"))]
     pub snapshot: String,
 }
 

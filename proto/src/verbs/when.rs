@@ -4,7 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::LARGEST_WHOLE;
-use crate::verbs::changes::{is_false, no_more_changes_if_given};
+use crate::verbs::changes::{CHANGES_RANGE, is_false, no_more_changes_if_given};
 use crate::verbs::{Change, MAX_CHANGES};
 
 /// Pauses a swarm, applies changes or publishes an event, once, at the first step after which a
@@ -16,6 +16,10 @@ pub struct WhenArgs {
     /// The condition, such as `order > 0.9 for 20`: 1 to 1000 characters. A waiting condition with
     /// the same text and action is replaced.
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(extend(
+        "x-range" = "a comparison of a measure with a number, such as \"order > 0.9 for 20\"; several are joined \
+                     by `and` and `or`"
+    ))]
     pub condition: Option<String>,
     /// Pause the swarm.
     #[serde(default, skip_serializing_if = "is_false")]
@@ -26,7 +30,7 @@ pub struct WhenArgs {
         deserialize_with = "no_more_changes_if_given",
         skip_serializing_if = "Option::is_none"
     )]
-    #[schemars(length(min = 1, max = MAX_CHANGES))]
+    #[schemars(length(min = 1, max = MAX_CHANGES), extend("x-range" = CHANGES_RANGE))]
     pub commands: Option<Vec<Change>>,
     /// Only publish the event `fired` with this name, which has the form of a swarm's name; `get/wait`
     /// waits for it. A waiting condition with the same name is replaced. Such a command counts as an

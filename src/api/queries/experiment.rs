@@ -19,9 +19,6 @@ const READ_TIMEOUT: Duration = Duration::from_secs(60);
 /// The most bytes of the rows of a page, so that a reply fits one message.
 const MAX_PAGE_BYTES: usize = 768 * 1024;
 
-/// The default and the most entries of a page of a time series.
-const MAX_ENTRIES: usize = 40_000;
-
 /// The most numbers of a page of measures over time, so that a reply fits one message.
 const MAX_VALUES: usize = 100_000;
 
@@ -131,7 +128,7 @@ impl Context {
         responder: &Responder,
         name: &str,
     ) -> Result<(), CommandError> {
-        let (run, after, limit) = page_of_run(incoming.parameters(), MAX_ENTRIES)?;
+        let (run, after, limit) = page_of_run(incoming.parameters())?;
         let (name, run) = (name.to_owned(), run.to_owned());
         self.read_experiment(
             incoming,
@@ -153,7 +150,7 @@ impl Context {
         responder: &Responder,
         name: &str,
     ) -> Result<(), CommandError> {
-        let (page, is_trajectory) = page_of_series(incoming.parameters(), MAX_ENTRIES)?;
+        let (page, is_trajectory) = page_of_series(incoming.parameters())?;
         let (run, after, limit) = page;
         let (name, run) = (name.to_owned(), run.to_owned());
         self.read_experiment(

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use jostle_convert::hexadecimal;
 use jostle_experiment::{ExportOptions, MAX_RUNS, SwarmHistory, experiment_file};
 use jostle_proto::ExperimentFile;
+use jostle_proto::contract::selectors;
 
 use super::verify::present;
 use crate::api::context::Context;
@@ -38,7 +39,7 @@ pub struct Export {
 /// Reads the parameters of the query.
 pub(super) fn options(incoming: &Incoming) -> Result<ExportOptions, CommandError> {
     let mut options = ExportOptions::default();
-    for (name, value) in selector(incoming.parameters(), &["replicates", "setpoints"])? {
+    for (name, value) in selector(incoming.parameters(), selectors::EXPORT)? {
         match name {
             "replicates" => {
                 let number = value.parse().ok();

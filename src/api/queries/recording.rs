@@ -1,6 +1,7 @@
 //! `get/recordings`: the recordings that the daemon wrote; `get/recording`: a piece of one.
 
 use jostle_proto::NodeReply;
+use jostle_proto::contract::selectors;
 
 use crate::api::context::Context;
 use crate::api::incoming::Incoming;
@@ -39,7 +40,7 @@ impl Context {
     ) -> Result<(), CommandError> {
         self.rights.current().permit(&incoming.token, "record")?;
         let (mut name, mut part, mut offset) = (None, 0, 0);
-        for (parameter, value) in selector(incoming.parameters(), &["name", "part", "offset"])? {
+        for (parameter, value) in selector(incoming.parameters(), selectors::RECORDING)? {
             let number = |field| {
                 let wrong = |_| CommandError::Field {
                     field,

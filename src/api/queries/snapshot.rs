@@ -2,6 +2,8 @@
 
 use std::sync::Arc;
 
+use jostle_convert::Place;
+
 use crate::api::context::Context;
 use crate::api::responder::Responder;
 use crate::convert::commands::{CommandError, DEFAULT_TIMEOUT};
@@ -28,7 +30,9 @@ impl Context {
                     let bytes = payload.bytes.len();
                     if bytes > max_bytes {
                         let error = CommandError::SnapshotTooLong { bytes, max_bytes };
-                        return Err(Payload::json(&error.to_wire(Some(stamp.step))));
+                        return Err(Payload::json(
+                            &error.to_wire(Some(stamp.step), &Place::default()),
+                        ));
                     }
                     Ok(payload)
                 }),

@@ -5,6 +5,7 @@ use std::sync::mpsc::sync_channel;
 use std::time::Duration;
 
 use jostle_proto::Verified;
+use jostle_proto::contract::selectors;
 
 use crate::api::context::Context;
 use crate::api::incoming::Incoming;
@@ -72,7 +73,7 @@ impl Context {
 
 /// Reads the parameter of the query.
 fn timeout(incoming: &Incoming) -> Result<Duration, CommandError> {
-    let parameters = selector(incoming.parameters(), &["timeout_secs"])?;
+    let parameters = selector(incoming.parameters(), selectors::VERIFY)?;
     let Some((name, value)) = parameters.first() else {
         return Ok(TIMEOUT);
     };

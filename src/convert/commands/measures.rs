@@ -2,6 +2,7 @@
 
 use jostle_convert::measures::{self, MAX_MEASURES, MeasuresError};
 use jostle_measures::Measure;
+use jostle_proto::contract::selectors;
 
 use crate::convert::commands::{CommandError, selector};
 
@@ -55,7 +56,7 @@ impl HistogramKind {
 pub fn read<'a>(
     parameters: impl Iterator<Item = (&'a str, &'a str)>,
 ) -> Result<Requested, CommandError> {
-    let given = selector(parameters, &["names", "histogram", "bins", "max"])?;
+    let given = selector(parameters, selectors::MEASURES)?;
     let value = |name: &str| given.iter().find(|it| it.0 == name).map(|it| it.1);
     let Some(histogram) = value("histogram") else {
         if let Some((field, _)) = given.iter().find(|it| it.0 != "names") {

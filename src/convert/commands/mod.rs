@@ -8,6 +8,7 @@ use std::time::Duration;
 use jostle_convert::value::{new_max_idle_secs, whole};
 use jostle_convert::{WireError, change};
 use jostle_physics::simulation::Change;
+use jostle_proto::contract::selectors::QueryParameter;
 use jostle_proto::verbs::{
     AdvanceArgs, AnnotateArgs, DeleteArgs, LeaveArgs, OwnVerb, PauseArgs, ResetArgs, Return,
     StepArgs, SwarmVerb,
@@ -198,20 +199,20 @@ fn duration(secs: f64) -> Duration {
 /// [`CommandError::Parameter`] and [`CommandError::Twice`].
 pub fn selector<'a>(
     parameters: impl Iterator<Item = (&'a str, &'a str)>,
-    known: &'static [&'static str],
+    known: &'static [QueryParameter],
 ) -> Result<Vec<(&'static str, &'a str)>, CommandError> {
     let mut read: Vec<(&'static str, &str)> = Vec::new();
     for (name, value) in parameters {
         if name.starts_with('_') {
             continue;
         }
-        let Some(name) = known.iter().find(|known| **known == name) else {
+        let Some(name) = known.iter().map(|it| it.name).find(|it| *it == name) else {
             return Err(CommandError::Parameter {
                 name: truncate(name),
                 known,
             });
         };
-        if read.iter().any(|(before, _)| before == name) {
+        if read.iter().any(|(before, _)| *before == name) {
             return Err(CommandError::Twice(name));
         }
         read.push((name, value));

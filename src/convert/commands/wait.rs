@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use jostle_conditions::Condition;
+use jostle_proto::contract::selectors;
 
 use crate::convert::commands::swarm::check_event;
 use crate::convert::commands::{CommandError, check_name, selector};
@@ -23,9 +24,8 @@ pub enum Awaited {
 pub fn read<'a>(
     parameters: impl Iterator<Item = (&'a str, &'a str)>,
 ) -> Result<(Awaited, Duration), CommandError> {
-    let known = &["step", "phase", "event", "condition", "id", "timeout_secs"];
     let (mut awaited, mut id, mut timeout) = (Vec::new(), None, MAX_WAIT);
-    for (name, value) in selector(parameters, known)? {
+    for (name, value) in selector(parameters, selectors::WAIT)? {
         match name {
             "step" => {
                 let wrong = |_| CommandError::field("step", "is not a whole number");

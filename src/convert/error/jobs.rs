@@ -1,7 +1,7 @@
 //! Codes and details of rejected commands to experiments, recordings and playbacks.
 
-use jostle_convert::WireCode;
 use jostle_convert::error::object;
+use jostle_convert::{Place, WireCode};
 use jostle_proto::ErrorCode;
 use serde_json::{Map, Value, json};
 
@@ -35,7 +35,7 @@ impl WireCode for ExperimentError {
         }
     }
 
-    fn details(&self) -> Map<String, Value> {
+    fn details(&self, _place: &Place) -> Map<String, Value> {
         object(match self {
             ExperimentError::Plan { line, field, .. } => json!({"field": field, "line": line}),
             ExperimentError::Name(name) => json!({"field": "submit.toml", "value": name}),
@@ -73,7 +73,7 @@ impl WireCode for RecordError {
         }
     }
 
-    fn details(&self) -> Map<String, Value> {
+    fn details(&self, _place: &Place) -> Map<String, Value> {
         object(match self {
             RecordError::TooMany(limit) | RecordError::TooManyKept(limit) => {
                 json!({"limit": limit})
@@ -98,7 +98,7 @@ impl WireCode for ReplayError {
         }
     }
 
-    fn details(&self) -> Map<String, Value> {
+    fn details(&self, _place: &Place) -> Map<String, Value> {
         object(match self {
             ReplayError::Piece(received) => {
                 json!({"field": "upload.offset", "uploaded": received})

@@ -5,9 +5,9 @@ mod swarm;
 
 use jostle_conditions::ConditionError;
 use jostle_convert::error::{named, object};
-use jostle_convert::range::range_of;
-use jostle_convert::{ArgsError, MeasuresError, WireCode, WireError};
+use jostle_convert::{ArgsError, MeasuresError, Place, WireCode, WireError};
 use jostle_physics::simulation::ChangeError;
+use jostle_proto::contract::selectors::QueryParameter;
 use jostle_proto::role::rejection;
 use jostle_proto::{Claimant, Error, ErrorCode, RequestError, claim, keys};
 use serde_json::{Map, Value, json};
@@ -67,7 +67,7 @@ pub enum CommandError {
     Parameter {
         /// As received.
         name: String,
-        known: &'static [&'static str],
+        known: &'static [QueryParameter],
     },
     #[error("{0} is given twice: give it once")]
     Twice(&'static str),
@@ -195,6 +195,11 @@ pub enum CommandError {
     Measures(#[from] MeasuresError),
 }
 
+/// The names of parameters.
+fn names(parameters: &[QueryParameter]) -> Vec<&'static str> {
+    parameters.iter().map(|it| it.name).collect()
+}
+
 /// Seconds as people read them: three digits, and whole ones from 100 on.
 fn rounded(secs: f64) -> f64 {
     let decimals = (2.0 - secs.log10().floor()).clamp(0.0, 9.0);
@@ -264,18 +269,20 @@ impl CommandError {
         }
     }
 
-    /// Returns the error reply; `step` is the current step of the swarm.
-    pub fn to_wire(&self, step: Option<u64>) -> Error {
+    /// Returns the error reply; `step` is the current step of the swarm, `place` that of the fields that the
+    /// error names.
+    pub fn to_wire(&self, step: Option<u64>, place: &Place) -> Error {
         if let CommandError::Within { path, error } = self {
-            return error.to_wire(step).within(path);
+            return error.to_wire(step, &place.within(path)).within(path);
         }
         if let CommandError::Swarm(SwarmError::InBatch { index, error }) = self {
-            let error = CommandError::Swarm((**error).clone()).to_wire(step);
-            let mut error = error.within(&format!("commands[{index}].args"));
+            let path = format!("commands[{index}].args");
+            let error = CommandError::Swarm((**error).clone());
+            let mut error = error.to_wire(step, &place.within(&path)).within(&path);
             error.message.push_str("; none of the batch was applied");
             return error;
         }
-        let details = self.details();
+        let details = self.details(place);
         let mut message = self.to_string();
         match (&self, details.get("range")) {
             (CommandError::Request(_) | CommandError::Value(_), Some(range)) => {
@@ -289,11 +296,13 @@ impl CommandError {
                 );
             }
             (CommandError::UnknownVerb { known, .. }, _)
-            | (CommandError::UnknownNoun { known, .. }, _)
-            | (CommandError::Parameter { known, .. }, _) => {
+            | (CommandError::UnknownNoun { known, .. }, _) => {
+                message = format!("{message}: there are {}", known.join(", "));
+            }
+            (CommandError::Parameter { known, .. }, _) => {
                 let known = match known {
                     [] => "none".to_owned(),
-                    known => known.join(", "),
+                    known => names(known).join(", "),
                 };
                 message = format!("{message}: there are {known}");
             }
@@ -360,26 +369,23 @@ impl WireCode for CommandError {
         }
     }
 
-    fn details(&self) -> Map<String, Value> {
+    fn details(&self, place: &Place) -> Map<String, Value> {
         match self {
-            CommandError::Request(error) => error.details(),
-            CommandError::Value(error) => error.details(),
-            CommandError::NotPermitted(error) => error.details(),
-            CommandError::Registry(error) => error.details(),
-            CommandError::Swarm(error) => error.details(),
-            CommandError::Replay(error) => error.details(),
-            CommandError::Experiment(error) => error.details(),
-            CommandError::Record(error) => error.details(),
-            CommandError::Measures(error) => error.details(),
+            CommandError::Request(error) => error.details(place),
+            CommandError::Value(error) => error.details(place),
+            CommandError::NotPermitted(error) => error.details(place),
+            CommandError::Registry(error) => error.details(place),
+            CommandError::Swarm(error) => error.details(place),
+            CommandError::Replay(error) => error.details(place),
+            CommandError::Experiment(error) => error.details(place),
+            CommandError::Record(error) => error.details(place),
+            CommandError::Measures(error) => error.details(place),
             CommandError::Field { field, .. } | CommandError::Unreadable { field, .. } => {
-                named(field, Value::Null, range_of(field))
+                named(field, Value::Null, place.range(field))
             }
-            CommandError::PageLimit { max } => object(
-                json!({"field": "limit", "range": format!("a whole number from 1 to {max}")}),
-            ),
-            CommandError::WaitTimeout { max } => {
-                let range = format!("a number above 0, at most {max}");
-                object(json!({"field": "timeout_secs", "range": range}))
+            CommandError::PageLimit { .. } => named("limit", Value::Null, place.range("limit")),
+            CommandError::WaitTimeout { .. } => {
+                named("timeout_secs", Value::Null, place.range("timeout_secs"))
             }
             CommandError::Condition(error) => {
                 object(json!({"field": "condition", "column": error.column}))
@@ -396,9 +402,9 @@ impl WireCode for CommandError {
                 object(json!({"field": "controller", "value": controller, "token": key}))
             }
             CommandError::Claimed(node) => object(json!({"node": node})),
-            CommandError::Snapshot(_) => named("snapshot", Value::Null, range_of("snapshot")),
+            CommandError::Snapshot(_) => named("snapshot", Value::Null, place.range("snapshot")),
             CommandError::Parameter { name, known } => {
-                object(json!({"field": name, "known": known}))
+                object(json!({"field": name, "known": names(known)}))
             }
             CommandError::Twice(name) => object(json!({"field": name})),
             CommandError::TooLong { bytes, max_bytes }
@@ -434,7 +440,7 @@ impl WireCode for NotPermitted {
         ErrorCode::PermissionDenied
     }
 
-    fn details(&self) -> Map<String, Value> {
+    fn details(&self, _place: &Place) -> Map<String, Value> {
         match self {
             NotPermitted::Verb { user: person, verb } => {
                 let person = person.as_ref();

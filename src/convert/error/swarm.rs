@@ -1,7 +1,7 @@
 //! Codes and details of commands that a swarm rejects, and of swarms that the daemon rejects.
 
-use jostle_convert::WireCode;
 use jostle_convert::error::object;
+use jostle_convert::{Place, WireCode};
 use jostle_proto::ErrorCode;
 use serde_json::{Map, Value, json};
 
@@ -19,7 +19,7 @@ impl WireCode for RegistryError {
         }
     }
 
-    fn details(&self) -> Map<String, Value> {
+    fn details(&self, _place: &Place) -> Map<String, Value> {
         object(match self {
             RegistryError::TooManySwarms(limit) => json!({"limit": limit}),
             RegistryError::TooMuchMemory {
@@ -81,9 +81,9 @@ impl WireCode for SwarmError {
         }
     }
 
-    fn details(&self) -> Map<String, Value> {
+    fn details(&self, place: &Place) -> Map<String, Value> {
         object(match self {
-            SwarmError::Change(error) => return error.details(),
+            SwarmError::Change(error) => return error.details(place),
             SwarmError::Conflict {
                 what,
                 expected,

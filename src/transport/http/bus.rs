@@ -8,6 +8,7 @@ use axum::body::Bytes;
 use axum::http::StatusCode;
 use axum::http::header::CONTENT_TYPE;
 use axum::response::{IntoResponse, Response};
+use jostle_convert::Place;
 use jostle_proto::{Error, ErrorCode};
 use tokio::sync::mpsc;
 use tokio::task::spawn_blocking;
@@ -53,7 +54,7 @@ impl Bus {
     pub fn recovering(&self) -> Option<Response> {
         let swarms_left = self.recovery.swarms_left()?;
         Some(error(
-            &CommandError::Recovering { swarms_left }.to_wire(None),
+            &CommandError::Recovering { swarms_left }.to_wire(None, &Place::default()),
         ))
     }
 

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, AtomicUsize, Ordering};
 use std::sync::mpsc::{SyncSender, TrySendError};
 
+use jostle_convert::Place;
 use jostle_proto::Claimant;
 use jostle_proto::verbs::SwarmVerb;
 use tracing::debug;
@@ -148,7 +149,7 @@ pub(super) fn queryable(
     let gateway = gateway.clone();
     let unanswered = Unanswered::default();
     let used = AtomicU32::new(0);
-    let busy = Payload::json(&CommandError::Busy.to_wire(None));
+    let busy = Payload::json(&CommandError::Busy.to_wire(None, &Place::default()));
     let (busy, encoding) = (ZBytes::from(busy.bytes), busy.encoding);
     session
         .declare_queryable(key)

@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use jostle_conditions::Condition;
+use jostle_convert::Place;
 use jostle_physics::simulation::{Change, Placement, Settings, Spec, Start};
 use jostle_proto::verbs::CreateArgs;
 use jostle_proto::{Error, ErrorCode, Request, keys};
@@ -64,7 +65,7 @@ fn is_worded(error: &CommandError) {
         message,
         details,
         ..
-    } = error.to_wire(Some(3));
+    } = error.to_wire(Some(3), &Place::default());
     let codes = [
         ErrorCode::InvalidArgument,
         ErrorCode::NotFound,

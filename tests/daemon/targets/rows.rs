@@ -1,5 +1,6 @@
 //! A row of a swarm's journal.
 
+use jostle_convert::Place;
 use jostle_proto::Request;
 use jostled::convert::commands;
 use jostled::persistence::writer::{read_record, record};
@@ -28,6 +29,6 @@ pub fn check(data: &[u8]) {
         ..Request::default()
     };
     if let Err(error) = commands::read_journaled(sender.verb, &request) {
-        assert!(!error.to_wire(None).message.is_empty());
+        assert!(!error.to_wire(None, &Place::default()).message.is_empty());
     }
 }

@@ -1,5 +1,6 @@
 //! The parameters behind the question mark of a selector.
 
+use jostle_convert::Place;
 use jostle_proto::ErrorCode;
 use jostled::api::incoming;
 use jostled::convert::commands::{CommandError, wait};
@@ -22,7 +23,7 @@ pub fn check(data: &[u8]) {
 }
 
 fn is_worded(error: &CommandError) {
-    let error = error.to_wire(None);
+    let error = error.to_wire(None, &Place::default());
     assert_eq!(error.code, ErrorCode::InvalidArgument);
     assert!(error.message.chars().count() < 1000, "{}", error.message);
     assert!(error.details.contains_key("field"), "{error:?}");

@@ -2,6 +2,8 @@
 
 #![expect(clippy::unwrap_used, reason = "tests")]
 
+use jostle_convert::Place;
+
 use super::*;
 use crate::api::incoming::fixture::{LONG, code, request};
 use crate::api::responder::Replies;
@@ -183,7 +185,7 @@ async fn a_retry_of_a_request_that_was_dropped_is_not_executed() {
         assert!(cache.begin(identity(), &responder).unwrap());
         if is_late {
             // A reply such as that of a deadline, before the result.
-            let busy = Payload::json(&CommandError::Busy.to_wire(None));
+            let busy = Payload::json(&CommandError::Busy.to_wire(None, &Place::default()));
             responder.send(move || Err(busy));
         }
         drop(responder);
