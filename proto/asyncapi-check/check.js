@@ -23,7 +23,7 @@ const ajv = new Ajv2020({ strict: true, allErrors: true, strictTypes: false });
 // Rust's kinds of numbers say how large one may be, which `maximum` says too where it matters.
 for (const format of ["uint8", "uint32", "uint64", "int64", "uint", "double"]) ajv.addFormat(format, true);
 // What a form wants to know of a parameter.
-for (const keyword of ["x-unit", "x-changed-by", "x-range"]) ajv.addKeyword(keyword);
+for (const keyword of ["x-unit", "x-changed-by", "x-range", "x-usual"]) ajv.addKeyword(keyword);
 
 const folder = resolve(dirname(path), "schema");
 for (const file of ["received.json", "sent.json"]) {

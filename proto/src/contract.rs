@@ -9,11 +9,12 @@ pub mod selectors;
 use std::collections::{BTreeMap, BTreeSet};
 
 use schemars::Schema;
+use serde::Deserialize as _;
 use serde_json::{Map, Value, json};
 
 use crate::message::{REQUEST, SchemaOf};
 use crate::schema::{has_type, received, sent};
-use crate::{Parameter, ParameterKind, Spec};
+use crate::{Parameter, ParameterKind, Spec, Usual};
 
 pub use crate::message::{is_received, visit};
 pub use crate::visitor::Visitor;
@@ -140,6 +141,7 @@ fn parameter(name: &str, property: &Value, choices: Vec<Value>, default: &Value)
         minimum: number("minimum"),
         exclusive_minimum: number("exclusiveMinimum"),
         maximum: number("maximum"),
+        usual: Usual::deserialize(&property["x-usual"]).ok(),
         choices,
         nullable: is("null"),
         // How many individuals there are is the one thing that must be said.

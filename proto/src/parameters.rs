@@ -4,10 +4,22 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::walk::lenient;
-use crate::{Attraction, ContactRule, LARGEST_WHOLE, Start, Stepping};
+use crate::{Attraction, ContactRule, LARGEST_WHOLE, Scale, Start, Stepping, Usual};
 
 /// Maximum number of measures in a published order.
 pub const MAX_PUBLISHED_MEASURES: usize = 16;
+
+/// Usual values, evenly spread.
+const fn linear(from: f64, to: f64) -> Usual {
+    let scale = Scale::Linear;
+    Usual { from, to, scale }
+}
+
+/// Usual values, evenly spread in their logarithms.
+const fn logarithmic(from: f64, to: f64) -> Usual {
+    let scale = Scale::Logarithmic;
+    Usual { from, to, scale }
+}
 
 /// What a rate can be.
 pub(crate) const RATE_RANGE: &str =
@@ -143,6 +155,7 @@ parameters! {
             extend(
                 "x-range" = "a whole number from 1 to the daemon's max_individuals",
                 "x-unit" = "individuals",
+                "x-usual" = logarithmic(3.0, 74.0),
                 "x-changed-by" = ["inject", "remove"]
             )
         )]
@@ -151,19 +164,31 @@ parameters! {
     live {
         /// Length over width of a body: 1 (a disc) to 32.
         #[serde(default = "default::pi1")]
-        #[schemars(range(min = 1.0, max = 32.0), extend("x-unit" = "1", "x-changed-by" = ["set"]))]
+        #[schemars(
+            range(min = 1.0, max = 32.0),
+            extend("x-unit" = "1", "x-usual" = logarithmic(1.0, 8.0), "x-changed-by" = ["set"])
+        )]
         pi1: f64,
         /// Weight of the preferred direction of individuals informed without a weight: 0 or more.
         #[serde(default = "default::pi2")]
-        #[schemars(range(min = 0.0, max = 1e6), extend("x-unit" = "1", "x-changed-by" = ["set"]))]
+        #[schemars(
+            range(min = 0.0, max = 1e6),
+            extend("x-unit" = "1", "x-usual" = linear(0.0, 1.0), "x-changed-by" = ["set"])
+        )]
         pi2: f64,
         /// Body size over turning radius: above 0.
         #[serde(default = "default::pi3")]
-        #[schemars(range(max = 1e6), extend("exclusiveMinimum" = 0, "x-unit" = "1", "x-changed-by" = ["set"]))]
+        #[schemars(
+            range(max = 1e6),
+            extend("exclusiveMinimum" = 0, "x-unit" = "1", "x-usual" = logarithmic(0.1, 10.0), "x-changed-by" = ["set"])
+        )]
         pi3: f64,
         /// Translational over rotational drag: above 0.
         #[serde(default = "default::pi4")]
-        #[schemars(range(max = 1e6), extend("exclusiveMinimum" = 0, "x-unit" = "1", "x-changed-by" = ["set"]))]
+        #[schemars(
+            range(max = 1e6),
+            extend("exclusiveMinimum" = 0, "x-unit" = "1", "x-usual" = logarithmic(1.0, 100.0), "x-changed-by" = ["set"])
+        )]
         pi4: f64,
     }
     fixed {
@@ -174,7 +199,8 @@ parameters! {
             extend(
                 "exclusiveMinimum" = 0,
                 "x-range" = "a number above 0, at most 2r / (1 + h ω): 0.02 fits most swarms",
-                "x-unit" = "body size / free speed"
+                "x-unit" = "body size / free speed",
+                "x-usual" = logarithmic(0.005, 0.1)
             )
         )]
         dt: f64,
@@ -211,11 +237,17 @@ parameters! {
         attraction: Attraction,
         /// Intensity of white noise on the turning rate, squared angle over time: 0 or more.
         #[serde(default)]
-        #[schemars(range(min = 0.0, max = 1e6), extend("x-unit" = "free speed / body size", "x-changed-by" = ["set"]))]
+        #[schemars(
+            range(min = 0.0, max = 1e6),
+            extend("x-unit" = "free speed / body size", "x-usual" = linear(0.0, 2.0), "x-changed-by" = ["set"])
+        )]
         noise: f64,
         /// Steps between two published states: 1 or more.
         #[serde(default = "default::publish_every")]
-        #[schemars(range(min = 1, max = 1_000_000_000), extend("x-unit" = "steps", "x-changed-by" = ["set"]))]
+        #[schemars(
+            range(min = 1, max = 1_000_000_000),
+            extend("x-unit" = "steps", "x-usual" = logarithmic(1.0, 100.0), "x-changed-by" = ["set"])
+        )]
         publish_every: u64,
     }
     last {

@@ -15,6 +15,17 @@ use crate::{Certificate, Event, LARGEST_WHOLE, Order, ParameterValues, Phase, Re
 pub struct Status {
     /// Why it is paused or faulted.
     pub reason: Option<String>,
+    /// What went wrong, if it has faulted; left out otherwise.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub fault: Option<Fault>,
+    /// The number of the swarm in the store of its daemon: another swarm that gets this name later has
+    /// another one. Left out for a replay.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub swarm_id: Option<u64>,
+    /// What it was made from; left out if it was created from a spec, and for swarms made by earlier
+    /// versions.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub origin: Option<Origin>,
     /// The step it will pause at.
     pub until_step: Option<u64>,
     /// Time units per second of wall clock; `null` is as fast as possible.
@@ -72,6 +83,50 @@ pub struct Status {
     /// is under way.
     #[serde(default)]
     pub verifying: Option<f64>,
+}
+
+/// What went wrong in a swarm that has faulted. `reason` says it in words.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Fault {
+    /// What it is: `crossed_bodies`; `not_solved`, if no solution of a step was exact enough; `overturned`, if
+    /// the attraction turned an individual too far in one step; `not_finite`, if a position is no number;
+    /// `other` if the step does not fail: a stored line is damaged, a replay had another hash, or the daemon has
+    /// a defect. Later versions may have more.
+    pub kind: String,
+    /// The individuals that it is about; empty if it is about none in particular.
+    pub ids: Vec<u32>,
+    /// The gap between the two bodies that cross, in the last good state, body sizes; `null` for others.
+    pub gap: Option<f64>,
+}
+
+/// What a swarm was made from.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct Origin {
+    /// How it was made.
+    pub kind: OriginKind,
+    /// The swarm that was forked, saved in a snapshot or recorded; `null` if a snapshot has no name that a
+    /// swarm can have.
+    pub swarm: Option<String>,
+    /// The number of that swarm in the store of this daemon; `null` if it may be of another daemon.
+    pub swarm_id: Option<u64>,
+    /// Its step then.
+    pub step: u64,
+    /// The number of its commands before; `null` for a replay.
+    pub seq: Option<u64>,
+    /// BLAKE3 of its state then, in hexadecimal; `null` for a replay.
+    pub state_hash: Option<String>,
+}
+
+/// How a swarm was made from another one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum OriginKind {
+    /// By `fork`.
+    Fork,
+    /// By `restore`, from a snapshot.
+    Restore,
+    /// By `replay`, from a recording.
+    Play,
 }
 
 /// A condition of `when` that waits.
@@ -247,6 +302,9 @@ pub struct Parameter {
     pub exclusive_minimum: Option<f64>,
     /// The largest value at present; `null` if there is none.
     pub maximum: Option<f64>,
+    /// What it usually is; `null` of a parameter without such a range, and of daemons of earlier versions.
+    #[serde(default)]
+    pub usual: Option<Usual>,
     /// The values of a choice, of those that take numbers the kind alone; empty otherwise.
     pub choices: Vec<Value>,
     /// Whether `null` is a value.
@@ -259,6 +317,28 @@ pub struct Parameter {
     pub live: bool,
     /// The verbs that change it.
     pub changed_by: Vec<String>,
+}
+
+/// The usual values of a parameter, for a slider: those of the paper where it varies one, else around its
+/// value. Others are valid, too.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Usual {
+    /// The least.
+    pub from: f64,
+    /// The largest.
+    pub to: f64,
+    /// How they are spread.
+    pub scale: Scale,
+}
+
+/// How values are spread over a range.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Scale {
+    /// Evenly.
+    Linear,
+    /// Evenly in their logarithms.
+    Logarithmic,
 }
 
 /// What values a parameter takes.
@@ -515,6 +595,12 @@ pub struct SwarmSummary {
     /// Whether it is the playback of a recording.
     #[serde(default)]
     pub replay: bool,
+    /// As in its status.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub swarm_id: Option<u64>,
+    /// As in its status.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub origin: Option<Origin>,
     /// The other daemon that has a swarm of this name, if there is one; see `contested`.
     #[serde(default)]
     pub contested_by: Option<String>,

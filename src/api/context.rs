@@ -94,6 +94,7 @@ impl Parsed<'_> {
             owner: self.user.clone(),
             unix_secs: frame::unix_secs(),
             step: 0,
+            origin: None,
         }
     }
 }

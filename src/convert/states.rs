@@ -8,9 +8,12 @@ use jostle_proto as proto;
 
 use crate::convert::controllers::waiting_for;
 use crate::swarm::awaited::{WaitSummary, WatchAction, WatchStatus};
+use crate::swarm::fault::Fault;
 use crate::swarm::frame::{Frame, Replay, Summary};
+use crate::swarm::handle::Record;
 use crate::swarm::phase::Phase;
 use crate::swarm::registry::Limits;
+use crate::swarm::sender::OriginKind;
 
 /// Returns the state that is published as number `frame`.
 pub fn state(swarm: &str, seen: &Frame, frame: u64) -> proto::State {
@@ -63,10 +66,14 @@ pub fn order_sample(swarm: &str, seen: &Frame, frame: u64) -> proto::OrderSample
     }
 }
 
-/// Returns the status of a swarm; `history_from` is the start of its history, if known.
+/// Returns the status of a swarm without what its record has; `history_from` is the start of its history, if
+/// known.
 pub fn status(seen: &Frame, history_from: Option<proto::HistoryFrom>) -> proto::Status {
     proto::Status {
         reason: seen.stamp.phase.reason(),
+        fault: seen.fault.as_ref().map(fault),
+        swarm_id: None,
+        origin: None,
         until_step: seen.stamp.phase.until(),
         rate: seen.rate,
         real_time_factor: seen.real_time_factor,
@@ -125,7 +132,32 @@ fn wait(waiting: &WaitSummary) -> proto::WaitingClient {
     }
 }
 
-pub fn summary(swarm: &str, summary: &Summary) -> proto::SwarmSummary {
+fn fault(fault: &Fault) -> proto::Fault {
+    proto::Fault {
+        kind: fault.kind.name().to_owned(),
+        ids: fault.ids.clone(),
+        gap: fault.gap,
+    }
+}
+
+/// Returns what a swarm was made from.
+pub fn origin(record: &Record) -> Option<proto::Origin> {
+    let origin = record.creation.as_ref()?.origin.as_ref()?;
+    Some(proto::Origin {
+        kind: match origin.kind {
+            OriginKind::Fork => proto::OriginKind::Fork,
+            OriginKind::Restore => proto::OriginKind::Restore,
+            OriginKind::Play => proto::OriginKind::Play,
+        },
+        swarm: origin.swarm.clone(),
+        swarm_id: origin.swarm_id,
+        step: origin.step,
+        seq: origin.seq,
+        state_hash: origin.state_hash.map(|hash| hexadecimal(&hash)),
+    })
+}
+
+pub fn summary(swarm: &str, record: &Record, summary: &Summary) -> proto::SwarmSummary {
     proto::SwarmSummary {
         swarm: swarm.to_owned(),
         phase: phase(&summary.stamp.phase),
@@ -138,6 +170,8 @@ pub fn summary(swarm: &str, summary: &Summary) -> proto::SwarmSummary {
         rate: summary.rate,
         real_time_factor: summary.real_time_factor,
         replay: summary.is_replay,
+        swarm_id: record.swarm_id.get().copied(),
+        origin: origin(record),
         contested_by: None,
     }
 }

@@ -8,8 +8,10 @@ use crate::store::Store;
 use crate::swarm::checkpoint::Checkpoint;
 
 /// Reads the file of a snapshot.
-pub fn read_snapshot(file: &[u8]) -> Result<Checkpoint, String> {
-    parse(&proto::Snapshot::from_file(file)?)
+pub fn read_snapshot(file: &[u8]) -> Result<(String, Checkpoint), String> {
+    let snapshot = proto::Snapshot::from_file(file)?;
+    let checkpoint = parse(&snapshot)?;
+    Ok((snapshot.swarm, checkpoint))
 }
 
 /// Reads a stored checkpoint, whose checksum the store verifies.

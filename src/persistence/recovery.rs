@@ -85,7 +85,13 @@ pub fn recover(
             };
             let on_recovered: registry::OnRecovered =
                 Box::new(move |handle, now| on_recovered(handle, now, &resets));
-            Ok(registry.recover(&swarm, (spec, creation), source, on_recovered, answer)?)
+            Ok(registry.recover(
+                &swarm,
+                ((spec, creation), store.swarm_id(&swarm).ok()),
+                source,
+                on_recovered,
+                answer,
+            )?)
         });
         match started {
             Ok(()) => count += 1,

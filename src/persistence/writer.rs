@@ -89,7 +89,7 @@ impl PersistNew for NewSwarm {
         checkpoint: &Checkpoint,
         stamp: &Stamp,
         frame: &Arc<Frame>,
-    ) -> Result<(), WriteFault> {
+    ) -> Result<Option<u64>, WriteFault> {
         let new = *self;
         let metadata = SwarmMetadata {
             spec: jostle_convert::spec::to_proto(&new.spec, new.spec.seed),
@@ -104,7 +104,8 @@ impl PersistNew for NewSwarm {
             let payload = convert::created(&new.name, stamp, &new.spec, frame, true);
             writes.push(stored_reply(&new.name, identity, payload));
         }
-        new.store.commit(writes).map_err(fault)
+        new.store.commit(writes).map_err(fault)?;
+        Ok(new.store.swarm_id(&new.name).ok())
     }
 }
 

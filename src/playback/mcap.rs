@@ -12,6 +12,7 @@ use crate::convert;
 use crate::playback::ReplayError;
 use crate::playback::source::{FrameIndex, RecordedEvent, RecordedFrame};
 use crate::swarm::command::Command;
+use crate::swarm::sender::{Origin, OriginKind};
 use crate::swarm::watch::Action;
 
 /// Maximum number of frames, and of bytes of events in memory.
@@ -216,6 +217,18 @@ impl McapSource {
     /// Its frames, at least one; positions never decrease.
     pub fn index(&self) -> &[FrameIndex] {
         &self.index
+    }
+
+    /// What a playback of it is made from: its first frame.
+    pub fn origin(&self) -> Origin {
+        Origin {
+            kind: OriginKind::Play,
+            swarm: Some(self.swarm.to_string()),
+            swarm_id: None,
+            step: self.index.first().map_or(0, |it| it.step),
+            seq: None,
+            state_hash: None,
+        }
     }
 
     /// Reads a frame.

@@ -13,6 +13,7 @@ use tracing::warn;
 use crate::playback::mcap::{BYTES_PER_ENTRY, McapSource};
 use crate::playback::source::{FrameIndex, RecordedFrame};
 use crate::swarm::error::SwarmError;
+use crate::swarm::fault::Fault;
 use crate::swarm::frame::{self, Event, EventKind, Frame, Replay, Stamp, Summary};
 use crate::swarm::handle::{Handle, Message, Outcome, Rejection, ReplyTo, receive};
 use crate::swarm::history::History;
@@ -131,7 +132,7 @@ impl Player {
             waiters: Waiters::default(),
         };
         player.passed = player.events_before(0);
-        player.publish_event(EventKind::Created(handle.creation.clone()));
+        player.publish_event(EventKind::Created(handle.record.creation.clone()));
         player.renew_summary();
         Ok(player)
     }
@@ -333,6 +334,7 @@ impl Player {
             order: recorded.order,
             means: recorded.means,
             exactness: recorded.exactness,
+            fault: matches!(self.phase, Phase::Faulted(_)).then_some(Fault::OTHER),
             rate: self.rate,
             real_time_factor: self.real_time_factor.filter(|_| self.phase.is_moving()),
             is_behind: false,

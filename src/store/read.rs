@@ -64,6 +64,16 @@ impl Store {
         })
     }
 
+    /// The number of `swarm`. A swarm that gets the name of a deleted one has another number, and a larger one
+    /// than every swarm that existed before it.
+    ///
+    /// # Errors
+    ///
+    /// [`StoreError::NoSwarm`], [`StoreError::Damaged`], and those of any read.
+    pub fn swarm_id(&self, swarm: &str) -> Result<u64, StoreError> {
+        self.read(|snapshot| Ok(self.find(snapshot, swarm)?.0.cast_unsigned()))
+    }
+
     /// At most `limit` rows after the row `after`, up to the first that is damaged or missing. If the
     /// rows after `after` are deleted, it begins with the first that is not.
     ///

@@ -18,10 +18,11 @@ const CHECKPOINTS_PER_PIECE: usize = 4;
 /// the history still has some points to replay from.
 const MIN_BETWEEN: usize = 8;
 
-/// A deleted swarm that still has rows or checkpoints: `gone` lists them.
+/// A deleted swarm that still has rows or checkpoints: `gone` lists them, and the largest id of those that are
+/// swept, as a negative number.
 pub(super) fn tombstone(connection: &Connection) -> SqlResult<Option<i64>> {
     connection
-        .prepare_cached("SELECT min(swarm) FROM gone")?
+        .prepare_cached("SELECT min(swarm) FROM gone WHERE swarm > 0")?
         .query_row([], |record| record.get(0))
 }
 
@@ -62,6 +63,13 @@ fn sweep_deleted(connection: &Connection, id: i64) -> SqlResult<()> {
         }
     }
     connection.execute("DELETE FROM gone WHERE swarm = ?", [id])?;
+    // No later swarm gets the largest id.
+    let keep = "INSERT INTO gone (swarm) SELECT -?1
+                WHERE NOT EXISTS (SELECT 1 FROM swarm WHERE id > ?1)
+                AND NOT EXISTS (SELECT 1 FROM gone WHERE swarm <= -?1)";
+    connection.execute(keep, [id])?;
+    let smaller = "DELETE FROM gone WHERE swarm < 0 AND swarm > (SELECT min(swarm) FROM gone)";
+    connection.execute(smaller, [])?;
     Ok(())
 }
 

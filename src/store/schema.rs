@@ -53,7 +53,8 @@ pub(super) const CHECKPOINT: &str = "(
 /// The first schema.
 ///
 /// Rows and checkpoints refer to their swarm by an id, so that the rows of a deleted swarm can be
-/// swept in pieces while another swarm has its name; `gone` lists the ids that are not swept yet.
+/// swept in pieces while another swarm has its name; `gone` lists the ids that are not swept yet, and the
+/// largest that is, as a negative number, so that no later swarm gets it.
 /// For `extent` and `seal` see [`integrity`].
 fn first(transaction: &Transaction<'_>) -> SqlResult<()> {
     transaction.execute_batch(&format!(

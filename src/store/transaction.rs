@@ -127,7 +127,7 @@ impl<'a> Transaction<'a> {
             Some((_, None)) => return Err(rejected(DAMAGED)),
             _ => return Err(rejected("the swarm exists")),
         }
-        // No id under which a damaged file or an unfinished sweep still has records.
+        // No id that a swarm had before, or under which a damaged file still has records.
         let id: i64 = self
             .connection
             .prepare_cached(
@@ -135,7 +135,7 @@ impl<'a> Transaction<'a> {
                      (SELECT coalesce(max(id), 0) FROM swarm), (SELECT coalesce(max(id), 0) FROM extent),
                      (SELECT coalesce(max(swarm), 0) FROM row),
                      (SELECT coalesce(max(swarm), 0) FROM checkpoint),
-                     (SELECT coalesce(max(swarm), 0) FROM gone))",
+                     (SELECT coalesce(max(abs(swarm)), 0) FROM gone))",
             )?
             .query_row([], |record| record.get(0))?;
         integrity::insert_swarm(self.connection, swarm, id, about)?;

@@ -14,6 +14,7 @@ use jostle_physics::simulation::{Exactness, Rate};
 
 use crate::swarm::awaited::{WaitSummary, WatchStatus};
 use crate::swarm::error::SwarmError;
+use crate::swarm::fault::Fault;
 use crate::swarm::membership::ControllerStatus;
 use crate::swarm::phase::Phase;
 use crate::swarm::sender::{Creation, Sender};
@@ -60,6 +61,8 @@ pub struct Frame {
     pub means: RunningMeans,
     /// The exactness of the last step.
     pub exactness: Exactness,
+    /// What went wrong, of a swarm that has faulted.
+    pub fault: Option<Fault>,
     /// The rate.
     pub rate: Rate,
     /// The measured rate.

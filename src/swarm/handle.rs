@@ -1,8 +1,8 @@
 //! The handle of a swarm, the messages it accepts, and its replies: the outcome of a message, or why it
 //! was rejected.
 
-use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel};
+use std::sync::{Arc, OnceLock};
 use std::time::Instant;
 
 use jostle_physics::simulation::{ChangeKind, ChangeOutcome, Rate, Spec};
@@ -224,13 +224,22 @@ impl LastStep {
     }
 }
 
+/// What is known of a swarm beside its state.
+#[derive(Debug, Default)]
+pub struct Record {
+    /// The request that created it; `None` if it is not known.
+    pub creation: Option<Arc<Creation>>,
+    /// Its number in the store: set once it is stored, never of a playback.
+    pub swarm_id: OnceLock<u64>,
+}
+
 /// A handle of a swarm. Clones refer to the same swarm.
 #[derive(Clone)]
 pub struct Handle {
     /// What it was created from.
     pub spec: Arc<Spec>,
-    /// The request that created it; `None` if it is not known.
-    pub creation: Option<Arc<Creation>>,
+    /// What is known of it beside its state.
+    pub record: Arc<Record>,
     /// Its frames and events for the publisher.
     pub output: Arc<Output>,
     /// Its past events and applied commands.
@@ -249,7 +258,7 @@ impl Handle {
         let (messages, _) = sync_channel(1);
         Handle {
             spec: Arc::new(spec),
-            creation: None,
+            record: Arc::default(),
             output: Arc::new(Output::new(String::new())),
             history: Arc::default(),
             metrics: Arc::default(),
@@ -294,12 +303,12 @@ impl Handle {
 
     /// The user to whom it belongs; `None` is nobody.
     pub(crate) fn owner(&self) -> Option<&str> {
-        self.creation.as_ref()?.owner.as_deref()
+        self.record.creation.as_ref()?.owner.as_deref()
     }
 
     /// Logs who created it.
     pub(crate) fn log_creation(&self) {
-        if let Some(creation) = &self.creation {
+        if let Some(creation) = &self.record.creation {
             let Creation { verb, client, .. } = &**creation;
             info!(swarm = self.output.name, verb, client, "created");
         }

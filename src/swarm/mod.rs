@@ -6,6 +6,7 @@ pub mod command;
 mod controllers;
 pub mod error;
 mod failpoint;
+pub(crate) mod fault;
 pub mod frame;
 pub mod handle;
 pub(crate) mod history;

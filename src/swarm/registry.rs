@@ -2,8 +2,8 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::num::NonZero;
-use std::sync::Arc;
 use std::sync::mpsc::{Receiver, sync_channel};
+use std::sync::{Arc, OnceLock};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -16,7 +16,7 @@ use tracing::warn;
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::error::SwarmError;
 use crate::swarm::frame::{Frame, Summary};
-use crate::swarm::handle::{DeferredReply, Handle, Message, Outcome, Rejection, ReplyTo};
+use crate::swarm::handle::{DeferredReply, Handle, Message, Outcome, Record, Rejection, ReplyTo};
 use crate::swarm::metrics::Totals;
 use crate::swarm::output::Output;
 use crate::swarm::runner::{Built, End, JournalFactory, PersistNew, Playback, SwarmObserver};
@@ -201,26 +201,25 @@ impl SwarmRegistry {
         self.start(&mut state, name, about, memory_bytes, from, reply_to)
     }
 
-    /// Recovers a swarm from its checkpoint and journal, whatever the limits are now. `reply_to` as
+    /// Recovers the swarm with this number in the store from its checkpoint and journal, whatever the limits
+    /// are now. `reply_to` as
     /// in [`Self::create`].
     pub fn recover(
         self: &Arc<Self>,
         name: &str,
-        about: (Spec, Option<Creation>),
+        (about, swarm_id): ((Spec, Option<Creation>), Option<u64>),
         past: ReplaySource,
         on_recovered: OnRecovered,
         reply_to: impl FnOnce() -> ReplyTo,
     ) -> Result<(), RegistryError> {
         let memory_bytes = memory_of(past.checkpoint.simulation.state.configuration.n());
         let from = StartFrom::Journal(Box::new(past), on_recovered);
-        self.start(
-            &mut self.state.lock(),
-            name,
-            about,
-            memory_bytes,
-            from,
-            reply_to,
-        )
+        let mut state = self.state.lock();
+        self.start(&mut state, name, about, memory_bytes, from, reply_to)?;
+        if let (Some(entry), Some(id)) = (state.swarms.get(name), swarm_id) {
+            let _ = entry.handle.record.swarm_id.set(id);
+        }
+        Ok(())
     }
 
     /// Plays a recording under the name of a swarm; it is not persisted. `reply_to` as in
@@ -251,7 +250,10 @@ impl SwarmRegistry {
         let (messages, taken) = sync_channel(MAX_MESSAGES);
         let handle = Handle {
             spec: Arc::new(spec),
-            creation: creation.map(Arc::new),
+            record: Arc::new(Record {
+                creation: creation.map(Arc::new),
+                swarm_id: OnceLock::new(),
+            }),
             output: Arc::new(Output::new(name.to_owned())),
             history: Arc::default(),
             metrics: Arc::default(),
@@ -285,9 +287,12 @@ impl SwarmRegistry {
     }
 
     /// Every swarm that is built, ordered by name.
-    pub fn list(&self) -> Vec<(String, Summary)> {
+    pub fn list(&self) -> Vec<(String, Handle, Summary)> {
         let handles = self.handles().0.into_iter();
-        let built = handles.filter_map(|(name, handle)| Some((name, handle.summary()?)));
+        let built = handles.filter_map(|(name, handle)| {
+            let summary = handle.summary()?;
+            Some((name, handle, summary))
+        });
         built.collect()
     }
 
@@ -519,11 +524,13 @@ impl SwarmRegistry {
         let ignored = &|_: &_| ReplyTo::ignored();
         let mut worker = Worker::restore(checkpoint, handle, min_interval, writer, ignored);
         worker.set_reserve_of_waits(reserve_past);
-        worker.publish_created(handle.creation.clone());
+        worker.publish_created(handle.record.creation.clone());
         let (stamp, frame) = worker.stamp_and_frame();
-        let creation = handle.creation.as_deref();
+        let creation = handle.record.creation.as_deref();
         let persisted = persist.persist(creation, &worker.checkpoint(), &stamp, &frame);
-        persisted.map_err(SwarmError::NotDurable)?;
+        if let Some(id) = persisted.map_err(SwarmError::NotDurable)? {
+            let _ = handle.record.swarm_id.set(id);
+        }
         handle.log_creation();
         Ok(Ok((worker.stamp_and_frame(), Box::new(worker))))
     }

@@ -15,14 +15,15 @@ use crate::swarm::sender::Creation;
 
 /// Persists a new swarm before any client learns of it: its name, its spec and its checkpoint.
 pub trait PersistNew: Send {
-    /// Returns once the swarm is durable, together with the reply to the request that created it.
+    /// Returns once the swarm is durable, together with the reply to the request that created it: the
+    /// number of the swarm in the store, if that can be read.
     fn persist(
         self: Box<Self>,
         creation: Option<&Creation>,
         checkpoint: &Checkpoint,
         stamp: &Stamp,
         frame: &Arc<Frame>,
-    ) -> Result<(), WriteFault>;
+    ) -> Result<Option<u64>, WriteFault>;
 }
 
 /// Opens the journals of swarms.

@@ -32,4 +32,36 @@ pub struct Creation {
     pub unix_secs: Option<f64>,
     /// The step of the swarm when it was created.
     pub step: u64,
+    /// What it was made from; earlier versions did not store it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub origin: Option<Origin>,
+}
+
+/// What a swarm was made from.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Origin {
+    /// How it was made.
+    pub kind: OriginKind,
+    /// The swarm that was forked, saved in a snapshot or recorded; `None` if a snapshot does not have its name.
+    pub swarm: Option<String>,
+    /// Its number in the store, if it is in the store.
+    pub swarm_id: Option<u64>,
+    /// Its step then.
+    pub step: u64,
+    /// The number of its last command then, if known.
+    pub seq: Option<u64>,
+    /// BLAKE3 of its state then, if known.
+    pub state_hash: Option<[u8; 32]>,
+}
+
+/// How a swarm was made from another one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum OriginKind {
+    /// By `fork`.
+    Fork,
+    /// By `restore`.
+    Restore,
+    /// By `replay`.
+    Play,
 }

@@ -250,7 +250,21 @@ async fn a_fault_keeps_the_last_good_state_and_reports_the_reason() {
     fault(client, "a").await;
     let status = client.get("a", "status").await;
     let reason = status["result"]["reason"].as_str().unwrap();
-    assert!(reason.contains("cross"), "{reason}");
+    let fault = status["result"]["fault"].clone();
+    let ids = fault["ids"].as_array().unwrap();
+    let named = format!("individuals {} and {} cross", ids[0], ids[1]);
+    assert!(reason.contains(&named), "{reason} {fault}");
+    assert_eq!((&fault["kind"], ids.len()), (&json!("crossed_bodies"), 2));
+    let gap = fault["gap"].as_f64().unwrap();
+    let worst = status["result"]["certificate"]["worst_gap"].as_f64();
+    assert!(worst.unwrap() <= gap + 1e-9 && gap < 0.5, "{gap} {worst:?}");
+    // Also after a restart, and until a reset.
+    let daemon = daemon.restart().await;
+    let client = &daemon.client;
+    assert_eq!(client.get("a", "status").await["result"]["fault"], fault);
+    client.ok("a", "reset", json!({})).await;
+    let after = client.get("a", "status").await["result"].clone();
+    assert!(after.get("fault").is_none(), "{after}");
     assert_eq!(
         status["result"]["certificate"]["crossed"], 0,
         "the state shown is a good one"

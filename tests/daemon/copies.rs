@@ -5,6 +5,7 @@ use base64::engine::general_purpose::STANDARD;
 use jostle_proto::{ErrorCode, Reply, Snapshot, keys};
 use serde_json::{Value, json};
 
+use crate::support::daemon_process;
 use crate::support::{Client, Daemon, NODE, PREFIX, QueryResult};
 
 /// A group of the paper's size, in contact.
@@ -118,6 +119,84 @@ async fn what_if_they_had_not_been_informed() {
     let (code, _) = client.err("a", "fork", json!({"name": "*"})).await;
     assert_eq!(code, ErrorCode::InvalidArgument);
     daemon.stop().await;
+}
+
+/// `origin` and `swarm_id` of a swarm, of its status and of the list of swarms.
+async fn record_of(client: &Client, name: &str) -> (Value, u64) {
+    let status = client.get(name, "status").await["result"].clone();
+    let swarms = client.node("swarms").await["swarms"].clone();
+    let mut rows = swarms.as_array().unwrap().iter();
+    let row = rows.find(|it| it["swarm"] == name).unwrap();
+    for field in ["origin", "swarm_id"] {
+        assert_eq!(row.get(field), status.get(field), "{name}: {field}");
+    }
+    (
+        status["origin"].clone(),
+        status["swarm_id"].as_u64().unwrap(),
+    )
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_swarm_has_its_number_in_the_store_and_what_it_was_made_from() {
+    let folder = tempfile::tempdir().unwrap();
+    let (daemon, other) = (
+        daemon_process::start(folder.path()).await,
+        Daemon::start().await,
+    );
+    let client = &daemon.1;
+    for name in ["a", "b"] {
+        client.create(name, json!({"n": 5, "seed": 3})).await;
+    }
+    client.ok("b", "annotate", json!({"text": "counts"})).await;
+    client
+        .ok(
+            "b",
+            "inform",
+            json!({"select": {"ids": [1]}, "direction": 0.5}),
+        )
+        .await;
+    client.ok("b", "step", json!({"steps": 7})).await;
+    client.ok("b", "fork", json!({"name": "now"})).await;
+    client
+        .ok("b", "fork", json!({"name": "before", "step": 3}))
+        .await;
+    let saved = snapshot(client, "b").await;
+    let at_7 = client.hash("b").await;
+    let at_3 = client.hash("before").await;
+    for at in [client, &other.client] {
+        restore(at, "restored", &saved).await.unwrap();
+    }
+    let ids = [record_of(client, "a").await, record_of(client, "b").await];
+    let [(none, first), (_, second)] = &ids;
+    assert_eq!((none, first < second), (&Value::Null, true));
+    let fork = json!({
+        "kind": "fork", "swarm": "b", "swarm_id": second, "step": 7, "seq": 2, "state_hash": at_7,
+    });
+    let before = json!({
+        "kind": "fork", "swarm": "b", "swarm_id": second, "step": 3, "seq": 2, "state_hash": at_3,
+    });
+    let restored = json!({
+        "kind": "restore", "swarm": "b", "swarm_id": null, "step": 7, "seq": 2, "state_hash": at_7,
+    });
+    assert_eq!(record_of(client, "now").await.0, fork);
+    assert_eq!(record_of(client, "before").await.0, before);
+    assert_eq!(record_of(client, "restored").await.0, restored);
+    assert_eq!(record_of(&other.client, "restored").await.0, restored);
+
+    // After a kill as before it; a later swarm of the same name is another one.
+    let kept = record_of(client, "now").await;
+    client.ok("b", "delete", json!({})).await;
+    let daemon = daemon_process::killed(folder.path(), daemon).await;
+    let client = &daemon.1;
+    assert_eq!(record_of(client, "now").await, kept);
+    assert_eq!(record_of(client, "a").await, ids[0]);
+    client.create("b", json!({"n": 5, "seed": 3})).await;
+    let (origin, again) = record_of(client, "b").await;
+    assert!(origin.is_null() && again > kept.1, "{again} {kept:?}");
+    // A reset keeps both.
+    client.ok("now", "reset", json!({})).await;
+    assert_eq!(record_of(client, "now").await, kept);
+    other.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -414,5 +414,13 @@ async fn a_frame_that_changes_after_it_was_opened_is_not_shown() {
     assert_eq!(status["phase"], "faulted", "{status}");
     let reason = status["result"]["reason"].as_str().unwrap();
     assert!(reason.contains("frame 52 is damaged"), "{reason}");
+    let fault = json!({"kind": "other", "ids": [], "gap": null});
+    assert_eq!(status["result"]["fault"], fault);
+    let origin = &status["result"]["origin"];
+    assert_eq!(
+        (&origin["kind"], &origin["swarm_id"]),
+        (&json!("play"), &Value::Null)
+    );
+    assert!(status["result"].get("swarm_id").is_none(), "{status}");
     daemon.stop().await;
 }

@@ -2,7 +2,7 @@
 
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-use jostle_proto::{LARGEST_WHOLE, Phase, Reply};
+use jostle_proto::{LARGEST_WHOLE, Origin, OriginKind, Phase, Reply};
 use serde_json::Value;
 
 /// The text for a missing value.
@@ -29,6 +29,17 @@ pub fn printable(text: &str) -> String {
 pub fn phase(phase: Phase, reason: Option<&str>) -> String {
     let name = phase.name();
     reason.map_or_else(|| name.into(), |reason| format!("{name} ({reason})"))
+}
+
+/// What a swarm was made from; `None` of a playback, whose position says it.
+pub fn origin(origin: &Origin) -> Option<String> {
+    let from = match origin.kind {
+        OriginKind::Fork => "by fork from",
+        OriginKind::Restore => "from a snapshot of",
+        OriginKind::Play => return None,
+    };
+    let swarm = origin.swarm.as_deref().map_or("a swarm".into(), printable);
+    Some(format!("{from} {swarm} at step {}", origin.step))
 }
 
 /// Phase, step and time of a swarm.

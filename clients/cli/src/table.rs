@@ -125,6 +125,10 @@ fn beside_or_below(table: &str, docs: &[String], width: usize) -> String {
 pub fn status(reply: &Reply<Status>) -> String {
     let Status {
         reason,
+        // The reason says it in words.
+        fault: _,
+        swarm_id: _,
+        origin,
         until_step,
         rate,
         real_time_factor,
@@ -185,6 +189,9 @@ pub fn status(reply: &Reply<Status>) -> String {
         ("n", format!("{n}, {informed} informed")),
         ("order", with_mean(Some(order.order), order.mean_order)),
     ];
+    if let Some(from) = origin.as_ref().and_then(format::origin) {
+        lines.insert(1, ("made", from));
+    }
     let asked = rate.map(|rate| rate / (parameters.publish_every as f64 * dt));
     if let (Some(hz), Some(asked)) = (published_hz, asked)
         && asked > *hz

@@ -240,6 +240,11 @@ pub fn whole_in<const LEAST: u64, const MOST: u64>(text: &str) -> Result<u64, St
     parsed(text, LEAST, MOST)
 }
 
+/// Parses a whole number that the daemon accepts from `least` to `most`.
+pub fn whole_between(text: &str, least: u64, most: u64) -> Result<u64, String> {
+    parsed(text, least, most)
+}
+
 /// Parses a whole number.
 pub fn whole(text: &str) -> Result<u64, String> {
     parsed(text, 0, LARGEST_WHOLE)

@@ -19,7 +19,7 @@ use crate::swarm::frame;
 use crate::swarm::handle::{Message, Outcome, Rejection, ReplyTo};
 use crate::swarm::phase::{PauseReason, Phase};
 use crate::swarm::registry::SwarmRegistry;
-use crate::swarm::sender::Creation;
+use crate::swarm::sender::{Creation, Origin, OriginKind};
 
 impl Context {
     pub(super) fn fork(
@@ -48,7 +48,11 @@ impl Context {
         {
             return Err(CommandError::NotReached { step, now });
         }
-        let fork = self.swarm_from_checkpoint(name, ("fork", PauseReason::Forked), &command);
+        let from = (
+            Some(swarm.to_string()),
+            handle.record.swarm_id.get().copied(),
+        );
+        let fork = self.swarm_from_checkpoint(name, (OriginKind::Fork, from), &command);
         match step {
             Some(step) => {
                 let (store, of) = (self.store.clone(), swarm.clone());
@@ -78,13 +82,18 @@ impl Context {
         Ok(())
     }
 
-    /// The swarm that `command` creates from a checkpoint.
+    /// The swarm that `command` creates from a checkpoint of another one: its name, and its number in the
+    /// store if it is there.
     pub(super) fn swarm_from_checkpoint(
         &self,
         name: String,
-        (verb, reason): (&str, PauseReason),
+        (kind, from): (OriginKind, (Option<String>, Option<u64>)),
         command: &Parsed<'_>,
     ) -> SwarmFromCheckpoint {
+        let (verb, reason) = match kind {
+            OriginKind::Restore => ("restore", PauseReason::Restored),
+            OriginKind::Fork | OriginKind::Play => ("fork", PauseReason::Forked),
+        };
         SwarmFromCheckpoint {
             registry: self.registry.clone(),
             store: self.store.clone(),
@@ -92,6 +101,8 @@ impl Context {
             responder: command.responder.clone(),
             name,
             reason,
+            kind,
+            from,
             creation: command.creation(verb),
         }
     }
@@ -105,6 +116,8 @@ pub(super) struct SwarmFromCheckpoint {
     responder: Responder,
     name: String,
     reason: PauseReason,
+    kind: OriginKind,
+    from: (Option<String>, Option<u64>),
     creation: Creation,
 }
 
@@ -117,6 +130,15 @@ impl SwarmFromCheckpoint {
     /// Creates it, and replies.
     pub(super) fn create(self, checkpoint: Checkpoint) {
         let (name, responder) = (self.name, self.responder);
+        let (swarm, swarm_id) = self.from;
+        let origin = Origin {
+            kind: self.kind,
+            swarm,
+            swarm_id,
+            step: checkpoint.simulation.state.step,
+            seq: Some(checkpoint.seq()),
+            state_hash: Some(checkpoint.simulation.state.hash()),
+        };
         let checkpoint = checkpoint.for_another(Phase::Paused(self.reason));
         let spec = checkpoint.simulation.spec.clone();
         let persist = Box::new(NewSwarm {
@@ -135,6 +157,7 @@ impl SwarmFromCheckpoint {
         };
         let creation = Creation {
             unix_secs: frame::unix_secs(),
+            origin: Some(origin),
             ..self.creation
         };
         if let Err(error) = self

@@ -40,7 +40,26 @@ impl Context {
             _ if incoming.is_wild => Err(CommandError::Wildcard),
             Some(SwarmVerb::Fork) => self.fork(swarm, incoming, &responder),
             Some(SwarmVerb::Seek) => self.seek(swarm, incoming, &responder),
-            _ => self.swarm_command(swarm, verb, incoming, &responder),
+            Some(
+                SwarmVerb::Delete
+                | SwarmVerb::Run
+                | SwarmVerb::Pause
+                | SwarmVerb::Step
+                | SwarmVerb::Reset
+                | SwarmVerb::Set
+                | SwarmVerb::Inform
+                | SwarmVerb::Uninform
+                | SwarmVerb::Inject
+                | SwarmVerb::Remove
+                | SwarmVerb::Batch
+                | SwarmVerb::Join
+                | SwarmVerb::Advance
+                | SwarmVerb::Leave
+                | SwarmVerb::Annotate
+                | SwarmVerb::When,
+            )
+            // It has a better error after the payload's.
+            | None => self.swarm_command(swarm, verb, incoming, &responder),
         };
         if let Err(error) = done {
             let step = self.registry.find(swarm).and_then(|handle| handle.step());
@@ -67,7 +86,7 @@ impl Context {
                 commands::check_name("event", event)?;
             }
         }
-        commands::check_new(message.command.changes())?;
+        commands::check_new(&message.command)?;
         message.user = self.rights.current().owner(&incoming.token).cloned();
         let timeout = commands::timeout(&request)?;
         if let Some(controller) = message.command.controller()

@@ -123,6 +123,10 @@ fn play(
     responder: &Responder,
 ) {
     let frames = source.index().len();
+    let creation = Creation {
+        origin: Some(source.origin()),
+        ..creation
+    };
     let answer = || {
         let (responder, swarm) = (responder.clone(), name.to_owned());
         ReplyTo::new(move |answered| {

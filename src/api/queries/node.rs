@@ -128,9 +128,9 @@ impl Context {
             contest.map(|(_, [_, other])| other.node.clone())
         };
         let swarms = self.registry.list().into_iter();
-        let swarms = swarms.map(|(name, summary)| SwarmSummary {
+        let swarms = swarms.map(|(name, handle, summary)| SwarmSummary {
             contested_by: contested_by(&name),
-            ..convert::summary(&name, &summary)
+            ..convert::summary(&name, &handle.record, &summary)
         });
         Swarms {
             swarms: swarms.collect(),
@@ -142,7 +142,7 @@ impl Context {
             .registry
             .list()
             .iter()
-            .map(|(name, summary)| convert::summary(name, summary))
+            .map(|(name, handle, summary)| convert::summary(name, &handle.record, summary))
             .collect();
         let count = |phase| swarms.iter().filter(|swarm| swarm.phase == phase).count() as u64;
         NodeStatus {

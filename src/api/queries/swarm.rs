@@ -12,7 +12,7 @@ use crate::convert::commands::{CommandError, DEFAULT_TIMEOUT};
 use crate::convert::{self, Payload};
 use crate::store::Store;
 use crate::swarm::frame::{Frame, Stamp};
-use crate::swarm::handle::{Handle, Message, Outcome};
+use crate::swarm::handle::{Handle, Message, Outcome, Record};
 
 /// Nouns that a wildcard does not match: `wait` blocks, the others are expensive.
 const CONCRETE_ONLY: [&str; 4] = ["wait", "verify", "snapshot", "experiment"];
@@ -117,6 +117,7 @@ impl Context {
         let (name, handle) = (swarm.clone(), self.find(swarm)?);
         let (limits, store) = (self.registry.limits(), self.store.clone());
         let verifying = self.verifications.share(swarm);
+        let record = handle.record.clone();
         query_frame(&handle.clone(), responder, move |stamp, seen| match noun {
             "spec" => {
                 let spec = jostle_convert::spec::to_proto(&handle.spec, seen.seed);
@@ -134,7 +135,7 @@ impl Context {
                 let events = convert::events(&name, handle.history.events(after, limit));
                 Payload::json(&convert::reply(&name, stamp, events))
             }
-            _ => status(&store, verifying, &name, stamp, seen),
+            _ => status(&store, (&record, verifying), &name, stamp, seen),
         });
         Ok(())
     }
@@ -161,7 +162,7 @@ fn query_frame(
 /// The status of a swarm.
 pub(super) fn status(
     store: &Store,
-    verifying: Option<f64>,
+    (record, verifying): (&Record, Option<f64>),
     swarm: &str,
     stamp: &Stamp,
     frame: &Frame,
@@ -174,6 +175,8 @@ pub(super) fn status(
     });
     let status = Status {
         verifying,
+        swarm_id: record.swarm_id.get().copied(),
+        origin: convert::origin(record),
         ..convert::status(frame, history_from)
     };
     Payload::json(&convert::reply(swarm, stamp, status))

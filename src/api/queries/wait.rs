@@ -62,6 +62,7 @@ impl Context {
                 })
             }
         };
+        let record = handle.record.clone();
         responder.send_to_swarm(
             &handle,
             (timeout, CommandError::not_yet),
@@ -69,7 +70,7 @@ impl Context {
             move |stamp, outcome| match outcome {
                 Outcome::State(frame) => {
                     let verifying = verifications.share(&name);
-                    status(&store, verifying, &name, &stamp, &frame)
+                    status(&store, (&record, verifying), &name, &stamp, &frame)
                 }
                 other => convert::outcome(&name, &stamp, other, None),
             },

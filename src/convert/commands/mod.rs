@@ -26,7 +26,7 @@ pub mod set_points;
 pub mod swarm;
 pub mod wait;
 
-pub use crate::convert::error::CommandError;
+pub use crate::convert::error::{CommandError, args_of_change};
 
 /// Timeout of a request without `timeout_secs`.
 pub const DEFAULT_TIMEOUT: Duration = Duration::from_secs(5);
@@ -119,12 +119,16 @@ fn parse(verb: SwarmVerb, request: &Request) -> Result<(Command, bool), CommandE
 /// # Errors
 ///
 /// [`WireError::OutOfRange`].
-pub fn check_new(changes: &[Change]) -> Result<(), CommandError> {
-    for change in changes {
+pub fn check_new(command: &Command) -> Result<(), CommandError> {
+    for (index, change) in command.changes().iter().enumerate() {
         if let Change::Set(settings) = change
             && let Some(secs) = settings.max_idle_secs
         {
-            new_max_idle_secs(secs)?;
+            let checked = new_max_idle_secs(secs).map_err(CommandError::from);
+            checked.map_err(|error| match command {
+                Command::Change(_) => error,
+                _ => error.within(args_of_change(index)),
+            })?;
         }
     }
     Ok(())
@@ -283,7 +287,7 @@ mod tests {
         };
         for (secs, is_accepted) in [(1e-300, false), (0.099, false), (0.1, true), (0.0, true)] {
             let (command, _) = read_journaled("set", &request(secs)).unwrap();
-            let checked = check_new(command.changes());
+            let checked = check_new(&command);
             assert_eq!(checked.is_ok(), is_accepted, "{secs}: {checked:?}");
         }
     }

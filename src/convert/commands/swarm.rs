@@ -11,7 +11,7 @@ use jostle_proto::verbs::{
 };
 use jostle_proto::{RequestError, SeekArgs};
 
-use crate::convert::commands::{CommandError, check_name, is_legible};
+use crate::convert::commands::{CommandError, args_of_change, check_name, is_legible};
 use crate::swarm::command::{Command, Seek, Until, Which};
 use crate::swarm::membership::{self, ControllerSettings, JoinOptions};
 use crate::swarm::sender::Sender;
@@ -86,7 +86,7 @@ fn changes(commands: Vec<proto::Change>) -> Result<Vec<Change>, CommandError> {
     }
     let mut changes = Vec::with_capacity(commands.len());
     for (index, command) in commands.into_iter().enumerate() {
-        let within = |error| CommandError::from(error).within(format!("commands[{index}].args"));
+        let within = |error| CommandError::from(error).within(args_of_change(index));
         changes.push(change::change(command).map_err(within)?);
     }
     Ok(changes)

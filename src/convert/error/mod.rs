@@ -195,6 +195,11 @@ pub enum CommandError {
     Measures(#[from] MeasuresError),
 }
 
+/// The path of the arguments of a change in a batch.
+pub fn args_of_change(index: usize) -> String {
+    format!("commands[{index}].args")
+}
+
 /// The names of parameters.
 fn names(parameters: &[QueryParameter]) -> Vec<&'static str> {
     parameters.iter().map(|it| it.name).collect()
@@ -276,7 +281,7 @@ impl CommandError {
             return error.to_wire(step, &place.within(path)).within(path);
         }
         if let CommandError::Swarm(SwarmError::InBatch { index, error }) = self {
-            let path = format!("commands[{index}].args");
+            let path = args_of_change(*index);
             let error = CommandError::Swarm((**error).clone());
             let mut error = error.to_wire(step, &place.within(&path)).within(&path);
             error.message.push_str("; none of the batch was applied");

@@ -30,6 +30,7 @@ use crate::swarm::command::Command;
 use crate::swarm::controllers::{Controllers, Effect, Input};
 use crate::swarm::error::{SwarmError, WriteFault};
 use crate::swarm::failpoint;
+use crate::swarm::fault::Fault;
 use crate::swarm::frame::{Event, EventKind, Stamp, Summary};
 use crate::swarm::handle::{Handle, Message, Outcome, Rejection, ReplyTo, receive};
 use crate::swarm::history::History;
@@ -94,6 +95,8 @@ pub struct Worker {
     applied_at: Option<Option<f64>>,
     /// Where the last step led that was no replay, and when it was taken.
     stepped: Option<((u64, u64), SystemTime)>,
+    /// What went wrong, if it has faulted.
+    fault: Option<Fault>,
 }
 
 /// A `step` command that is being executed.
@@ -163,6 +166,10 @@ impl Worker {
             since_checkpoint: SinceCheckpoint::new(),
             applied_at: None,
             stepped: None,
+            fault: match &checkpoint.phase {
+                Phase::Faulted(reason) => Some(Fault::of(&simulation, reason)),
+                _ => None,
+            },
             simulation,
             phase: checkpoint.phase,
             rate: checkpoint.rate,

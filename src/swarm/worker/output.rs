@@ -79,6 +79,7 @@ impl Worker {
             order: simulation.order(),
             means: simulation.means,
             exactness: simulation.exactness,
+            fault: self.fault.clone().filter(|_| self.is_faulted()),
             rate: self.rate,
             real_time_factor: self.real_time_factor(),
             is_behind: self.is_behind(),

@@ -96,7 +96,7 @@ impl ReplaySource {
         let writer = (writer, reserve);
         let (checkpoint, reply_for) = (self.checkpoint, &self.reply_for);
         let mut worker = Worker::restore(checkpoint, handle, min_frame_interval, writer, reply_for);
-        worker.publish_created(handle.creation.clone());
+        worker.publish_created(handle.record.creation.clone());
         worker.journal.begin_replay(self.on_progress, self.goes_on);
         let mut fold = Fold {
             worker,

@@ -9,6 +9,7 @@ use tracing::warn;
 use crate::swarm::controllers::Input;
 use crate::swarm::error::SwarmError;
 use crate::swarm::failpoint;
+use crate::swarm::fault::Fault;
 use crate::swarm::frame::EventKind;
 use crate::swarm::journal::Record;
 use crate::swarm::phase::{PauseReason, Phase, PhaseInput};
@@ -134,6 +135,7 @@ impl Worker {
             warn!(swarm = self.output.name, reason, "faulted");
         }
         self.metrics.faulted();
+        self.fault = Some(Fault::of(&self.simulation, &reason));
         self.phase = Phase::Faulted(reason.clone());
         let at = self.at();
         self.journal.append(at, Record::Fault(reason.clone()), None);

@@ -102,8 +102,8 @@ impl PersistNew for NoStore {
         _: &Checkpoint,
         _: &Stamp,
         _: &Arc<Frame>,
-    ) -> Result<(), WriteFault> {
-        Ok(())
+    ) -> Result<Option<u64>, WriteFault> {
+        Ok(None)
     }
 }
 

@@ -23,7 +23,7 @@ pub fn check(data: &[u8]) {
     };
     snapshot.state_hash = jostle_convert::hexadecimal(&state.hash());
     let sealed = snapshot.sealed();
-    let checkpoint = match read_snapshot(&to_cbor(&sealed)) {
+    let (_, checkpoint) = match read_snapshot(&to_cbor(&sealed)) {
         Ok(checkpoint) => checkpoint,
         Err(problem) => return assert!(!problem.is_empty()),
     };

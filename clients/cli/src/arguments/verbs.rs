@@ -4,10 +4,11 @@ use std::path::PathBuf;
 
 use clap::{ArgGroup, Args, ValueEnum, ValueHint};
 use clap_complete::engine::ArgValueCompleter;
-use jostle_proto::LARGEST_WHOLE;
 use jostle_proto::verbs::{Pose, Region};
 
-use crate::arguments::{CommandArguments, SenderArguments, SendingArguments, SwarmsArguments};
+use crate::arguments::{
+    CommandArguments, NumberArguments, SenderArguments, SendingArguments, SwarmsArguments,
+};
 use crate::completion;
 use crate::selection::SelectionArguments;
 use crate::values::{self, Assignment, End, Law, MAX_INDIVIDUALS, MAX_STEPS, Rate};
@@ -37,21 +38,8 @@ pub struct CreateArguments {
         value_parser = values::whole_in::<1, MAX_INDIVIDUALS>
     )]
     pub n: Option<u64>,
-    /// Length over width of a body, 1 (a disc) to 32 [the daemon's default: 4]
-    #[arg(long, value_name = "RATIO", value_parser = values::number, allow_hyphen_values = true)]
-    pub pi1: Option<f64>,
-    /// Weight of the preferred direction of informed individuals, unless `inform` has one [default: 0.5]
-    #[arg(long, value_name = "WEIGHT", value_parser = values::number, allow_hyphen_values = true)]
-    pub pi2: Option<f64>,
-    /// Body size over turning radius [default: 1]
-    #[arg(long, value_name = "RATIO", value_parser = values::number, allow_hyphen_values = true)]
-    pub pi3: Option<f64>,
-    /// Translational over rotational drag [default: 10]
-    #[arg(long, value_name = "RATIO", value_parser = values::number, allow_hyphen_values = true)]
-    pub pi4: Option<f64>,
-    /// The time step [default: 0.02]
-    #[arg(long, value_name = "TIME", value_parser = values::number, allow_hyphen_values = true)]
-    pub dt: Option<f64>,
+    #[command(flatten)]
+    pub numbers: NumberArguments,
     /// Which of a pair's contacts constrain it: `endpoints`, `closest` or `clamped` [default: endpoints]
     #[arg(long, value_name = "RULE", add = ArgValueCompleter::new(completion::contact_rules))]
     pub contacts: Option<String>,
@@ -83,18 +71,9 @@ pub struct CreateArguments {
         allow_hyphen_values = true
     )]
     pub accuracy: Option<f64>,
-    /// Intensity of white noise on the turning rate, squared angle over time [default: 0]
-    #[arg(long, value_name = "INTENSITY", value_parser = values::number, allow_hyphen_values = true)]
-    pub noise: Option<f64>,
-    /// The seed of every draw [default: 0]
-    #[arg(long, allow_negative_numbers = true, value_parser = values::whole)]
-    pub seed: Option<u64>,
     /// The radius of the disc of the initial positions [default: √n, at least 1]
     #[arg(long, value_name = "LENGTH", value_parser = values::number, allow_hyphen_values = true)]
     pub radius: Option<f64>,
-    /// Steps between two published states [default: 5]
-    #[arg(long, value_name = "STEPS", allow_negative_numbers = true, value_parser = values::whole_in::<1, LARGEST_WHOLE>)]
-    pub publish_every: Option<u64>,
     /// The measures in each published order, such as `drift,milling` [default: none]
     #[arg(long, value_name = "MEASURES", add = ArgValueCompleter::new(completion::measures))]
     pub measures: Option<String>,

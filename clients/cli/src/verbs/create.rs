@@ -52,27 +52,20 @@ fn spec(arguments: &CreateArguments) -> Result<Map<String, Value>, Failure> {
         Some(path) => read(path)?,
         None => Map::new(),
     };
+    spec.extend(arguments.numbers.0.clone());
     let mut put = |field: &str, value: Option<Value>| {
         if let Some(value) = value {
             spec.insert(field.into(), value);
         }
     };
     put("n", arguments.n.map(Value::from));
-    put("pi1", arguments.pi1.map(Value::from));
-    put("pi2", arguments.pi2.map(Value::from));
-    put("pi3", arguments.pi3.map(Value::from));
-    put("pi4", arguments.pi4.map(Value::from));
-    put("dt", arguments.dt.map(Value::from));
     put("contacts", arguments.contacts.clone().map(Value::from));
     put("stepping", arguments.stepping.clone().map(Value::from));
     put("relinearise", arguments.relinearise.map(Value::from));
     let law = arguments.attraction.clone();
     put("attraction", law.map(|Law(law)| law));
-    put("noise", arguments.noise.map(Value::from));
     let all = |accuracy| json!({"kind": "all", "accuracy": accuracy});
     put("attraction", arguments.accuracy.map(all));
-    put("seed", arguments.seed.map(Value::from));
-    put("publish_every", arguments.publish_every.map(Value::from));
     let measures = arguments.measures.as_deref().map(values::measures);
     put("measures", measures.map(Value::from));
     put("rate", arguments.rate.map(|Rate(rate)| Value::from(rate)));

@@ -428,6 +428,19 @@ export interface ExtraValue {
   value: number | null;
 }
 
+/** What went wrong in a swarm that has faulted. `reason` says it in words. */
+export interface Fault {
+  /** The gap between the two bodies that cross, in the last good state, body sizes; `null` for others. */
+  gap: number | null;
+  /** The individuals that it is about; empty if it is about none in particular. */
+  ids: number[];
+  /** What it is. */
+  kind: FaultKind;
+}
+
+/** What went wrong. */
+export type FaultKind = "crossed_bodies" | "not_solved" | "overturned" | "not_finite" | "other";
+
 /** A node's reply to `get/hello`: its version and limits. */
 export interface Hello {
   /** Its data, by a number that the daemon drew when it began their database. A daemon with the same id has the replies to commands that were executed, so that a command can be sent again after a restart. Absent if the daemon could not store it. */
@@ -784,6 +797,25 @@ export interface OrderSample {
   time: number;
 }
 
+/** What a swarm was made from. */
+export interface Origin {
+  /** How it was made. */
+  kind: OriginKind;
+  /** The number of its commands before; `null` for a replay. */
+  seq: number | null;
+  /** BLAKE3 of its state then, in hexadecimal; `null` for a replay. */
+  state_hash: string | null;
+  /** Its step then. */
+  step: number;
+  /** The swarm that was forked, saved in a snapshot or recorded; `null` if a snapshot has no name that a swarm can have. */
+  swarm: string | null;
+  /** The number of that swarm in the store of this daemon; `null` if it may be of another daemon. */
+  swarm_id: number | null;
+}
+
+/** How a swarm was made from another one. */
+export type OriginKind = "fork" | "restore" | "play";
+
 /** A parameter of a swarm, described for a form or a slider. */
 export interface Parameter {
   /** The verbs that change it. */
@@ -810,6 +842,8 @@ export interface Parameter {
   nullable: boolean;
   /** Its unit; `1` if it has none. */
   unit: string;
+  /** What it usually is; `null` of a parameter without such a range, and of daemons of earlier versions. */
+  usual?: Usual | null;
   /** The current value. */
   value: unknown;
 }
@@ -1137,6 +1171,9 @@ export interface RunUnderWay {
   share: number;
 }
 
+/** How values are spread over a range. */
+export type Scale = "linear" | "logarithmic";
+
 /** The result of a command that is scheduled by `at_step`. */
 export interface Scheduled {
   /** The step at which it will be executed; an event then has its result. */
@@ -1412,6 +1449,8 @@ export interface Status {
   controllers?: number;
   /** The time step. */
   dt: number;
+  /** What went wrong, if it has faulted; left out otherwise. */
+  fault?: Fault | null;
   /** The start of its stored history; `null` while that cannot be read. */
   history_from: HistoryFrom | null;
   /** How many individuals are informed. */
@@ -1420,6 +1459,8 @@ export interface Status {
   n: number;
   /** Order and drift. */
   order: Order;
+  /** What it was made from; left out if it was created from a spec, and for swarms made by earlier versions. */
+  origin?: Origin | null;
   /** The parameters that commands can change. */
   parameters: ParameterValues;
   /** How many states a second it publishes at most while it runs: what `rate`, `dt` and `publish_every` ask for, or the daemon's `max_hz` if that is less. Left out for a replay. */
@@ -1438,6 +1479,8 @@ export interface Status {
   seed: number;
   /** BLAKE3 of the state, in hexadecimal; zeros for a replay, which has frames and no state. */
   state_hash: string;
+  /** The number of the swarm in the store of its daemon: another swarm that gets this name later has another one. Left out for a replay. */
+  swarm_id?: number | null;
   /** The step it will pause at. */
   until_step: number | null;
   /** The share of its history that a `verify` under way has replayed, from 0 to 1; `null` if none is under way. */
@@ -1551,6 +1594,8 @@ export interface SwarmSummary {
   n: number;
   /** The polar order parameter. */
   order: number;
+  /** As in its status. */
+  origin?: Origin | null;
   /** Its phase. */
   phase: Phase;
   /** Time units per second of wall clock; `null` is as fast as possible. */
@@ -1565,6 +1610,8 @@ export interface SwarmSummary {
   step: number;
   /** Its name. */
   swarm: string;
+  /** As in its status. */
+  swarm_id?: number | null;
   /** `step · dt`. */
   time: number;
 }
@@ -1573,6 +1620,16 @@ export interface SwarmSummary {
 export interface Swarms {
   /** All it hosts, ordered by name. */
   swarms: SwarmSummary[];
+}
+
+/** The usual values of a parameter, for a slider: those of the paper where it varies one, else around its value. Others are valid, too. */
+export interface Usual {
+  /** The least. */
+  from: number;
+  /** How they are spread. */
+  scale: Scale;
+  /** The largest. */
+  to: number;
 }
 
 /** Whether a replay of a swarm's journal gives the same hashes. */

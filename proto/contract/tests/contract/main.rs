@@ -3,6 +3,7 @@
 #![expect(clippy::unwrap_used, reason = "tests")]
 
 mod coverage;
+mod docs;
 mod documents;
 mod fixtures;
 mod readme;

@@ -9,11 +9,13 @@ use serde_json::json;
 use super::documents::{Document, Recorded};
 use super::recording_client::{FIXTURE_NODE, RecordingClient};
 use super::swarms::create_crowd;
+use crate::commands::{fault_soon, faulting_spec};
 use crate::support::{PREFIX, TIMEOUT, until};
 
 pub async fn record_fixtures(recorded: &Recorded) {
     tokio::join!(
         faulted(recorded),
+        crossed(recorded),
         defective(recorded),
         busy(recorded),
         full(recorded),
@@ -43,6 +45,17 @@ async fn faulted(recorded: &Recorded) {
     recorder.client.err("crowd", "step", step).await;
     recorder
         .get("snapshot.reply.faulted", "crowd", "snapshot")
+        .await;
+    recorder.stop().await;
+}
+
+/// A fault of the model: the bodies of two individuals cross.
+async fn crossed(recorded: &Recorded) {
+    let recorder = RecordingClient::start_with(recorded, "", &[]).await;
+    recorder.create("school", faulting_spec()).await;
+    fault_soon(&recorder.client, "school").await;
+    recorder
+        .get("status.reply.crossed", "school", "status")
         .await;
     recorder.stop().await;
 }

@@ -105,6 +105,9 @@ pub async fn record_fixtures(recorded: &Recorded) {
         )
         .await;
 
+    recorder
+        .node_get("node.swarms.reply.forked", "swarms")
+        .await;
     for name in ["school-2", "school-3"] {
         let reply = if name == "school-2" {
             "discard.reply"
@@ -141,7 +144,9 @@ async fn change(recorder: &RecordingClient<'_>) {
     school("inform.reply.ids", "inform", "inform.args.ids").await;
     school("step.reply", "step", "step.args").await;
     let fork = args("fork.args");
+    let copy = fork["name"].as_str().unwrap().to_owned();
     recorder.cmd("fork.reply", "school", "fork", fork).await;
+    recorder.get("status.reply.forked", &copy, "status").await;
     let fork = args("fork.args.step");
     recorder
         .cmd("fork.reply.step", "school", "fork", fork)
