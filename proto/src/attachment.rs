@@ -6,22 +6,21 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// The zenoh attachment of a published state, in CBOR: when its step was taken and when it was
-/// published, and the newest set-points in it.
+/// What a daemon attaches to a published state, in CBOR: times of its clock, and set-points.
 ///
-/// It is no part of the state, so that equal states have equal bytes. Times are those of the
-/// daemon's wall clock, in nanoseconds since 1970, UTC. If that clock is set back in between, the
-/// second one is the earlier.
+/// It is no part of the state, so that equal states have equal bytes. If the clock is set back in
+/// between, the second time is the earlier.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Attachment {
-    /// When the step that led to the state was taken; `null` if the daemon does not know: before the
-    /// first step, after a `reset` or a restart until the next one, and in a playback.
+    /// When the step that led to the state was taken, nanoseconds since 1970, UTC; `null` if the
+    /// daemon does not know: before the first step, after a reset or a restart until the next one,
+    /// and in a playback.
     pub stepped_unix_nanos: Option<u64>,
-    /// When the daemon put the state on its key; `null` in a recording by the daemon, which contains
-    /// states that are not published.
+    /// When the daemon published the state, nanoseconds since 1970, UTC; `null` in a recording by
+    /// the daemon.
     pub published_unix_nanos: Option<u64>,
-    /// The `sequence` of the newest set-points that the state contains, by controller: of those in
-    /// mode `free_running` whose set-points hold. An `advance` has no such number.
+    /// The numbers of the newest set-points in the state, the `sequence` of each put, by
+    /// controller. Controllers in lock-step have none.
     pub sequences: BTreeMap<String, u64>,
 }
 

@@ -273,15 +273,15 @@ impl<'de> Deserialize<'de> for FieldNames {
 pub struct Reply<T> {
     /// The swarm's name.
     pub swarm: String,
-    /// Grows whenever `step` does not continue what was published before.
+    /// Increases when `step` does not continue what was published before.
     pub epoch: u64,
-    /// The step at which the command was executed; for `step`, the last step.
+    /// The step at which the command took effect; for `step`, the step reached.
     pub step: u64,
-    /// `step · dt`.
+    /// `step · dt`, body sizes over free speed.
     pub time: f64,
-    /// The phase of the swarm after it.
+    /// The phase after the command.
     pub phase: Phase,
-    /// Counts the swarm's applied commands.
+    /// Number of commands applied to the swarm.
     pub seq: u64,
     /// The result.
     pub result: T,
@@ -291,7 +291,7 @@ pub struct Reply<T> {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[schemars(rename = "Node{T}Reply")]
 pub struct NodeReply<T> {
-    /// The node's name.
+    /// The daemon's name.
     pub node: String,
     /// The result.
     pub result: T,

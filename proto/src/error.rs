@@ -5,17 +5,17 @@ use std::fmt;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// The error reply to a request. Clients branch on `code`; `message` has the remedy.
+/// An error. Clients branch on `code`; `message` has the remedy.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Error {
-    /// The kind.
+    /// The kind of error, such as `conflict`.
     pub code: ErrorCode,
     /// For people: what is wrong, and the remedy.
     pub message: String,
-    /// For programs: such as `field` and `range`.
+    /// For programs, such as `field` and `range`; may be empty.
     #[serde(default)]
     pub details: serde_json::Map<String, serde_json::Value>,
-    /// The current step of the swarm; `null` if the request is not to a swarm.
+    /// The swarm's step at that time; `null` if it concerns no swarm.
     #[serde(default)]
     pub step: Option<u64>,
 }

@@ -5,23 +5,22 @@ use serde::{Deserialize, Serialize};
 
 use crate::{Error, Phase};
 
-/// A published event. A gap in the numbers shows a reader that it missed some.
+/// An event of a swarm. A gap in the numbers shows a reader that it missed some.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Event {
     /// The swarm's name.
     pub swarm: String,
-    /// Counts the swarm's events from 1.
+    /// The number of the event, from 1.
     pub number: u64,
-    /// Grows whenever `step` does not continue what was published before.
+    /// Increases when `step` does not continue what was published before.
     pub epoch: u64,
-    /// The step at which it happened.
+    /// The step of the event.
     pub step: u64,
-    /// `step · dt`.
+    /// `step · dt`, body sizes over free speed.
     pub time: f64,
-    /// The phase of the swarm after it.
+    /// The phase after the event.
     pub phase: Phase,
-    /// The daemon's wall clock when it happened: seconds since 1970, UTC, to the millisecond;
-    /// `null` if it is not known.
+    /// The daemon's wall clock, seconds since 1970, UTC; `null` if it is not known.
     #[serde(default)]
     pub unix_secs: Option<f64>,
     /// What happened.
@@ -32,86 +31,86 @@ pub struct Event {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 pub enum EventKind {
-    /// The swarm was created.
+    /// The swarm was created; its first event.
     Created {
         /// The verb that created it: `create`, `restore`, `fork` or `replay`; `null` if it is not
         /// known, as for a swarm that an earlier version created.
         #[serde(default)]
         verb: Option<String>,
-        /// The client, as the request names it.
+        /// The name of the client that sent the command.
         #[serde(default)]
         client: Option<String>,
-        /// The id that its client gave it.
+        /// The id of the request.
         #[serde(default)]
         request_id: Option<String>,
     },
     /// Its phase changed.
     Phase {
-        /// Why.
+        /// The cause.
         reason: Option<String>,
     },
     /// A command was applied.
     Command {
-        /// Counts the swarm's applied commands.
+        /// Number of commands applied to the swarm.
         seq: u64,
-        /// Its verb.
+        /// The verb of the command.
         verb: String,
-        /// Its arguments as received.
+        /// The arguments of the command, as they were sent.
         args: serde_json::Value,
-        /// The client, as the request names it.
+        /// The name of the client that sent the command.
         client: Option<String>,
-        /// The id that its client gave it.
+        /// The id of the request.
         request_id: Option<String>,
     },
     /// A command waits for its step.
     Scheduled {
-        /// The step at which it will be executed.
+        /// The step that the command waits for.
         applies_at_step: u64,
-        /// Its verb.
+        /// The verb of the command.
         verb: String,
-        /// Its arguments as received.
+        /// The arguments of the command, as they were sent.
         args: serde_json::Value,
-        /// The client, as the request names it.
+        /// The name of the client that sent the command.
         client: Option<String>,
-        /// The id that its client gave it.
+        /// The id of the request.
         request_id: Option<String>,
     },
-    /// A scheduled command was rejected at its step.
+    /// A scheduled command was rejected.
     Refused {
-        /// Its verb.
+        /// The verb of the command.
         verb: String,
-        /// Its arguments as received.
+        /// The arguments of the command, as they were sent.
         args: serde_json::Value,
-        /// The client, as the request names it.
+        /// The name of the client that sent the command.
         client: Option<String>,
-        /// The id that its client gave it.
+        /// The id of the request.
         request_id: Option<String>,
-        /// Why.
+        /// Why the command was rejected.
         error: Error,
     },
-    /// Individuals informed for a time are uninformed again.
+    /// The time of informed individuals ended, and they are uninformed.
     Lapsed {
-        /// Their ids, ascending.
+        /// The ids of the individuals concerned, ascending.
         ids: Vec<u32>,
     },
-    /// A step failed; the last good state is kept.
+    /// A step failed; the swarm keeps its last good state.
     Fault {
-        /// Why.
+        /// The cause.
         reason: String,
     },
-    /// A recording of the swarm by the daemon failed; what was recorded before is kept.
+    /// A recording of the daemon failed; its files are kept.
     RecordingFailed {
-        /// The recording's name.
+        /// The name of the daemon's recording.
         recording: String,
-        /// Why.
+        /// The cause.
         reason: String,
     },
-    /// The swarm was deleted; the last event.
+    /// The swarm was deleted; its last event.
     Deleted {
-        /// The client, as the request names it.
+        /// The name of the client that sent the command.
         #[serde(default)]
         client: Option<String>,
-        /// The id that its client gave it.
+        /// The id of the request.
         #[serde(default)]
         request_id: Option<String>,
     },

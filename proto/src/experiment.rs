@@ -62,7 +62,7 @@ pub struct ExpandedRun {
     /// creates it from `spec`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub snapshot: Option<String>,
-    /// How many steps the run takes, at most.
+    /// The number of its steps, at most.
     #[schemars(range(max = LARGEST_WHOLE))]
     pub steps: u64,
     /// The commands to send, in this order.
@@ -114,42 +114,40 @@ pub struct ExperimentName {
     pub name: String,
 }
 
-/// What a node did with an experiment.
+/// The reply to a command about an experiment.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ExperimentResult {
-    /// Whether it was not there before.
+    /// Whether the command created it.
     pub created: bool,
-    /// How it stands now; of a deleted one, how it stood; with `expand`, how it would begin.
+    /// Its progress; of a deleted one, its last; with `expand`, that at its beginning.
     pub progress: Progress,
-    /// The run of `expand`.
+    /// The run of `expand`; left out by other commands.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub expanded: Option<ExpandedRun>,
 }
 
-/// How far an experiment is.
-///
-/// Published while it changes, at most twice a second.
+/// The progress of an experiment, published while it changes, at most twice a second.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Progress {
     /// The experiment's name.
     pub name: String,
-    /// What it is doing.
+    /// Its phase.
     pub phase: ExperimentPhase,
-    /// How many runs it has.
+    /// Number of runs.
     pub runs: u64,
-    /// How many are over.
+    /// Number of finished runs.
     pub finished: u64,
-    /// How many of them ended early.
+    /// Number of finished runs that ended early.
     pub faulted: u64,
-    /// The share of the work that is done, the work of runs under way included.
+    /// The finished share of the work, 0 to 1, with that of the present runs.
     pub share: f64,
-    /// How long it has been running, pauses aside.
+    /// Seconds that it has run, without pauses.
     pub elapsed_secs: f64,
-    /// The estimated time to its end without pauses; `null` while unknown.
+    /// Seconds that it will still take, without pauses; `null` while there is no estimate.
     pub left_secs: Option<f64>,
-    /// The runs under way.
+    /// The runs that are being executed.
     pub running: Vec<RunUnderWay>,
-    /// Why it failed; what it waits for.
+    /// Why it failed or the daemon paused it, or a remark on its runs; `null` without one.
     pub message: Option<String>,
 }
 
@@ -185,19 +183,19 @@ impl ExperimentPhase {
     }
 }
 
-/// A run that is being carried out.
+/// A run that is being executed.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct RunUnderWay {
     /// Its name.
     pub run: String,
-    /// The share of its steps that is done.
+    /// The finished share of its steps, 0 to 1.
     pub share: f64,
 }
 
-/// A node's answer to `get/experiments`.
+/// The experiments of a daemon.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Experiments {
-    /// All it has, in the order in which they were submitted.
+    /// The experiments, in the order of submission.
     pub experiments: Vec<Progress>,
 }
 
@@ -206,14 +204,15 @@ pub struct Experiments {
 pub struct ResultsPage {
     /// The experiment's name.
     pub name: String,
-    /// The rows of the runs that are finished, faulted ones included, after the run asked for.
+    /// The rows of the finished runs, faulted ones included, after the requested run.
     pub rows: Vec<ResultRow>,
-    /// Where to ask on, as `after`; `null` if there is no more.
+    /// The number to request the next page after, as `after`; `null` after the last page.
     pub next: Option<u64>,
-    /// How many runs are over by now.
+    /// Number of finished runs.
     pub finished: u64,
-    /// The columns that only some experiments have, so that a table without rows has them, too. Left out by
-    /// earlier versions.
+    /// The columns that only some experiments have, so that a table without rows has them, too;
+    /// left out in replies of earlier
+    /// versions.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub columns: Option<OccasionalColumns>,
 }

@@ -5,126 +5,125 @@ use serde::{Deserialize, Serialize};
 
 use crate::Phase;
 
-/// A node's answer to `get/metrics`. What grows for ever is counted since the daemon started; two
-/// looks tell what came in between.
+/// Metrics of a daemon; counters begin when it starts.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Metrics {
-    /// Seconds since the daemon started.
+    /// Seconds since it started.
     pub uptime_secs: f64,
-    /// Why not all is well, for people; empty if it is.
+    /// The reasons why it is unhealthy, for people; empty if it is healthy.
     pub unwell: Vec<String>,
-    /// What is wrong without keeping it from its work, such as a recording that has failed, for
-    /// people; empty if nothing is.
+    /// Problems that do not stop its work, for people, such as a failed recording; empty if there
+    /// are none.
     #[serde(default)]
     pub warnings: Vec<String>,
-    /// Seconds its threads have computed.
+    /// CPU seconds of its threads.
     pub cpu_secs: f64,
-    /// Cores it may use.
+    /// Number of cores that it may use.
     pub cores: u64,
-    /// Memory in use, in bytes.
+    /// Memory in use, bytes.
     pub memory_bytes: u64,
-    /// Clients connected.
+    /// Number of connected clients.
     pub sessions: u64,
-    /// Steps taken by all swarms there ever were.
+    /// Number of steps of all swarms, also of deleted ones.
     pub steps: u64,
     /// Seconds that these steps took.
     pub step_secs: f64,
-    /// Steps that failed; each stops its swarm.
+    /// Number of failed steps; each stops its swarm.
     pub faults: u64,
-    /// Steps that missed the target residual, yet were good enough to go on.
+    /// Number of steps that missed the target residual, but were acceptable.
     pub degraded: u64,
-    /// The largest residual of a step, in body sizes.
+    /// The largest residual of a step, body sizes.
     pub residual_max: f64,
-    /// States made to be published.
+    /// Number of states for publication.
     pub frames: u64,
-    /// States that gave way to a newer one before they were published.
+    /// Number of states that a newer one replaced before publication.
     pub frames_dropped: u64,
-    /// Names of the daemon and its swarms that another daemon holds, too.
+    /// Number of names, the daemon's and its swarms', that another daemon has too.
     #[serde(default)]
     pub contested: u64,
-    /// How the daemon's memory on disk does.
+    /// The database.
     pub store: StoreMetrics,
-    /// The recordings it has made or makes.
+    /// The recordings.
     #[serde(default)]
     pub recordings: RecordingMetrics,
-    /// What all recordings take on disk, in bytes.
+    /// Bytes of all recordings on disk.
     #[serde(default)]
     pub recordings_bytes: u64,
-    /// What they may take, in bytes: those that go on end there, and none begins.
+    /// The limit of these bytes: running recordings end at it, and none begins.
     #[serde(default)]
     pub recordings_quota_bytes: u64,
-    /// What all experiments take on disk, in bytes; earlier daemons do not count it.
+    /// Bytes of all experiments on disk; `null` from an earlier daemon.
     #[serde(default)]
     pub experiments_bytes: Option<u64>,
-    /// What they may take, in bytes: the one that goes on is paused there, and none begins; `null` if
-    /// they may take the whole disk.
+    /// The limit of these bytes, at which the running experiment is paused, and none begins; `null`
+    /// if there is none.
     #[serde(default)]
     pub experiments_quota_bytes: Option<u64>,
     /// Every swarm, ordered by name.
     pub swarms: Vec<SwarmMetrics>,
 }
 
-/// How a daemon's memory on disk does.
+/// The database of a daemon.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct StoreMetrics {
-    /// Commits.
+    /// Number of commits since the daemon started.
     pub commits: u64,
-    /// Seconds that all commits took, their syncs included.
+    /// Seconds that they took, with their syncs.
     pub commit_secs: f64,
     /// Seconds that the last one took.
     pub last_commit_secs: f64,
-    /// Writes that wait.
+    /// Number of queued writes.
     pub waiting: u64,
-    /// What it takes on disk, in bytes.
+    /// Bytes on disk.
     pub disk_bytes: u64,
     /// Whether the disk is full.
     pub full: bool,
-    /// Whether writing fails otherwise.
+    /// Whether writing fails for another reason.
     pub failing: bool,
-    /// Whether more waits than should be kept in memory.
+    /// Whether the queue exceeds its memory limit.
     pub overrun: bool,
 }
 
-/// A daemon's recordings, counted by what they do.
+/// Numbers of a daemon's recordings, by phase.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct RecordingMetrics {
-    /// Those that go on.
+    /// Number of running recordings.
     pub recording: u64,
-    /// Those that have ended.
+    /// Number of ended recordings.
     pub ended: u64,
-    /// Those that have failed.
+    /// Number of failed recordings.
     pub failed: u64,
 }
 
-/// A swarm in numbers.
+/// Metrics of a swarm.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct SwarmMetrics {
-    /// Its name.
+    /// The swarm's name.
     pub swarm: String,
-    /// What it is doing.
+    /// The phase of the swarm.
     pub phase: Phase,
-    /// The number of steps since the start.
+    /// Number of steps since the start.
     pub step: u64,
-    /// The number of individuals.
+    /// The size of the group.
     pub n: u64,
     /// Time units per second of wall clock; `null` is as fast as possible.
     pub rate: Option<f64>,
-    /// Time units per second of wall clock it lately ran at; `null` while it does not run.
+    /// The rate that it reached lately; `null` while it does not run.
     pub real_time_factor: Option<f64>,
-    /// Steps taken since it is hosted here.
+    /// Number of steps since the daemon loaded it.
     pub steps: u64,
     /// Seconds that these steps took.
     pub step_secs: f64,
-    /// How many of them were due at a time.
+    /// Number of these steps that had a due time.
     pub due_steps: u64,
-    /// Seconds that they began after they were due.
+    /// Seconds that they began after their due times.
     pub late_secs: f64,
-    /// Contacts of its last step.
+    /// Number of contacts of the last step.
     pub contacts: u64,
-    /// Residual of its last step, in body sizes.
+    /// Residual of the last step, body sizes.
     pub residual: f64,
-    /// Steps that missed the target residual, yet were good enough to go on.
+    /// Number of steps that missed the target residual, but were acceptable.
     pub degraded: u64,
-    /// Steps that failed.
+    /// Number of failed steps.
     pub faults: u64,
 }

@@ -55,10 +55,10 @@ macro_rules! parameters {
         )+
         last { $($last:tt)+ }
     ) => {
-        /// The description of a swarm: same spec, same seed, same bytes.
+        /// The spec of a swarm: equal specs give equal states, bit for bit.
         ///
-        /// Lengths are in body sizes, speeds in free speeds, times in their quotient. Everything but `n`
-        /// may be left out.
+        /// Lengths are in body sizes, speeds in free speeds, times in their quotient. Table 1 of the paper
+        /// defines π1 to π4. Only `n` is required.
         #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
         #[serde(deny_unknown_fields)]
         pub struct Spec {
@@ -91,7 +91,7 @@ macro_rules! parameters {
                 pub $live: Option<$Live>,
             )+)+
             /// Remove a controller in lock-step for which the swarm has waited so many seconds, and which
-            /// has sent nothing meanwhile: 0.1 or more; 0 is no limit.
+            /// has sent nothing meanwhile: 0.1 to 10⁶; 0 is no limit, as in a new swarm.
             #[serde(default, skip_serializing_if = "Option::is_none")]
             #[schemars(
                 range(min = 0.0, max = 1e6),
@@ -103,7 +103,8 @@ macro_rules! parameters {
             #[serde(default, skip_serializing_if = "Option::is_none")]
             #[schemars(length(max = MAX_PUBLISHED_MEASURES))]
             pub measures: Option<Vec<String>>,
-            /// With `pi1`: scale positions about the centroid by the least factor that makes room.
+            /// With `pi1`: scale all positions about the centroid by the smallest factor that lets longer
+            /// bodies fit.
             #[serde(default)]
             pub make_room: bool,
         }
@@ -128,8 +129,8 @@ macro_rules! parameters {
             /// The measures in each published order; left out without any.
             #[serde(default, skip_serializing_if = "Option::is_none")]
             pub measures: Option<Vec<String>>,
-            /// For how many seconds the swarm waits for a controller in lock-step that sends nothing; left
-            /// out without a limit.
+            /// Seconds that the swarm waits for a controller in lock-step that sends nothing; left out without a
+            /// limit.
             #[serde(default, skip_serializing_if = "Option::is_none")]
             pub max_idle_secs: Option<f64>,
         }
@@ -169,21 +170,21 @@ parameters! {
             extend("x-unit" = "1", "x-usual" = logarithmic(1.0, 8.0), "x-changed-by" = ["set"])
         )]
         pi1: f64,
-        /// Weight of the preferred direction of individuals informed without a weight: 0 or more.
+        /// Weight of individuals that are informed without a weight: 0 to 10⁶.
         #[serde(default = "default::pi2")]
         #[schemars(
             range(min = 0.0, max = 1e6),
             extend("x-unit" = "1", "x-usual" = linear(0.0, 1.0), "x-changed-by" = ["set"])
         )]
         pi2: f64,
-        /// Body size over turning radius: above 0.
+        /// Body size over turning radius: above 0, to 10⁶.
         #[serde(default = "default::pi3")]
         #[schemars(
             range(max = 1e6),
             extend("exclusiveMinimum" = 0, "x-unit" = "1", "x-usual" = logarithmic(0.1, 10.0), "x-changed-by" = ["set"])
         )]
         pi3: f64,
-        /// Translational over rotational drag: above 0.
+        /// Translational over rotational drag: above 0, to 10⁶.
         #[serde(default = "default::pi4")]
         #[schemars(
             range(max = 1e6),
@@ -192,7 +193,8 @@ parameters! {
         pi4: f64,
     }
     fixed {
-        /// The time step: above 0, and short enough that a step cannot carry a body across another.
+        /// The time step: above 0, and so short that no point of a body's axis travels further than a
+        /// body's width.
         #[serde(default = "default::dt")]
         #[schemars(
             range(max = 1.0),
@@ -206,43 +208,48 @@ parameters! {
         dt: f64,
     }
     live {
-        /// Which of a pair's contacts constrain it.
+        /// Which contacts of a pair constrain a step: `endpoints`; `closest`, only the one with the
+        /// smallest gap; or, for comparison, `clamped`, which adds redundant ones.
         #[serde(default)]
         #[schemars(extend("x-unit" = "1", "x-changed-by" = ["set"]))]
         contacts: ContactRule,
-        /// What a contact limits.
+        /// What a contact limits: `position`, the gap after the step, or `velocity`, the speed at which
+        /// touching bodies approach each other.
         #[serde(default)]
         #[schemars(extend("x-unit" = "1", "x-changed-by" = ["set"]))]
         stepping: Stepping,
-        /// How many more programs a step solves about what the last one predicts: 0 or 1. One more
-        /// leaves less overlap, and goes with `position` alone.
+        /// Number of further programs that a step solves about the result of the last one: 0, or 1,
+        /// which leaves less overlap and requires `position`.
         #[serde(default)]
         #[schemars(range(max = 1), extend("x-unit" = "1", "x-changed-by" = ["set"]))]
         relinearise: u8,
     }
     fixed {
-        /// The seed of every draw: 0 to 2⁵³ - 1.
+        /// The seed of all random draws: 0 to 2⁵³ - 1.
         #[serde(default)]
         #[schemars(range(max = LARGEST_WHOLE), extend("x-unit" = "1", "x-changed-by" = ["reset"]))]
         seed: u64,
-        /// Where the individuals begin.
+        /// Where the individuals begin: in a `disc`, or at `given` poses.
         #[serde(default)]
         start: Start,
     }
     live {
-        /// What an individual turns towards.
+        /// The law of attraction: `{"kind": "all"}` is eq. (4), which an `accuracy` makes faster from some
+        /// thousand individuals on; others are `voronoi`, `metric` with a `radius` in body sizes,
+        /// `topological` with a number of `neighbours`, and `power` with an `exponent`.
         #[serde(default)]
         #[schemars(extend("x-unit" = "1", "x-changed-by" = ["set"]))]
         #[reply(deserialize_with = "lenient")]
         attraction: Attraction,
-        /// Intensity of white noise on the turning rate, squared angle over time: 0 or more.
+        /// Intensity of white noise on the turning rate, squared radians per time unit: 0 to
+        /// 10⁶.
         #[serde(default)]
         #[schemars(
             range(min = 0.0, max = 1e6),
             extend("x-unit" = "free speed / body size", "x-usual" = linear(0.0, 2.0), "x-changed-by" = ["set"])
         )]
         noise: f64,
-        /// Steps between two published states: 1 or more.
+        /// Number of steps between two published states: 1 or more.
         #[serde(default = "default::publish_every")]
         #[schemars(
             range(min = 1, max = 1_000_000_000),
@@ -252,7 +259,7 @@ parameters! {
     }
     last {
         /// The measures in each published order, such as `milling`, at most 16 that need no earlier
-        /// state; none if left out.
+        /// state; no measures if left out.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         #[schemars(length(max = MAX_PUBLISHED_MEASURES), extend("x-unit" = "1", "x-changed-by" = ["set"]))]
         pub measures: Option<Vec<String>>,

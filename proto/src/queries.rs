@@ -10,7 +10,7 @@ use serde_json::Value;
 use crate::verbs::{Mode, OnTimeout};
 use crate::{Certificate, Event, LARGEST_WHOLE, Order, ParameterValues, Phase, Replay};
 
-/// A swarm's reply to `get/status`; phase, step and time are in the envelope.
+/// The status of a swarm; its phase, step and time are in the envelope.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Status {
     /// Why it is paused or faulted.
@@ -26,43 +26,45 @@ pub struct Status {
     /// versions.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub origin: Option<Origin>,
-    /// The step it will pause at.
+    /// The step it will pause at; `null` if it has no end.
     pub until_step: Option<u64>,
     /// Time units per second of wall clock; `null` is as fast as possible.
     pub rate: Option<f64>,
-    /// The rate that was reached lately; `null` while it does not run.
+    /// The rate that it reached lately; `null` while it does not run.
     pub real_time_factor: Option<f64>,
     /// Whether it lately omitted steps that were due, since they take longer than `rate` allows on the
     /// cores that it gets.
     #[serde(default)]
     pub behind_rate: bool,
     /// How many states a second it publishes at most while it runs: what `rate`, `dt` and
-    /// `publish_every` ask for, or the daemon's `max_hz` if that is less. Left out for a replay.
+    /// `publish_every` ask for, or the daemon's `max_hz` if that is less; left out for a
+    /// playback and in replies of earlier daemons.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub published_hz: Option<f64>,
-    /// The number of individuals.
+    /// The size of the group.
     pub n: u64,
-    /// How many individuals are informed.
+    /// Number of informed individuals.
     pub informed: u64,
-    /// The seed of every draw.
+    /// The seed of all random draws.
     pub seed: u64,
-    /// The time step.
+    /// The time step, body sizes over free speed.
     pub dt: f64,
-    /// The parameters that commands can change.
+    /// The parameters that `set` can change.
     pub parameters: ParameterValues,
-    /// Commands that wait for their step.
+    /// Number of commands that wait for their step.
     pub scheduled: u64,
-    /// The conditions that it waits for, in the order of their commands; left out without any.
+    /// The conditions that it waits for, in the order of their commands; left out without any. See
+    /// `when`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub when: Option<Vec<String>>,
     /// The same conditions: their ids, actions and clients; left out without any.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub conditions: Vec<WaitingCondition>,
-    /// The conditions for which clients wait by `get/wait`; left out without any. They are no part of the
-    /// swarm's state.
+    /// The conditions for which clients wait by `get/wait`; left out without any. They are no part
+    /// of the state.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub waits: Vec<WaitingClient>,
-    /// How many controllers have joined.
+    /// Number of controllers that have joined.
     #[serde(default)]
     pub controllers: u64,
     /// The controllers that the swarm waits for in lock-step.
@@ -72,15 +74,15 @@ pub struct Status {
     pub state_hash: String,
     /// Order and drift.
     pub order: Order,
-    /// How exact the state is.
+    /// The accuracy of the state.
     pub certificate: Certificate,
-    /// The start of its stored history; `null` while that cannot be read.
+    /// The oldest stored checkpoint; `null` while it cannot be read.
     pub history_from: Option<HistoryFrom>,
-    /// The position, if it is the playback of a recording.
+    /// The position, if it is a playback.
     #[serde(default)]
     pub replay: Option<Replay>,
-    /// The share of its history that a `verify` under way has replayed, from 0 to 1; `null` if none
-    /// is under way.
+    /// The fraction of the history that a running `verify` has replayed, 0 to 1; `null` if none is
+    /// running.
     #[serde(default)]
     pub verifying: Option<f64>,
 }
@@ -137,15 +139,16 @@ pub struct WaitingCondition {
     pub id: String,
     /// The condition.
     pub condition: String,
-    /// What the swarm does once it holds.
+    /// `pause`, `commands` or `event`.
     pub action: WaitingAction,
     /// The name of its event; left out without one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub event: Option<String>,
-    /// The client that sent it, as the request names it; `null` if it does not.
+    /// The client that sent it, as the request names it; `null` if it is not known.
     pub client: Option<String>,
-    /// Whether it is evaluated, left out if it is. If not, it does not hold: the group has grown, or an earlier
-    /// version accepted more conditions, so that their measures need too much time or too many earlier states.
+    /// False if the condition does not hold since its measures need too much time or too many
+    /// earlier states: the group has grown, or an earlier version accepted more of them. Left out
+    /// if it is evaluated.
     #[serde(default = "is_evaluated", skip_serializing_if = "Clone::clone")]
     pub evaluated: bool,
 }
@@ -176,21 +179,21 @@ pub struct WaitingClient {
     pub user: Option<String>,
 }
 
-/// A controller that the others wait for.
+/// A controller that the others wait for in lock-step.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Awaited {
     /// Its name.
     pub controller: String,
-    /// For how long, seconds.
+    /// Seconds that they have waited.
     pub secs: f64,
-    /// The timeout of this wait, seconds.
+    /// Its deadline, seconds.
     pub deadline_secs: f64,
 }
 
-/// A swarm's reply to `get/controllers`.
+/// The controllers that have joined a swarm.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ControllerList {
-    /// The joined controllers, by name.
+    /// The controllers that have joined, by name.
     pub controllers: Vec<Controller>,
 }
 
@@ -199,40 +202,41 @@ pub struct ControllerList {
 pub struct Controller {
     /// Its name.
     pub controller: String,
-    /// When the swarm steps.
+    /// `lockstep` or `free_running`.
     pub mode: Mode,
-    /// The individuals that it steers, by id.
+    /// The ids of the individuals that it steers.
     pub ids: Vec<u32>,
-    /// How long others wait for it, or how long its set-points hold, seconds.
+    /// Seconds that others wait for it, or that its set-points apply.
     pub deadline_secs: f64,
     /// What happens to its individuals when it is late.
     pub on_timeout: OnTimeout,
-    /// Whether it may drive individuals directly.
+    /// Whether it may set turning rates and speeds.
     pub driving: bool,
     /// The step that it has advanced to; `null` unless in lock-step.
     pub target_step: Option<u64>,
-    /// Deadlines missed in a row.
+    /// Number of deadlines missed in a row.
     pub misses: u32,
-    /// For how long others have waited for it, seconds; `null` if they do not.
+    /// Seconds that others have waited for it; `null` if they do not.
     pub waited_secs: Option<f64>,
     /// The outcomes of its puts.
     pub puts: Puts,
 }
 
-/// The outcomes of a controller's puts.
+/// Numbers of a controller's puts, by outcome.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Puts {
-    /// Applied.
+    /// Applied ones.
     pub applied: u64,
-    /// Not newer than one before, or of another epoch.
+    /// Those that were not newer than one before, or of another epoch.
     pub stale: u64,
-    /// Overtaken by a newer one before the next step.
+    /// Those that a newer one overtook before the next step.
     pub overtaken: u64,
-    /// Unreadable, out of range, not permitted, or about individuals that are not its own.
+    /// Those that were unreadable, out of range, not permitted, or for individuals of another
+    /// controller.
     pub refused: u64,
 }
 
-/// The oldest stored checkpoint of a swarm: all after it can be replayed.
+/// The oldest stored checkpoint of a swarm: the history after it can be replayed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct HistoryFrom {
     /// Its epoch.
@@ -241,17 +245,17 @@ pub struct HistoryFrom {
     pub step: u64,
 }
 
-/// Whether a replay of a swarm's journal gives the same hashes.
+/// The result of a replay of a swarm's history.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Verified {
-    /// The step of the checkpoint from which it was replayed.
+    /// The step of the checkpoint that it began at.
     pub from_step: u64,
-    /// The step to which it was replayed.
+    /// The step that it ended at.
     pub to_step: u64,
-    /// How many hashes were compared: those in the journal, and the current one of a swarm that is
-    /// paused.
+    /// Number of hashes that were compared: those in the history, and the present one of a paused
+    /// swarm.
     pub hashes: u64,
-    /// The first step with a different hash; `null` if there is none.
+    /// The first step whose hash differs; `null` if there is none.
     pub differs_at: Option<u64>,
     /// The epoch of that step: a reset restarts the count of steps.
     pub differs_in_epoch: Option<u64>,
@@ -266,8 +270,7 @@ pub struct Verified {
 pub struct ExperimentFile {
     /// The text of the file, TOML. Its run takes the steps of the swarm.
     pub file: String,
-    /// The text of the CSV of set-points that the file names, with the parameter `setpoints`; left out
-    /// if no controller steered an individual.
+    /// The text of the CSV of set-points that the file names; left out if it names none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub setpoints: Option<String>,
     /// The step of the swarm.
@@ -278,42 +281,42 @@ pub struct ExperimentFile {
     pub state_hash: String,
 }
 
-/// A swarm's reply to `get/parameters`.
+/// All parameters of a swarm except its start.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Parameters {
     /// All but the start, in the order of the spec.
     pub parameters: Vec<Parameter>,
 }
 
-/// A parameter of a swarm, described for a form or a slider.
+/// A parameter of a swarm, with the data of a form or a slider.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Parameter {
     /// Its name in the spec.
     pub name: String,
-    /// What it means, in a line.
+    /// A description in one line.
     pub doc: String,
     /// Its unit; `1` if it has none.
     pub unit: String,
-    /// What values it takes.
+    /// The type of its values: `number`, `integer` or `choice`.
     pub kind: ParameterKind,
-    /// The least value; `null` if there is none.
+    /// The smallest value; `null` if there is none.
     pub minimum: Option<f64>,
-    /// The value that it must exceed; `null` if there is none.
+    /// The value must be above this; `null` if there is no such bound.
     pub exclusive_minimum: Option<f64>,
     /// The largest value at present; `null` if there is none.
     pub maximum: Option<f64>,
     /// What it usually is; `null` of a parameter without such a range, and of daemons of earlier versions.
     #[serde(default)]
     pub usual: Option<Usual>,
-    /// The values of a choice, of those that take numbers the kind alone; empty otherwise.
+    /// The values of a choice, without their numbers; empty otherwise.
     pub choices: Vec<Value>,
     /// Whether `null` is a value.
     pub nullable: bool,
-    /// The value if left out; `null` if it is required.
+    /// The default; `null` if it must be given.
     pub default: Value,
-    /// The current value.
+    /// The present value.
     pub value: Value,
-    /// Whether commands can change it.
+    /// Whether a command can change it.
     pub live: bool,
     /// The verbs that change it.
     pub changed_by: Vec<String>,
@@ -353,8 +356,7 @@ pub enum ParameterKind {
     Choice,
 }
 
-/// A swarm's reply to `get/measures?names=NAME,...`, or with a histogram to
-/// `get/measures?histogram=NAME;bins=COUNT;max=LENGTH`.
+/// Measures of the newest state of a swarm, or a histogram of it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Measures {
     /// The requested measures of the newest state, in the requested order.
@@ -391,87 +393,88 @@ pub struct MeasureValue {
     pub unit: String,
 }
 
-/// A swarm's reply to `get/events?after=NUMBER`: the events it still has, oldest first.
+/// A page of the events that a daemon stores of a swarm.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Events {
-    /// Those after the requested number, as many as one reply holds.
+    /// The events of the page, oldest first.
     pub events: Vec<Event>,
-    /// The number of the oldest one that it still has; `null` if it has none.
+    /// The number of the oldest stored event; `null` if there is none.
     pub oldest: Option<u64>,
-    /// The number of the newest one: query until it is reached. 0 before the first.
+    /// The number of the newest event: query until it is reached; 0 before the first.
     pub newest: u64,
 }
 
-/// A swarm's reply to `get/journal?after=SEQ`: the commands it applied, oldest first.
+/// A page of the commands that a daemon stores of a swarm.
 ///
 /// The spec and these commands determine the state of the swarm.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Journal {
-    /// Those after the requested `seq` that the request selects, as many as one reply holds.
+    /// The entries of the page, oldest first.
     pub entries: Vec<JournalEntry>,
-    /// The `seq` of the oldest one that it still has; `null` if it has none.
+    /// The `seq` of the oldest stored entry; `null` if there is none.
     pub oldest: Option<u64>,
-    /// The `seq` of the newest one. 0 before the first.
+    /// The `seq` of the newest entry; 0 before the first.
     pub newest: u64,
     /// The line of the journal at which the next page begins: query again with it as `line`, also
-    /// if this page has no entries. Left out by the last page.
+    /// if this page has no entries; left out after the last page, and in
+    /// replies of earlier daemons.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub next: Option<u64>,
 }
 
-/// A command that was applied.
+/// A command that a swarm applied.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct JournalEntry {
-    /// Counts the swarm's applied commands; a `batch` counts each of its changes, and has the
-    /// number of the last.
+    /// The number of the command; each change of a `batch` has one, and its entry has that of the
+    /// last.
     pub seq: u64,
-    /// The epoch it was applied in.
+    /// The epoch in which it was applied.
     pub epoch: u64,
-    /// The step it was applied at.
+    /// The step at which it was applied.
     pub step: u64,
-    /// `step · dt`.
+    /// `step · dt`, body sizes over free speed.
     pub time: f64,
-    /// The daemon's wall clock when it was applied: seconds since 1970, UTC, to the millisecond;
-    /// `null` if it is not known, as in what older versions journaled.
+    /// The daemon's wall clock, seconds since 1970, UTC; `null` if it is not known, as in entries
+    /// of older daemons.
     #[serde(default)]
     pub unix_secs: Option<f64>,
     /// Its verb.
     pub verb: String,
-    /// Its arguments as received.
+    /// Its arguments as they were sent.
     pub args: Value,
-    /// The client, as the request names it.
+    /// The name of the client that sent it.
     pub client: Option<String>,
-    /// The id that its client gave it.
+    /// The id of the request.
     pub request_id: Option<String>,
 }
 
-/// A node's reply to `get/audit`: who sent which commands, oldest first.
+/// A page of the audit log: who sent which commands, oldest first.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Audit {
     /// The lines that the request selects, as many as one reply holds.
     pub lines: Vec<AuditLine>,
-    /// The number of the oldest line that the daemon still has; `null` if it has none.
+    /// The number of the oldest stored line; `null` if there is none.
     pub oldest: Option<u64>,
     /// The number of the newest line; 0 before the first.
     pub newest: u64,
-    /// How many of the selected lines are damaged: they are left out.
+    /// Number of selected lines that are damaged, and therefore missing.
     pub damaged: u64,
 }
 
 /// Equal commands of one client within a minute.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct AuditLine {
-    /// Counts the lines of the daemon.
+    /// The number of the line, from 1.
     pub number: u64,
-    /// The daemon's wall clock when the first command was received: seconds since 1970, UTC.
+    /// The daemon's wall clock when it received the first of them, seconds since 1970, UTC.
     pub unix_secs: f64,
-    /// The same for the last one.
+    /// The same for the last of them.
     pub last_unix_secs: f64,
-    /// How many commands there were.
+    /// Number of commands.
     pub count: u64,
     /// The user of the token; `null` from a daemon without users, and for an unknown token.
     pub user: Option<String>,
-    /// What the client calls itself; `null` if it does not.
+    /// The name that the client gives itself; `null` if it gives none.
     pub client: Option<String>,
     /// The verb.
     pub verb: String,
@@ -479,36 +482,38 @@ pub struct AuditLine {
     pub action: Option<String>,
     /// The swarm, experiment or recording; of `create`, `restore` and `replay` the new swarm.
     pub name: Option<String>,
-    /// How the commands ended. What is missing to `count` had no outcome when the line was stored.
+    /// How the commands ended. Those missing to `count` had no outcome when the line was stored.
     pub outcomes: Vec<AuditOutcome>,
 }
 
 /// How commands ended.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct AuditOutcome {
-    /// `ok`, the code of the error, or `abandoned` of a command that ended because its client was gone.
+    /// `ok`, the code of the error, such as `permission_denied`, or `abandoned` of a command that
+    /// ended because its client was gone.
     pub outcome: String,
-    /// How many commands ended so.
+    /// Number of commands that ended so.
     pub count: u64,
 }
 
-/// A node's reply to `get/hello`: its version and limits.
+/// The name, version and limits of a daemon.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Hello {
     /// The daemon's version.
     pub version: String,
-    /// The version of the contract.
+    /// The version of the contract that it speaks.
     pub wire_version: u32,
-    /// The daemon's clock: seconds since 1970, UTC.
+    /// Its clock: seconds since 1970, UTC.
     pub unix_secs: f64,
-    /// The limits it enforces.
+    /// Its limits.
     pub limits: Limits,
-    /// Where it serves HTTP, such as `https://0.0.0.0:8443`; absent if it serves none.
+    /// The address of its HTTP server, such as `https://0.0.0.0:8443`; left out if it has none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub http: Option<String>,
-    /// Its data, by a number that the daemon drew when it began their database. A daemon with the same id
-    /// has the replies to commands that were executed, so that a command can be sent again after a restart.
-    /// Absent if the daemon could not store it.
+    /// Its data folder, by a number that the daemon drew when it began the folder's database; a
+    /// restored backup has another one. A daemon with the same id has the replies to commands that
+    /// were executed, so that a command can be sent again after a restart. Left out if the daemon
+    /// could not store it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub data_id: Option<String>,
 }
@@ -516,60 +521,60 @@ pub struct Hello {
 /// The limits of a daemon.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Limits {
-    /// Individuals in one swarm.
+    /// Number of individuals of a swarm.
     pub max_individuals: u64,
-    /// Swarms at once.
+    /// Number of swarms.
     pub max_swarms: u64,
-    /// Memory of all swarms together, in bytes.
+    /// Memory of all swarms together, bytes.
     pub max_memory_bytes: u64,
-    /// The longest request, in bytes; a longer one is rejected, and zenoh drops one of more than 1
-    /// MiB without an error.
+    /// Length of a request, bytes; a longer one is rejected, and zenoh drops one of more than 1 MiB
+    /// without an error.
     pub max_message_bytes: u64,
-    /// Clients at once; while more are connected, `get/hello` is rejected.
+    /// Number of connected clients; beyond it `get/hello` is rejected with `resource_exhausted`.
     pub max_clients: u64,
-    /// States published per second and swarm.
+    /// Published states per second and swarm.
     pub max_hz: u64,
 }
 
-/// A node's reply to `get/status`.
+/// The status of a daemon.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct NodeStatus {
-    /// Seconds since the daemon started.
+    /// Seconds since it started.
     pub uptime_secs: f64,
-    /// Swarms it hosts.
+    /// Number of swarms.
     pub swarms: u64,
-    /// How many of them run.
+    /// Number of running swarms.
     pub running: u64,
-    /// How many of them faulted.
+    /// Number of faulted swarms.
     pub faulted: u64,
-    /// Individuals in all swarms together.
+    /// Number of individuals in all swarms.
     pub individuals: u64,
-    /// Memory reserved for the swarms and the experiment that goes on, in bytes.
+    /// Memory reserved for the swarms and the running experiment, bytes.
     pub memory_bytes: u64,
-    /// Of it, memory reserved for that experiment, in bytes.
+    /// Of it, memory reserved for the running experiment, bytes.
     #[serde(default)]
     pub experiments_memory_bytes: u64,
-    /// Clients connected.
+    /// Number of connected clients.
     pub clients: u64,
 }
 
-/// A node's reply to `get/schema`: JSON Schemas (2020-12) of every message.
+/// The JSON Schemas (2020-12) of every message.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Schemas {
-    /// The version of the contract they describe.
+    /// The version of the contract that they describe.
     pub wire_version: u32,
-    /// By the name of the message, such as `step.args`.
+    /// The schemas by the name of the message, such as `step.args` and `step.reply`.
     pub schemas: BTreeMap<String, Value>,
 }
 
-/// A node's reply to `get/swarms`.
+/// The swarms of a daemon.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Swarms {
-    /// All it hosts, ordered by name.
+    /// The swarms, ordered by name.
     pub swarms: Vec<SwarmSummary>,
 }
 
-/// A swarm in a list.
+/// A swarm in the list of a daemon.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct SwarmSummary {
     /// Its name.
@@ -580,13 +585,13 @@ pub struct SwarmSummary {
     pub reason: Option<String>,
     /// The number of steps since the start.
     pub step: u64,
-    /// `step · dt`.
+    /// `step · dt`, body sizes over free speed.
     pub time: f64,
     /// The number of individuals.
     pub n: u64,
     /// How many individuals are informed.
     pub informed: u64,
-    /// The polar order parameter.
+    /// The polar order parameter, 0 to 1.
     pub order: f64,
     /// Time units per second of wall clock; `null` is as fast as possible.
     pub rate: Option<f64>,

@@ -77,66 +77,67 @@ pub enum RecordingFormat {
     Parquet,
 }
 
-/// How a recording stands; of a deleted one, how it stood.
+/// The status of a recording of a daemon; of a deleted one, its last status.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Recording {
-    /// Its name, and its folder's below `recordings` in the daemon's data directory.
+    /// Its name, and that of its folder in `recordings` of the daemon's data directory.
     pub recording: String,
-    /// The swarm.
+    /// The name of the recorded swarm.
     pub swarm: String,
-    /// How it is written.
+    /// `mcap`, or `parquet` if an earlier version recorded it.
     pub format: RecordingFormat,
-    /// The states whose step is a multiple of this are in it; `null`: an earlier version recorded
-    /// what was published.
+    /// It has the states whose step is a multiple of this; `null` is the published states, of an
+    /// earlier version.
     pub every: Option<u64>,
-    /// What it is doing.
+    /// Its phase.
     pub phase: RecordingPhase,
     /// Why it ended or failed, and which of its files are missing or damaged.
     pub reason: Option<String>,
-    /// How many states were recorded.
+    /// Number of recorded states.
     pub frames: u64,
-    /// How many states are missing: those that it left out because the disk did not keep up (without
+    /// Number of missing states: those that were dropped because the disk was too slow (without
     /// `drop_when_behind` the swarm waits instead), and those in `lost`.
     pub missed: u64,
-    /// How many of them it lost because the daemon ended before their file was whole.
+    /// Number of them that were lost because the daemon ended before their file was complete.
     #[serde(default)]
     pub lost: u64,
-    /// Where the last of those were; `null`: none was lost.
+    /// Where the last of these were; `null` if none was lost.
     #[serde(default)]
     pub gap: Option<RecordingGap>,
-    /// How many of its finished files are missing or damaged; `frames`, `parts` and `bytes` are those of
-    /// the others then.
+    /// Number of finished files that are missing or damaged; `frames`, `parts` and `bytes` are
+    /// those of the others then.
     #[serde(default)]
     pub lost_parts: u64,
-    /// How many of its files are whole.
+    /// Number of complete files.
     pub parts: u64,
-    /// Their bytes.
+    /// Bytes of these files.
     pub bytes: u64,
-    /// When it began, in seconds since 1970.
+    /// Its beginning, seconds since 1970, UTC.
     pub began_unix_secs: u64,
-    /// Whether it leaves states out while the disk does not keep up.
+    /// Whether it drops states while the disk is too slow; otherwise the swarm waits.
     #[serde(default)]
     pub drop_when_behind: bool,
-    /// The bytes from which on it ends; `null`: an earlier version began it, without such an end.
+    /// The size in bytes at which it ends; `null` for a recording of an earlier version, which has
+    /// no limit.
     #[serde(default)]
     pub max_bytes: Option<u64>,
-    /// Whether a client is to fetch it and delete it then.
+    /// Whether the client that fetches it is to delete it afterwards.
     #[serde(default)]
     pub temporary: bool,
 }
 
-/// States that a recording lost when the daemon ended, all of them before the next state in it.
+/// States that a recording lost because the daemon ended before their file was complete.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct RecordingGap {
-    /// The state up to which none is missing; `null`: the recording begins with the gap.
+    /// The state up to which none is missing; `null` if the recording begins with the gap.
     pub after: Option<RecordedAt>,
-    /// The state from which on it continues.
+    /// The state at which the recording continues.
     pub until: RecordedAt,
-    /// How many states are missing.
+    /// Number of missing states.
     pub missed: u64,
 }
 
-/// A state, as a recording counts.
+/// The epoch and step of a state in a recording.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct RecordedAt {
     /// Its epoch.
@@ -160,26 +161,26 @@ pub enum RecordingPhase {
     Failed,
 }
 
-/// A node's answer to `get/recordings`.
+/// The recordings of a daemon.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Recordings {
-    /// All it has, ordered by name.
+    /// The recordings, ordered by name.
     pub recordings: Vec<Recording>,
 }
 
-/// A node's answer to `get/recording`: a piece of a file that is whole.
+/// A piece of a complete part of a recording.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct RecordingPiece {
-    /// The recording.
+    /// The name of the recording.
     pub recording: String,
     /// The number of the part, from 0.
     pub part: u64,
-    /// How many parts are whole now.
+    /// Number of complete parts.
     pub parts: u64,
-    /// Where in the part the piece begins, in bytes.
+    /// The offset of the piece in the part, bytes.
     pub offset: u64,
-    /// How long the whole part is, in bytes.
+    /// The length of the part, bytes.
     pub length: u64,
-    /// The piece, as base64: at most 512 KiB of the part; empty where the part ends.
+    /// The piece, as base64: at most 512 KiB of the part; empty at the end of the part.
     pub bytes: String,
 }

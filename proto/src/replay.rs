@@ -48,23 +48,23 @@ pub struct OpenArgs {
     pub recording: Option<String>,
 }
 
-/// The result of a command to a playback.
+/// The reply to `replay`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ReplayResult {
-    /// Uploaded bytes, which is the offset of the next piece. `null` for `open`.
+    /// Number of uploaded bytes, which is the offset of the next piece; `null` after `open`.
     pub uploaded: Option<u64>,
-    /// The playback, for `open`.
+    /// The playback after `open`; `null` after `upload`.
     pub replay: Option<Replay>,
 }
 
-/// A playback and its position.
+/// A playback of a recording.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Replay {
     /// The swarm that was recorded.
     pub of: String,
-    /// The number of the current frame, from 1.
+    /// The number of the present frame, from 1.
     pub frame: u64,
-    /// How many frames it has.
+    /// Number of frames.
     pub frames: u64,
     /// Time units since its first frame.
     pub position: f64,

@@ -84,13 +84,12 @@ pub fn rename_fault(extra: &mut [ExtraValue]) {
     extra[at].name = name;
 }
 
-/// The value of a column that only some experiments have, in one row: a variable of the grid,
-/// `stopped_at`, or the mean of a chosen measure.
+/// The value of a column that only some experiments have.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize, JsonSchema)]
 pub struct ExtraValue {
-    /// The name of the column.
+    /// The column: a variable of the grid, `stopped_at`, or the mean of a measure such as `msd(5)`.
     pub name: String,
-    /// The value; `null` if it is undefined.
+    /// `stopped_at` in time units, a measure in its unit; `null` if it is undefined.
     pub value: Option<f64>,
 }
 
@@ -404,13 +403,12 @@ impl JsonSchema for ResultRow {
         extra.insert("description".to_owned(), description.into());
         properties.insert(EXTRA.to_owned(), extra.into());
         let description = "Why the run ended early, if a fault ended it; left out otherwise. The \
-                           other members are then those of the time before the fault.";
+                           other values are then those of the time before the fault.";
         let fault = json_schema!({"description": description, "type": ["string", "null"]});
         properties.insert(FAULT.to_owned(), fault.into());
         let required: Vec<&str> = COLUMNS.iter().map(|column| column.name).collect();
         json_schema!({
-            "description": "The result of one run of an experiment: a row of `results.csv`, one \
-                            member for each column.",
+            "description": "The result of one run of an experiment: a row of the table of results.",
             "type": "object",
             "properties": properties,
             "required": required,

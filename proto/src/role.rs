@@ -93,16 +93,16 @@ pub fn is_controller_of(person: &str, controller: &str) -> bool {
     rest.is_some_and(|rest| rest.is_empty() || rest.starts_with('-'))
 }
 
-/// A daemon's answer to `get/whoami`, which goes by the token that the query brings along.
+/// The person and role that a daemon assigns to a client, by the token of the query.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct WhoAmI {
-    /// The name; `null` from a daemon without users, and for an unknown token.
+    /// The person; `null` from a daemon without users, and for an unknown token.
     pub person: Option<String>,
     /// The role; `null` for an unknown token.
     pub role: Option<Role>,
-    /// What they may have swarms execute.
+    /// The permitted commands of swarms.
     pub verbs: Vec<String>,
-    /// What they may have the daemon execute.
+    /// The permitted commands of the daemon.
     pub node_verbs: Vec<String>,
 }
 

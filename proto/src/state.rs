@@ -107,62 +107,64 @@ pub fn to_cbor<T: Serialize>(message: &T) -> Vec<u8> {
     bytes
 }
 
-/// How ordered a swarm is and where it drifts, now and on average since the start or reset.
+/// The order and drift of a swarm, now and as means since the start or the last reset.
 ///
 /// Speeds are in free speeds; the means are over steps.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Order {
-    /// The polar order parameter, eq. (8) without the mean: 0 to 1.
+    /// The polar order parameter, the length of the mean heading: 0 to 1; eq. (8) without the mean.
     pub order: f64,
-    /// Its mean; `null` before the first step.
+    /// Its time mean, `v` of eq. (8); `null` before the first step.
     pub mean_order: Option<f64>,
-    /// The centroid's velocity, which is the mean heading.
+    /// The mean heading (x, y), which is the centroid's velocity in free speeds.
     pub velocity: [f64; 2],
-    /// Its mean; `null` before the first step.
+    /// Its time mean; `null` before the first step.
     pub mean_velocity: Option<[f64; 2]>,
-    /// The informed individuals' common direction in radians, that of the sum of their directions, each
-    /// times its weight; `null` if none is informed, or `direction_strength` is below 0.1.
+    /// The common direction of the informed individuals, radians: that of the sum of their
+    /// directions, each times its weight; `null` if there are none, or they disagree so much that
+    /// `direction_strength` is below 0.1.
     pub direction: Option<f64>,
-    /// How far the informed individuals agree: the length of that sum, divided by the sum of the weights,
-    /// 0 to 1; `null` if none is informed, or in a recording of an earlier version.
+    /// How far they agree, the length of that sum divided by the sum of the weights: 0 to 1; `null`
+    /// if there are none, and from an earlier version.
     #[serde(default)]
     pub direction_strength: Option<f64>,
-    /// The velocity along that direction.
+    /// The centroid's velocity along that direction, free speeds; `null` without one.
     pub drift: Option<f64>,
-    /// Its mean over the steps that had such a direction.
+    /// Its mean over the steps with such a direction.
     pub mean_drift: Option<f64>,
 }
 
-/// How exact a state is.
+/// The accuracy of a state.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Certificate {
-    /// The smallest gap between two bodies, measured apart from the solver; negative is overlap;
-    /// `null` if no two are near.
+    /// The smallest gap between two bodies, body sizes; negative is overlap; `null` if no two are
+    /// near. It is measured independently of the solver.
     pub worst_gap: Option<f64>,
-    /// The residual of the step that led here, in body sizes: at most 1e-9 unless degraded.
+    /// The residual `max |min(λ, s)|` of the step that led here, body sizes: at most 1e-9 unless
+    /// the step was degraded.
     pub residual: f64,
-    /// How many steps since the start or reset were taken with a larger residual.
+    /// Number of steps since the start or reset with a larger residual.
     pub degraded: u64,
-    /// How many pairs have crossing axes, measured apart from the solver.
+    /// Number of pairs with crossing axes. It is measured independently of the solver.
     pub crossed: u64,
-    /// How many contacts constrained the step.
+    /// Number of contacts that constrained the step.
     pub contacts: u64,
-    /// How many iterations the solver took.
+    /// Number of iterations of the solver.
     pub iterations: u64,
 }
 
-/// One published order.
+/// A published order.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct OrderSample {
     /// The swarm's name.
     pub swarm: String,
-    /// Grows whenever `step` does not continue what was published before.
+    /// Increases when `step` does not continue what was published before.
     pub epoch: u64,
-    /// The number of the state it goes with.
+    /// The number of its published state.
     pub frame: u64,
     /// The number of steps since the start.
     pub step: u64,
-    /// `step · dt`.
+    /// `step · dt`, body sizes over free speed.
     pub time: f64,
     /// The phase of the swarm.
     pub phase: Phase,
@@ -179,8 +181,8 @@ pub struct OrderSample {
     pub rate: Option<f64>,
     /// The rate that was reached lately; `null` while it does not run.
     pub real_time_factor: Option<f64>,
-    /// The measures that the swarm publishes, by name, each in its unit; `null` where one is
-    /// undefined or the group is too large for it. Left out without any.
+    /// The measures that the swarm publishes, by name, each in its unit; a value is `null` where it
+    /// is undefined or the group too large. Left out without any.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub measures: Option<BTreeMap<String, Option<f64>>>,
 }

@@ -9,17 +9,16 @@ use serde::{Deserialize, Serialize};
 use crate::parameters::SetArgs;
 use crate::{LARGEST_WHOLE, ParameterValues};
 
-/// The result of `set`.
+/// The reply to `set`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct SetResult {
     /// The values before.
     pub before: ParameterValues,
     /// The values now.
     pub now: ParameterValues,
-    /// The factor by which positions were scaled to make room; 1 if they were not.
+    /// The factor by which `make_room` scaled the positions; 1 is not at all.
     pub scaled_by: f64,
-    /// How many states a second it publishes at most while it runs: what `rate`, `dt` and
-    /// `publish_every` ask for, or the daemon's `max_hz` if that is less. Left out in a `batch`.
+    /// As in `Status`; left out in a `batch`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub published_hz: Option<f64>,
 }
@@ -80,17 +79,18 @@ pub struct InformArgs {
     /// Their preferred direction in radians, counter-clockwise from +x.
     #[schemars(range(min = -1e6, max = 1e6))]
     pub direction: f64,
-    /// How much it counts beside attraction, `pi2` if left out: above 0.
+    /// The weight of that direction beside attraction: above 0; `pi2` if left out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0), range(max = 1e6))]
     pub weight: Option<f64>,
-    /// After this many time units they are uninformed again; for good if left out.
+    /// The time after which they are uninformed again, body sizes over free speed; for good if left
+    /// out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0), range(max = 1e9))]
     pub for_time: Option<f64>,
 }
 
-/// Takes individuals' direction away.
+/// Takes the preferred direction of individuals away.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct UninformArgs {
@@ -102,22 +102,22 @@ pub struct UninformArgs {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct InjectArgs {
-    /// How many, at the border of the group, or in `within`.
+    /// Their number, at the border of the group, or in `within`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(range(min = 1))]
     pub count: Option<u64>,
-    /// Exactly there.
+    /// Their poses.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(length(min = 1))]
     pub at: Option<Vec<Pose>>,
-    /// With `count`: the disc they are drawn in.
+    /// With `count`: the disc in which they are drawn, absolute centre and radius in body sizes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub within: Option<Region>,
-    /// Informs them: their preferred direction in radians.
+    /// Informs them: their preferred direction in radians, counter-clockwise from +x.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(range(min = -1e6, max = 1e6))]
     pub direction: Option<f64>,
-    /// With `direction`: how much it counts beside attraction, `pi2` if left out.
+    /// With `direction`: its weight beside attraction; `pi2` if left out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0), range(max = 1e6))]
     pub weight: Option<f64>,
@@ -193,14 +193,14 @@ pub enum Change {
     Remove(RemoveArgs),
 }
 
-/// The results of the changes in a `batch`, in their order.
+/// The reply to `batch`; `seq` has increased by the number of its changes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct BatchResult {
-    /// One for each.
+    /// The result of each change, in their order.
     pub results: Vec<Changed>,
 }
 
-/// The result of a change.
+/// The result of one change of a `batch`, which has the fields of its verb.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "verb", content = "result", rename_all = "snake_case")]
 #[expect(clippy::large_enum_variant, reason = "there are few, and not for long")]
@@ -217,12 +217,12 @@ pub enum Changed {
     Remove(IdsResult),
 }
 
-/// The individuals that a command changed.
+/// The reply to `inform`, `uninform`, `inject` and `remove`.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct IdsResult {
-    /// Their ids, ascending.
+    /// The ids of the individuals concerned, ascending.
     pub ids: Vec<u32>,
-    /// The size of the group now.
+    /// The size of the group after the command.
     pub n: u64,
 }
 

@@ -66,12 +66,12 @@ pub enum OnTimeout {
     Pause,
 }
 
-/// The result of `join`.
+/// The reply to `join`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct JoinResult {
-    /// The individuals that it steers, by id.
+    /// The ids of the individuals that the controller steers.
     pub ids: Vec<u32>,
-    /// What happened while it was away, if it joins again.
+    /// What happened since it left, if it rejoins.
     pub news: News,
 }
 
@@ -125,7 +125,7 @@ pub struct SetPoints {
     pub speed: Option<Vec<Option<f64>>>,
 }
 
-/// The result of `advance`.
+/// The reply to `advance`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct AdvanceResult {
     /// How many steps were taken; fewer than asked for if another command came between.
@@ -145,31 +145,31 @@ pub struct AdvanceResult {
 /// What happened between two replies to a controller.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct News {
-    /// Missed deadlines, its own too.
+    /// Missed deadlines, also its own.
     pub missed: Vec<Miss>,
     /// Controllers that have left.
     pub left: Vec<Departed>,
-    /// Individuals of its own that were removed.
+    /// Ids of individuals of its own that were removed.
     pub removed: Vec<u32>,
 }
 
 /// A missed deadline.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Miss {
-    /// The late controller.
+    /// The controller that missed it.
     pub controller: String,
     /// The step at which the swarm waited.
     pub step: u64,
-    /// How many it has missed in a row; the third removes it.
+    /// Number of misses in a row: with the third the controller has left.
     pub misses: u32,
 }
 
 /// A controller that has left.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Departed {
-    /// The controller.
+    /// Its name.
     pub controller: String,
-    /// Why.
+    /// Why it has left.
     pub why: Departure,
 }
 

@@ -23,12 +23,12 @@ pub struct CreateArgs {
     pub exist_ok: bool,
 }
 
-/// The result of `create`.
+/// The reply to `create`, `fork` and `restore`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct CreateResult {
     /// False if an equal swarm existed.
     pub created: bool,
-    /// The spec with every default filled in.
+    /// Its spec, with all defaults.
     #[serde(deserialize_with = "lenient")]
     pub spec: Spec,
     /// BLAKE3 of the state, in hexadecimal.
@@ -76,10 +76,10 @@ pub struct RunArgs {
     pub rate: Option<Option<f64>>,
 }
 
-/// How the swarm runs now.
+/// The reply to `run`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct RunResult {
-    /// The step it will pause at.
+    /// The step it will pause at; `null` if it has no end.
     #[schemars(range(max = LARGEST_WHOLE))]
     pub until_step: Option<u64>,
     /// Time units per second of wall clock; `null` is as fast as possible.
@@ -141,13 +141,13 @@ pub enum Return {
     State,
 }
 
-/// The result of `step`.
+/// The reply to `step`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct StepResult {
-    /// How many steps were taken; fewer than asked for if another command came between.
+    /// Number of steps that were taken; fewer than requested if another command interrupted them.
     pub steps: u64,
-    /// The last step that is durable: a crash of the daemon does not undo it. It follows `step`
-    /// within a few milliseconds, unless the disk is full.
+    /// The last step that a crash of the daemon would not take back. It follows `step` within a few
+    /// milliseconds, unless the disk is full.
     #[serde(default)]
     pub durable_step: u64,
     /// BLAKE3 of the state, in hexadecimal.
@@ -181,19 +181,19 @@ pub struct ResetArgs {
     pub seed: Option<u64>,
 }
 
-/// The result of `reset`.
+/// The reply to `reset`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ResetResult {
-    /// Its seed.
+    /// The seed of the swarm.
     pub seed: u64,
     /// BLAKE3 of the state, in hexadecimal.
     pub state_hash: String,
 }
 
-/// The result of a command that is scheduled by `at_step`.
+/// The reply to a command with an `at_step` that lies ahead.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Scheduled {
-    /// The step at which it will be executed; an event then has its result.
+    /// The step at which the command will be executed; an event then has its result.
     pub applies_at_step: u64,
 }
 

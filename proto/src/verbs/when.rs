@@ -64,15 +64,16 @@ pub struct WhenArgs {
     pub id: Option<String>,
 }
 
-/// The result of `when`.
+/// The reply to `when`.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct WhenResult {
-    /// With `event` and `from_step`: whether the condition holds in the present state. It does not
-    /// wait then.
+    /// With `event`: whether the condition holds already, so that it does not wait; left out if it
+    /// waits.
     #[serde(default, skip_serializing_if = "is_false")]
     pub holds: bool,
-    /// The id of the condition that waits now, by which `when` with `cancel` removes it; left out if none does.
-    /// Daemons of earlier versions leave it out.
+    /// The id of the condition that waits now, by which `when` with `cancel` removes it; left out
+    /// if none
+    /// does, and in replies of earlier daemons.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub id: Option<String>,
 }

@@ -2,7 +2,7 @@
 
 /** What a daemon sends. A newer one may send more, and fields with `?` may be missing. */
 
-/** The result of `advance`. */
+/** The reply to `advance`. */
 export interface AdvanceResult {
   /** The last step that is durable: a crash of the daemon does not undo it. */
   durable_step: number;
@@ -18,29 +18,29 @@ export interface AdvanceResult {
 
 /** The reply of a swarm, and of the node that created one. The reply to a query on a swarm's `state` is the state alone. */
 export interface Reply<T> {
-  /** Grows whenever `step` does not continue what was published before. */
+  /** Increases when `step` does not continue what was published before. */
   epoch: number;
-  /** The phase of the swarm after it. */
+  /** The phase after the command. */
   phase: Phase;
   /** The result. */
   result: T;
-  /** Counts the swarm's applied commands. */
+  /** Number of commands applied to the swarm. */
   seq: number;
-  /** The step at which the command was executed; for `step`, the last step. */
+  /** The step at which the command took effect; for `step`, the step reached. */
   step: number;
   /** The swarm's name. */
   swarm: string;
-  /** `step · dt`. */
+  /** `step · dt`, body sizes over free speed. */
   time: number;
 }
 
-/** The zenoh attachment of a published state, in CBOR: when its step was taken and when it was published, and the newest set-points in it. It is no part of the state, so that equal states have equal bytes. Times are those of the daemon's wall clock, in nanoseconds since 1970, UTC. If that clock is set back in between, the second one is the earlier. */
+/** What a daemon attaches to a published state, in CBOR: times of its clock, and set-points. It is no part of the state, so that equal states have equal bytes. If the clock is set back in between, the second time is the earlier. */
 export interface Attachment {
-  /** When the daemon put the state on its key; `null` in a recording by the daemon, which contains states that are not published. */
+  /** When the daemon published the state, nanoseconds since 1970, UTC; `null` in a recording by the daemon. */
   published_unix_nanos: number | null;
-  /** The `sequence` of the newest set-points that the state contains, by controller: of those in mode `free_running` whose set-points hold. An `advance` has no such number. */
+  /** The numbers of the newest set-points in the state, the `sequence` of each put, by controller. Controllers in lock-step have none. */
   sequences: Record<string, number>;
-  /** When the step that led to the state was taken; `null` if the daemon does not know: before the first step, after a `reset` or a restart until the next one, and in a playback. */
+  /** When the step that led to the state was taken, nanoseconds since 1970, UTC; `null` if the daemon does not know: before the first step, after a reset or a restart until the next one, and in a playback. */
   stepped_unix_nanos: number | null;
 }
 
@@ -65,15 +65,15 @@ export type Attraction = {
   kind: "power";
 };
 
-/** A node's reply to `get/audit`: who sent which commands, oldest first. */
+/** A page of the audit log: who sent which commands, oldest first. */
 export interface Audit {
-  /** How many of the selected lines are damaged: they are left out. */
+  /** Number of selected lines that are damaged, and therefore missing. */
   damaged: number;
   /** The lines that the request selects, as many as one reply holds. */
   lines: AuditLine[];
   /** The number of the newest line; 0 before the first. */
   newest: number;
-  /** The number of the oldest line that the daemon still has; `null` if it has none. */
+  /** The number of the oldest stored line; `null` if there is none. */
   oldest: number | null;
 }
 
@@ -81,19 +81,19 @@ export interface Audit {
 export interface AuditLine {
   /** What an `experiment`, `record` or `replay` does, such as `cancel`; `null` for other verbs. */
   action: string | null;
-  /** What the client calls itself; `null` if it does not. */
+  /** The name that the client gives itself; `null` if it gives none. */
   client: string | null;
-  /** How many commands there were. */
+  /** Number of commands. */
   count: number;
-  /** The same for the last one. */
+  /** The same for the last of them. */
   last_unix_secs: number;
   /** The swarm, experiment or recording; of `create`, `restore` and `replay` the new swarm. */
   name: string | null;
-  /** Counts the lines of the daemon. */
+  /** The number of the line, from 1. */
   number: number;
-  /** How the commands ended. What is missing to `count` had no outcome when the line was stored. */
+  /** How the commands ended. Those missing to `count` had no outcome when the line was stored. */
   outcomes: AuditOutcome[];
-  /** The daemon's wall clock when the first command was received: seconds since 1970, UTC. */
+  /** The daemon's wall clock when it received the first of them, seconds since 1970, UTC. */
   unix_secs: number;
   /** The user of the token; `null` from a daemon without users, and for an unknown token. */
   user: string | null;
@@ -103,45 +103,45 @@ export interface AuditLine {
 
 /** How commands ended. */
 export interface AuditOutcome {
-  /** How many commands ended so. */
+  /** Number of commands that ended so. */
   count: number;
-  /** `ok`, the code of the error, or `abandoned` of a command that ended because its client was gone. */
+  /** `ok`, the code of the error, such as `permission_denied`, or `abandoned` of a command that ended because its client was gone. */
   outcome: string;
 }
 
-/** A controller that the others wait for. */
+/** A controller that the others wait for in lock-step. */
 export interface Awaited {
   /** Its name. */
   controller: string;
-  /** The timeout of this wait, seconds. */
+  /** Its deadline, seconds. */
   deadline_secs: number;
-  /** For how long, seconds. */
+  /** Seconds that they have waited. */
   secs: number;
 }
 
-/** The results of the changes in a `batch`, in their order. */
+/** The reply to `batch`; `seq` has increased by the number of its changes. */
 export interface BatchResult {
-  /** One for each. */
+  /** The result of each change, in their order. */
   results: Changed[];
 }
 
-/** How exact a state is. */
+/** The accuracy of a state. */
 export interface Certificate {
-  /** How many contacts constrained the step. */
+  /** Number of contacts that constrained the step. */
   contacts: number;
-  /** How many pairs have crossing axes, measured apart from the solver. */
+  /** Number of pairs with crossing axes. It is measured independently of the solver. */
   crossed: number;
-  /** How many steps since the start or reset were taken with a larger residual. */
+  /** Number of steps since the start or reset with a larger residual. */
   degraded: number;
-  /** How many iterations the solver took. */
+  /** Number of iterations of the solver. */
   iterations: number;
-  /** The residual of the step that led here, in body sizes: at most 1e-9 unless degraded. */
+  /** The residual `max |min(λ, s)|` of the step that led here, body sizes: at most 1e-9 unless the step was degraded. */
   residual: number;
-  /** The smallest gap between two bodies, measured apart from the solver; negative is overlap; `null` if no two are near. */
+  /** The smallest gap between two bodies, body sizes; negative is overlap; `null` if no two are near. It is measured independently of the solver. */
   worst_gap: number | null;
 }
 
-/** The result of a change. */
+/** The result of one change of a `batch`, which has the fields of its verb. */
 export type Changed = {
   result: SetResult;
   verb: "set";
@@ -166,15 +166,15 @@ export type ContactRule = "endpoints" | "closest" | "clamped";
 export interface Controller {
   /** Its name. */
   controller: string;
-  /** How long others wait for it, or how long its set-points hold, seconds. */
+  /** Seconds that others wait for it, or that its set-points apply. */
   deadline_secs: number;
-  /** Whether it may drive individuals directly. */
+  /** Whether it may set turning rates and speeds. */
   driving: boolean;
-  /** The individuals that it steers, by id. */
+  /** The ids of the individuals that it steers. */
   ids: number[];
-  /** Deadlines missed in a row. */
+  /** Number of deadlines missed in a row. */
   misses: number;
-  /** When the swarm steps. */
+  /** `lockstep` or `free_running`. */
   mode: Mode;
   /** What happens to its individuals when it is late. */
   on_timeout: OnTimeout;
@@ -182,21 +182,21 @@ export interface Controller {
   puts: Puts;
   /** The step that it has advanced to; `null` unless in lock-step. */
   target_step: number | null;
-  /** For how long others have waited for it, seconds; `null` if they do not. */
+  /** Seconds that others have waited for it; `null` if they do not. */
   waited_secs: number | null;
 }
 
-/** A swarm's reply to `get/controllers`. */
+/** The controllers that have joined a swarm. */
 export interface ControllerList {
-  /** The joined controllers, by name. */
+  /** The controllers that have joined, by name. */
   controllers: Controller[];
 }
 
-/** The result of `create`. */
+/** The reply to `create`, `fork` and `restore`. */
 export interface CreateResult {
   /** False if an equal swarm existed. */
   created: boolean;
-  /** The spec with every default filled in. */
+  /** Its spec, with all defaults. */
   spec: Spec;
   /** BLAKE3 of the state, in hexadecimal. */
   state_hash: string;
@@ -204,9 +204,9 @@ export interface CreateResult {
 
 /** A controller that has left. */
 export interface Departed {
-  /** The controller. */
+  /** Its name. */
   controller: string;
-  /** Why. */
+  /** Why it has left. */
   why: Departure;
 }
 
@@ -245,119 +245,119 @@ export interface Drive {
 /** The result of a command without one. */
 export type EmptyResult = Record<string, unknown>;
 
-/** The error reply to a request. Clients branch on `code`; `message` has the remedy. */
+/** An error. Clients branch on `code`; `message` has the remedy. */
 export interface ErrorBody {
-  /** The kind. */
+  /** The kind of error, such as `conflict`. */
   code: ErrorCode;
-  /** For programs: such as `field` and `range`. */
+  /** For programs, such as `field` and `range`; may be empty. */
   details?: Record<string, unknown>;
   /** For people: what is wrong, and the remedy. */
   message: string;
-  /** The current step of the swarm; `null` if the request is not to a swarm. */
+  /** The swarm's step at that time; `null` if it concerns no swarm. */
   step?: number | null;
 }
 
 /** The kinds of errors. */
 export type ErrorCode = "not_found" | "already_exists" | "invalid_argument" | "incorrect_state" | "resource_exhausted" | "busy" | "conflict" | "contested" | "permission_denied" | "storage_full" | "deadline_exceeded" | "faulted" | "internal";
 
-/** A published event. A gap in the numbers shows a reader that it missed some. */
+/** An event of a swarm. A gap in the numbers shows a reader that it missed some. */
 export interface EventMessage {
-  /** Grows whenever `step` does not continue what was published before. */
+  /** Increases when `step` does not continue what was published before. */
   epoch: number;
   /** What happened. */
   event: EventKind;
-  /** Counts the swarm's events from 1. */
+  /** The number of the event, from 1. */
   number: number;
-  /** The phase of the swarm after it. */
+  /** The phase after the event. */
   phase: Phase;
-  /** The step at which it happened. */
+  /** The step of the event. */
   step: number;
   /** The swarm's name. */
   swarm: string;
-  /** `step · dt`. */
+  /** `step · dt`, body sizes over free speed. */
   time: number;
-  /** The daemon's wall clock when it happened: seconds since 1970, UTC, to the millisecond; `null` if it is not known. */
+  /** The daemon's wall clock, seconds since 1970, UTC; `null` if it is not known. */
   unix_secs?: number | null;
 }
 
 /** What happened. */
 export type EventKind = {
-  /** The client, as the request names it. */
+  /** The name of the client that sent the command. */
   client?: string | null;
   kind: "created";
-  /** The id that its client gave it. */
+  /** The id of the request. */
   request_id?: string | null;
   /** The verb that created it: `create`, `restore`, `fork` or `replay`; `null` if it is not known, as for a swarm that an earlier version created. */
   verb?: string | null;
 } | {
   kind: "phase";
-  /** Why. */
+  /** The cause. */
   reason: string | null;
 } | {
-  /** Its arguments as received. */
+  /** The arguments of the command, as they were sent. */
   args: unknown;
-  /** The client, as the request names it. */
+  /** The name of the client that sent the command. */
   client: string | null;
   kind: "command";
-  /** The id that its client gave it. */
+  /** The id of the request. */
   request_id: string | null;
-  /** Counts the swarm's applied commands. */
+  /** Number of commands applied to the swarm. */
   seq: number;
-  /** Its verb. */
+  /** The verb of the command. */
   verb: string;
 } | {
-  /** The step at which it will be executed. */
+  /** The step that the command waits for. */
   applies_at_step: number;
-  /** Its arguments as received. */
+  /** The arguments of the command, as they were sent. */
   args: unknown;
-  /** The client, as the request names it. */
+  /** The name of the client that sent the command. */
   client: string | null;
   kind: "scheduled";
-  /** The id that its client gave it. */
+  /** The id of the request. */
   request_id: string | null;
-  /** Its verb. */
+  /** The verb of the command. */
   verb: string;
 } | {
-  /** Its arguments as received. */
+  /** The arguments of the command, as they were sent. */
   args: unknown;
-  /** The client, as the request names it. */
+  /** The name of the client that sent the command. */
   client: string | null;
-  /** Why. */
+  /** Why the command was rejected. */
   error: ErrorBody;
   kind: "refused";
-  /** The id that its client gave it. */
+  /** The id of the request. */
   request_id: string | null;
-  /** Its verb. */
+  /** The verb of the command. */
   verb: string;
 } | {
-  /** Their ids, ascending. */
+  /** The ids of the individuals concerned, ascending. */
   ids: number[];
   kind: "lapsed";
 } | {
   kind: "fault";
-  /** Why. */
+  /** The cause. */
   reason: string;
 } | {
   kind: "recording_failed";
-  /** Why. */
+  /** The cause. */
   reason: string;
-  /** The recording's name. */
+  /** The name of the daemon's recording. */
   recording: string;
 } | {
-  /** The client, as the request names it. */
+  /** The name of the client that sent the command. */
   client?: string | null;
   kind: "deleted";
-  /** The id that its client gave it. */
+  /** The id of the request. */
   request_id?: string | null;
 };
 
-/** A swarm's reply to `get/events?after=NUMBER`: the events it still has, oldest first. */
+/** A page of the events that a daemon stores of a swarm. */
 export interface Events {
-  /** Those after the requested number, as many as one reply holds. */
+  /** The events of the page, oldest first. */
   events: EventMessage[];
-  /** The number of the newest one: query until it is reached. 0 before the first. */
+  /** The number of the newest event: query until it is reached; 0 before the first. */
   newest: number;
-  /** The number of the oldest one that it still has; `null` if it has none. */
+  /** The number of the oldest stored event; `null` if there is none. */
   oldest: number | null;
 }
 
@@ -383,7 +383,7 @@ export interface ExpandedRun {
   snapshot?: string | null;
   /** The spec of the swarm, with the seed of the run. */
   spec: Spec;
-  /** How many steps the run takes, at most. */
+  /** The number of its steps, at most. */
   steps: number;
   /** The condition that ends the run and pauses the swarm; `null` if there is none. */
   stop: string | null;
@@ -393,7 +393,7 @@ export interface ExpandedRun {
 export interface ExperimentFile {
   /** The text of the file, TOML. Its run takes the steps of the swarm. */
   file: string;
-  /** The text of the CSV of set-points that the file names, with the parameter `setpoints`; left out if no controller steered an individual. */
+  /** The text of the CSV of set-points that the file names; left out if it names none. */
   setpoints?: string | null;
   /** BLAKE3 of the state at that step, in hexadecimal. The run ends with it, unless commands were applied at that step: then the run takes one more step. */
   state_hash: string;
@@ -404,56 +404,43 @@ export interface ExperimentFile {
 /** What an experiment is doing. */
 export type ExperimentPhase = "queued" | "running" | "paused" | "finished" | "cancelled" | "failed";
 
-/** What a node did with an experiment. */
+/** The reply to a command about an experiment. */
 export interface ExperimentResult {
-  /** Whether it was not there before. */
+  /** Whether the command created it. */
   created: boolean;
-  /** The run of `expand`. */
+  /** The run of `expand`; left out by other commands. */
   expanded?: ExpandedRun | null;
-  /** How it stands now; of a deleted one, how it stood; with `expand`, how it would begin. */
+  /** Its progress; of a deleted one, its last; with `expand`, that at its beginning. */
   progress: Progress;
 }
 
-/** A node's answer to `get/experiments`. */
+/** The experiments of a daemon. */
 export interface Experiments {
-  /** All it has, in the order in which they were submitted. */
+  /** The experiments, in the order of submission. */
   experiments: Progress[];
 }
 
-/** The value of a column that only some experiments have, in one row: a variable of the grid, `stopped_at`, or the mean of a chosen measure. */
+/** The value of a column that only some experiments have. */
 export interface ExtraValue {
-  /** The name of the column. */
+  /** The column: a variable of the grid, `stopped_at`, or the mean of a measure such as `msd(5)`. */
   name: string;
-  /** The value; `null` if it is undefined. */
+  /** `stopped_at` in time units, a measure in its unit; `null` if it is undefined. */
   value: number | null;
 }
 
-/** What went wrong in a swarm that has faulted. `reason` says it in words. */
-export interface Fault {
-  /** The gap between the two bodies that cross, in the last good state, body sizes; `null` for others. */
-  gap: number | null;
-  /** The individuals that it is about; empty if it is about none in particular. */
-  ids: number[];
-  /** What it is. */
-  kind: FaultKind;
-}
-
-/** What went wrong. */
-export type FaultKind = "crossed_bodies" | "not_solved" | "overturned" | "not_finite" | "other";
-
-/** A node's reply to `get/hello`: its version and limits. */
+/** The name, version and limits of a daemon. */
 export interface Hello {
-  /** Its data, by a number that the daemon drew when it began their database. A daemon with the same id has the replies to commands that were executed, so that a command can be sent again after a restart. Absent if the daemon could not store it. */
+  /** Its data folder, by a number that the daemon drew when it began the folder's database; a restored backup has another one. A daemon with the same id has the replies to commands that were executed, so that a command can be sent again after a restart. Left out if the daemon could not store it. */
   data_id?: string | null;
-  /** Where it serves HTTP, such as `https://0.0.0.0:8443`; absent if it serves none. */
+  /** The address of its HTTP server, such as `https://0.0.0.0:8443`; left out if it has none. */
   http?: string | null;
-  /** The limits it enforces. */
+  /** Its limits. */
   limits: Limits;
-  /** The daemon's clock: seconds since 1970, UTC. */
+  /** Its clock: seconds since 1970, UTC. */
   unix_secs: number;
   /** The daemon's version. */
   version: string;
-  /** The version of the contract. */
+  /** The version of the contract that it speaks. */
   wire_version: number;
 }
 
@@ -471,7 +458,7 @@ export interface Histogram {
   values: number[];
 }
 
-/** The oldest stored checkpoint of a swarm: all after it can be replayed. */
+/** The oldest stored checkpoint of a swarm: the history after it can be replayed. */
 export interface HistoryFrom {
   /** Its epoch. */
   epoch: number;
@@ -479,51 +466,51 @@ export interface HistoryFrom {
   step: number;
 }
 
-/** The individuals that a command changed. */
+/** The reply to `inform`, `uninform`, `inject` and `remove`. */
 export interface IdsResult {
-  /** Their ids, ascending. */
+  /** The ids of the individuals concerned, ascending. */
   ids: number[];
-  /** The size of the group now. */
+  /** The size of the group after the command. */
   n: number;
 }
 
-/** The result of `join`. */
+/** The reply to `join`. */
 export interface JoinResult {
-  /** The individuals that it steers, by id. */
+  /** The ids of the individuals that the controller steers. */
   ids: number[];
-  /** What happened while it was away, if it joins again. */
+  /** What happened since it left, if it rejoins. */
   news: News;
 }
 
-/** A swarm's reply to `get/journal?after=SEQ`: the commands it applied, oldest first. The spec and these commands determine the state of the swarm. */
+/** A page of the commands that a daemon stores of a swarm. The spec and these commands determine the state of the swarm. */
 export interface Journal {
-  /** Those after the requested `seq` that the request selects, as many as one reply holds. */
+  /** The entries of the page, oldest first. */
   entries: JournalEntry[];
-  /** The `seq` of the newest one. 0 before the first. */
+  /** The `seq` of the newest entry; 0 before the first. */
   newest: number;
-  /** The line of the journal at which the next page begins: query again with it as `line`, also if this page has no entries. Left out by the last page. */
+  /** The line of the journal at which the next page begins: query again with it as `line`, also if this page has no entries; left out after the last page, and in replies of earlier daemons. */
   next?: number | null;
-  /** The `seq` of the oldest one that it still has; `null` if it has none. */
+  /** The `seq` of the oldest stored entry; `null` if there is none. */
   oldest: number | null;
 }
 
-/** A command that was applied. */
+/** A command that a swarm applied. */
 export interface JournalEntry {
-  /** Its arguments as received. */
+  /** Its arguments as they were sent. */
   args: unknown;
-  /** The client, as the request names it. */
+  /** The name of the client that sent it. */
   client: string | null;
-  /** The epoch it was applied in. */
+  /** The epoch in which it was applied. */
   epoch: number;
-  /** The id that its client gave it. */
+  /** The id of the request. */
   request_id: string | null;
-  /** Counts the swarm's applied commands; a `batch` counts each of its changes, and has the number of the last. */
+  /** The number of the command; each change of a `batch` has one, and its entry has that of the last. */
   seq: number;
-  /** The step it was applied at. */
+  /** The step at which it was applied. */
   step: number;
-  /** `step · dt`. */
+  /** `step · dt`, body sizes over free speed. */
   time: number;
-  /** The daemon's wall clock when it was applied: seconds since 1970, UTC, to the millisecond; `null` if it is not known, as in what older versions journaled. */
+  /** The daemon's wall clock, seconds since 1970, UTC; `null` if it is not known, as in entries of older daemons. */
   unix_secs?: number | null;
   /** Its verb. */
   verb: string;
@@ -539,17 +526,17 @@ export interface Lapse {
 
 /** The limits of a daemon. */
 export interface Limits {
-  /** Clients at once; while more are connected, `get/hello` is rejected. */
+  /** Number of connected clients; beyond it `get/hello` is rejected with `resource_exhausted`. */
   max_clients: number;
-  /** States published per second and swarm. */
+  /** Published states per second and swarm. */
   max_hz: number;
-  /** Individuals in one swarm. */
+  /** Number of individuals of a swarm. */
   max_individuals: number;
-  /** Memory of all swarms together, in bytes. */
+  /** Memory of all swarms together, bytes. */
   max_memory_bytes: number;
-  /** The longest request, in bytes; a longer one is rejected, and zenoh drops one of more than 1 MiB without an error. */
+  /** Length of a request, bytes; a longer one is rejected, and zenoh drops one of more than 1 MiB without an error. */
   max_message_bytes: number;
-  /** Swarms at once. */
+  /** Number of swarms. */
   max_swarms: number;
 }
 
@@ -571,7 +558,7 @@ export interface MeasureValue {
   value: number | null;
 }
 
-/** A swarm's reply to `get/measures?names=NAME,...`, or with a histogram to `get/measures?histogram=NAME;bins=COUNT;max=LENGTH`. */
+/** Measures of the newest state of a swarm, or a histogram of it. */
 export interface Measures {
   /** The requested histogram of the newest state. */
   histogram?: Histogram | null;
@@ -617,59 +604,59 @@ export interface Metadata {
   value: string;
 }
 
-/** A node's answer to `get/metrics`. What grows for ever is counted since the daemon started; two looks tell what came in between. */
+/** Metrics of a daemon; counters begin when it starts. */
 export interface Metrics {
-  /** Names of the daemon and its swarms that another daemon holds, too. */
+  /** Number of names, the daemon's and its swarms', that another daemon has too. */
   contested?: number;
-  /** Cores it may use. */
+  /** Number of cores that it may use. */
   cores: number;
-  /** Seconds its threads have computed. */
+  /** CPU seconds of its threads. */
   cpu_secs: number;
-  /** Steps that missed the target residual, yet were good enough to go on. */
+  /** Number of steps that missed the target residual, but were acceptable. */
   degraded: number;
-  /** What all experiments take on disk, in bytes; earlier daemons do not count it. */
+  /** Bytes of all experiments on disk; `null` from an earlier daemon. */
   experiments_bytes?: number | null;
-  /** What they may take, in bytes: the one that goes on is paused there, and none begins; `null` if they may take the whole disk. */
+  /** The limit of these bytes, at which the running experiment is paused, and none begins; `null` if there is none. */
   experiments_quota_bytes?: number | null;
-  /** Steps that failed; each stops its swarm. */
+  /** Number of failed steps; each stops its swarm. */
   faults: number;
-  /** States made to be published. */
+  /** Number of states for publication. */
   frames: number;
-  /** States that gave way to a newer one before they were published. */
+  /** Number of states that a newer one replaced before publication. */
   frames_dropped: number;
-  /** Memory in use, in bytes. */
+  /** Memory in use, bytes. */
   memory_bytes: number;
-  /** The recordings it has made or makes. */
+  /** The recordings. */
   recordings?: RecordingMetrics;
-  /** What all recordings take on disk, in bytes. */
+  /** Bytes of all recordings on disk. */
   recordings_bytes?: number;
-  /** What they may take, in bytes: those that go on end there, and none begins. */
+  /** The limit of these bytes: running recordings end at it, and none begins. */
   recordings_quota_bytes?: number;
-  /** The largest residual of a step, in body sizes. */
+  /** The largest residual of a step, body sizes. */
   residual_max: number;
-  /** Clients connected. */
+  /** Number of connected clients. */
   sessions: number;
   /** Seconds that these steps took. */
   step_secs: number;
-  /** Steps taken by all swarms there ever were. */
+  /** Number of steps of all swarms, also of deleted ones. */
   steps: number;
-  /** How the daemon's memory on disk does. */
+  /** The database. */
   store: StoreMetrics;
   /** Every swarm, ordered by name. */
   swarms: SwarmMetrics[];
-  /** Why not all is well, for people; empty if it is. */
+  /** The reasons why it is unhealthy, for people; empty if it is healthy. */
   unwell: string[];
-  /** Seconds since the daemon started. */
+  /** Seconds since it started. */
   uptime_secs: number;
-  /** What is wrong without keeping it from its work, such as a recording that has failed, for people; empty if nothing is. */
+  /** Problems that do not stop its work, for people, such as a failed recording; empty if there are none. */
   warnings?: string[];
 }
 
 /** A missed deadline. */
 export interface Miss {
-  /** The late controller. */
+  /** The controller that missed it. */
   controller: string;
-  /** How many it has missed in a row; the third removes it. */
+  /** Number of misses in a row: with the third the controller has left. */
   misses: number;
   /** The step at which the swarm waited. */
   step: number;
@@ -682,37 +669,37 @@ export type Mode = "lockstep" | "free_running";
 export interface News {
   /** Controllers that have left. */
   left: Departed[];
-  /** Missed deadlines, its own too. */
+  /** Missed deadlines, also its own. */
   missed: Miss[];
-  /** Individuals of its own that were removed. */
+  /** Ids of individuals of its own that were removed. */
   removed: number[];
 }
 
 /** The reply of a node. */
 export interface NodeReply<T> {
-  /** The node's name. */
+  /** The daemon's name. */
   node: string;
   /** The result. */
   result: T;
 }
 
-/** A node's reply to `get/status`. */
+/** The status of a daemon. */
 export interface NodeStatus {
-  /** Clients connected. */
+  /** Number of connected clients. */
   clients: number;
-  /** Of it, memory reserved for that experiment, in bytes. */
+  /** Of it, memory reserved for the running experiment, bytes. */
   experiments_memory_bytes?: number;
-  /** How many of them faulted. */
+  /** Number of faulted swarms. */
   faulted: number;
-  /** Individuals in all swarms together. */
+  /** Number of individuals in all swarms. */
   individuals: number;
-  /** Memory reserved for the swarms and the experiment that goes on, in bytes. */
+  /** Memory reserved for the swarms and the running experiment, bytes. */
   memory_bytes: number;
-  /** How many of them run. */
+  /** Number of running swarms. */
   running: number;
-  /** Swarms it hosts. */
+  /** Number of swarms. */
   swarms: number;
-  /** Seconds since the daemon started. */
+  /** Seconds since it started. */
   uptime_secs: number;
 }
 
@@ -729,23 +716,23 @@ export interface OccasionalColumns {
 /** What happens to the individuals of a late controller. */
 export type OnTimeout = "hold" | "free" | "pause";
 
-/** How ordered a swarm is and where it drifts, now and on average since the start or reset. Speeds are in free speeds; the means are over steps. */
+/** The order and drift of a swarm, now and as means since the start or the last reset. Speeds are in free speeds; the means are over steps. */
 export interface Order {
-  /** The informed individuals' common direction in radians, that of the sum of their directions, each times its weight; `null` if none is informed, or `direction_strength` is below 0.1. */
+  /** The common direction of the informed individuals, radians: that of the sum of their directions, each times its weight; `null` if there are none, or they disagree so much that `direction_strength` is below 0.1. */
   direction: number | null;
-  /** How far the informed individuals agree: the length of that sum, divided by the sum of the weights, 0 to 1; `null` if none is informed, or in a recording of an earlier version. */
+  /** How far they agree, the length of that sum divided by the sum of the weights: 0 to 1; `null` if there are none, and from an earlier version. */
   direction_strength?: number | null;
-  /** The velocity along that direction. */
+  /** The centroid's velocity along that direction, free speeds; `null` without one. */
   drift: number | null;
-  /** Its mean over the steps that had such a direction. */
+  /** Its mean over the steps with such a direction. */
   mean_drift: number | null;
-  /** Its mean; `null` before the first step. */
+  /** Its time mean, `v` of eq. (8); `null` before the first step. */
   mean_order: number | null;
-  /** Its mean; `null` before the first step. */
+  /** Its time mean; `null` before the first step. */
   mean_velocity: [number, number] | null;
-  /** The polar order parameter, eq. (8) without the mean: 0 to 1. */
+  /** The polar order parameter, the length of the mean heading: 0 to 1; eq. (8) without the mean. */
   order: number;
-  /** The centroid's velocity, which is the mean heading. */
+  /** The mean heading (x, y), which is the centroid's velocity in free speeds. */
   velocity: [number, number];
 }
 
@@ -767,17 +754,17 @@ export interface OrderPage {
   total?: number | null;
 }
 
-/** One published order. */
+/** A published order. */
 export interface OrderSample {
   /** How exact the state is. */
   certificate: Certificate;
-  /** Grows whenever `step` does not continue what was published before. */
+  /** Increases when `step` does not continue what was published before. */
   epoch: number;
-  /** The number of the state it goes with. */
+  /** The number of its published state. */
   frame: number;
   /** How many individuals are informed. */
   informed: number;
-  /** The measures that the swarm publishes, by name, each in its unit; `null` where one is undefined or the group is too large for it. Left out without any. */
+  /** The measures that the swarm publishes, by name, each in its unit; a value is `null` where it is undefined or the group too large. Left out without any. */
   measures?: Record<string, number | null> | null;
   /** The number of individuals. */
   n: number;
@@ -793,48 +780,29 @@ export interface OrderSample {
   step: number;
   /** The swarm's name. */
   swarm: string;
-  /** `step · dt`. */
+  /** `step · dt`, body sizes over free speed. */
   time: number;
 }
 
-/** What a swarm was made from. */
-export interface Origin {
-  /** How it was made. */
-  kind: OriginKind;
-  /** The number of its commands before; `null` for a replay. */
-  seq: number | null;
-  /** BLAKE3 of its state then, in hexadecimal; `null` for a replay. */
-  state_hash: string | null;
-  /** Its step then. */
-  step: number;
-  /** The swarm that was forked, saved in a snapshot or recorded; `null` if a snapshot has no name that a swarm can have. */
-  swarm: string | null;
-  /** The number of that swarm in the store of this daemon; `null` if it may be of another daemon. */
-  swarm_id: number | null;
-}
-
-/** How a swarm was made from another one. */
-export type OriginKind = "fork" | "restore" | "play";
-
-/** A parameter of a swarm, described for a form or a slider. */
+/** A parameter of a swarm, with the data of a form or a slider. */
 export interface Parameter {
   /** The verbs that change it. */
   changed_by: string[];
-  /** The values of a choice, of those that take numbers the kind alone; empty otherwise. */
+  /** The values of a choice, without their numbers; empty otherwise. */
   choices: unknown[];
-  /** The value if left out; `null` if it is required. */
+  /** The default; `null` if it must be given. */
   default: unknown;
-  /** What it means, in a line. */
+  /** A description in one line. */
   doc: string;
-  /** The value that it must exceed; `null` if there is none. */
+  /** The value must be above this; `null` if there is no such bound. */
   exclusive_minimum: number | null;
-  /** What values it takes. */
+  /** The type of its values: `number`, `integer` or `choice`. */
   kind: ParameterKind;
-  /** Whether commands can change it. */
+  /** Whether a command can change it. */
   live: boolean;
   /** The largest value at present; `null` if there is none. */
   maximum: number | null;
-  /** The least value; `null` if there is none. */
+  /** The smallest value; `null` if there is none. */
   minimum: number | null;
   /** Its name in the spec. */
   name: string;
@@ -842,9 +810,7 @@ export interface Parameter {
   nullable: boolean;
   /** Its unit; `1` if it has none. */
   unit: string;
-  /** What it usually is; `null` of a parameter without such a range, and of daemons of earlier versions. */
-  usual?: Usual | null;
-  /** The current value. */
+  /** The present value. */
   value: unknown;
 }
 
@@ -853,33 +819,33 @@ export type ParameterKind = "number" | "integer" | "choice";
 
 /** The values of the parameters that commands can change. */
 export interface ParameterValues {
-  /** What an individual turns towards. */
+  /** The law of attraction: `{"kind": "all"}` is eq. (4), which an `accuracy` makes faster from some thousand individuals on; others are `voronoi`, `metric` with a `radius` in body sizes, `topological` with a number of `neighbours`, and `power` with an `exponent`. */
   attraction: Attraction;
-  /** Which of a pair's contacts constrain it. */
+  /** Which contacts of a pair constrain a step: `endpoints`; `closest`, only the one with the smallest gap; or, for comparison, `clamped`, which adds redundant ones. */
   contacts: ContactRule;
-  /** For how many seconds the swarm waits for a controller in lock-step that sends nothing; left out without a limit. */
+  /** Seconds that the swarm waits for a controller in lock-step that sends nothing; left out without a limit. */
   max_idle_secs?: number | null;
   /** The measures in each published order; left out without any. */
   measures?: string[] | null;
-  /** Intensity of white noise on the turning rate, squared angle over time: 0 or more. */
+  /** Intensity of white noise on the turning rate, squared radians per time unit: 0 to 10⁶. */
   noise: number;
   /** Length over width of a body: 1 (a disc) to 32. */
   pi1: number;
-  /** Weight of the preferred direction of individuals informed without a weight: 0 or more. */
+  /** Weight of individuals that are informed without a weight: 0 to 10⁶. */
   pi2: number;
-  /** Body size over turning radius: above 0. */
+  /** Body size over turning radius: above 0, to 10⁶. */
   pi3: number;
-  /** Translational over rotational drag: above 0. */
+  /** Translational over rotational drag: above 0, to 10⁶. */
   pi4: number;
-  /** Steps between two published states: 1 or more. */
+  /** Number of steps between two published states: 1 or more. */
   publish_every: number;
-  /** How many more programs a step solves about what the last one predicts: 0 or 1. One more leaves less overlap, and goes with `position` alone. */
+  /** Number of further programs that a step solves about the result of the last one: 0, or 1, which leaves less overlap and requires `position`. */
   relinearise: number;
-  /** What a contact limits. */
+  /** What a contact limits: `position`, the gap after the step, or `velocity`, the speed at which touching bodies approach each other. */
   stepping: Stepping;
 }
 
-/** A swarm's reply to `get/parameters`. */
+/** All parameters of a swarm except its start. */
 export interface Parameters {
   /** All but the start, in the order of the spec. */
   parameters: Parameter[];
@@ -912,43 +878,43 @@ export interface Pending {
 /** The phase of a swarm. */
 export type Phase = "paused" | "running" | "faulted";
 
-/** How far an experiment is. Published while it changes, at most twice a second. */
+/** The progress of an experiment, published while it changes, at most twice a second. */
 export interface Progress {
-  /** How long it has been running, pauses aside. */
+  /** Seconds that it has run, without pauses. */
   elapsed_secs: number;
-  /** How many of them ended early. */
+  /** Number of finished runs that ended early. */
   faulted: number;
-  /** How many are over. */
+  /** Number of finished runs. */
   finished: number;
-  /** The estimated time to its end without pauses; `null` while unknown. */
+  /** Seconds that it will still take, without pauses; `null` while there is no estimate. */
   left_secs: number | null;
-  /** Why it failed; what it waits for. */
+  /** Why it failed or the daemon paused it, or a remark on its runs; `null` without one. */
   message: string | null;
   /** The experiment's name. */
   name: string;
-  /** What it is doing. */
+  /** Its phase. */
   phase: ExperimentPhase;
-  /** The runs under way. */
+  /** The runs that are being executed. */
   running: RunUnderWay[];
-  /** How many runs it has. */
+  /** Number of runs. */
   runs: number;
-  /** The share of the work that is done, the work of runs under way included. */
+  /** The finished share of the work, 0 to 1, with that of the present runs. */
   share: number;
 }
 
-/** The outcomes of a controller's puts. */
+/** Numbers of a controller's puts, by outcome. */
 export interface Puts {
-  /** Applied. */
+  /** Applied ones. */
   applied: number;
-  /** Overtaken by a newer one before the next step. */
+  /** Those that a newer one overtook before the next step. */
   overtaken: number;
-  /** Unreadable, out of range, not permitted, or about individuals that are not its own. */
+  /** Those that were unreadable, out of range, not permitted, or for individuals of another controller. */
   refused: number;
-  /** Not newer than one before, or of another epoch. */
+  /** Those that were not newer than one before, or of another epoch. */
   stale: number;
 }
 
-/** A state, as a recording counts. */
+/** The epoch and step of a state in a recording. */
 export interface RecordedAt {
   /** Its epoch. */
   epoch: number;
@@ -956,99 +922,99 @@ export interface RecordedAt {
   step: number;
 }
 
-/** How a recording stands; of a deleted one, how it stood. */
+/** The status of a recording of a daemon; of a deleted one, its last status. */
 export interface Recording {
-  /** When it began, in seconds since 1970. */
+  /** Its beginning, seconds since 1970, UTC. */
   began_unix_secs: number;
-  /** Their bytes. */
+  /** Bytes of these files. */
   bytes: number;
-  /** Whether it leaves states out while the disk does not keep up. */
+  /** Whether it drops states while the disk is too slow; otherwise the swarm waits. */
   drop_when_behind?: boolean;
-  /** The states whose step is a multiple of this are in it; `null`: an earlier version recorded what was published. */
+  /** It has the states whose step is a multiple of this; `null` is the published states, of an earlier version. */
   every: number | null;
-  /** How it is written. */
+  /** `mcap`, or `parquet` if an earlier version recorded it. */
   format: RecordingFormat;
-  /** How many states were recorded. */
+  /** Number of recorded states. */
   frames: number;
-  /** Where the last of those were; `null`: none was lost. */
+  /** Where the last of these were; `null` if none was lost. */
   gap?: RecordingGap | null;
-  /** How many of them it lost because the daemon ended before their file was whole. */
+  /** Number of them that were lost because the daemon ended before their file was complete. */
   lost?: number;
-  /** How many of its finished files are missing or damaged; `frames`, `parts` and `bytes` are those of the others then. */
+  /** Number of finished files that are missing or damaged; `frames`, `parts` and `bytes` are those of the others then. */
   lost_parts?: number;
-  /** The bytes from which on it ends; `null`: an earlier version began it, without such an end. */
+  /** The size in bytes at which it ends; `null` for a recording of an earlier version, which has no limit. */
   max_bytes?: number | null;
-  /** How many states are missing: those that it left out because the disk did not keep up (without `drop_when_behind` the swarm waits instead), and those in `lost`. */
+  /** Number of missing states: those that were dropped because the disk was too slow (without `drop_when_behind` the swarm waits instead), and those in `lost`. */
   missed: number;
-  /** How many of its files are whole. */
+  /** Number of complete files. */
   parts: number;
-  /** What it is doing. */
+  /** Its phase. */
   phase: RecordingPhase;
   /** Why it ended or failed, and which of its files are missing or damaged. */
   reason: string | null;
-  /** Its name, and its folder's below `recordings` in the daemon's data directory. */
+  /** Its name, and that of its folder in `recordings` of the daemon's data directory. */
   recording: string;
-  /** The swarm. */
+  /** The name of the recorded swarm. */
   swarm: string;
-  /** Whether a client is to fetch it and delete it then. */
+  /** Whether the client that fetches it is to delete it afterwards. */
   temporary?: boolean;
 }
 
 /** How a recording is written: as MCAP, unless an earlier version wrote it. */
 export type RecordingFormat = "mcap" | "parquet";
 
-/** States that a recording lost when the daemon ended, all of them before the next state in it. */
+/** States that a recording lost because the daemon ended before their file was complete. */
 export interface RecordingGap {
-  /** The state up to which none is missing; `null`: the recording begins with the gap. */
+  /** The state up to which none is missing; `null` if the recording begins with the gap. */
   after: RecordedAt | null;
-  /** How many states are missing. */
+  /** Number of missing states. */
   missed: number;
-  /** The state from which on it continues. */
+  /** The state at which the recording continues. */
   until: RecordedAt;
 }
 
-/** A daemon's recordings, counted by what they do. */
+/** Numbers of a daemon's recordings, by phase. */
 export interface RecordingMetrics {
-  /** Those that have ended. */
+  /** Number of ended recordings. */
   ended: number;
-  /** Those that have failed. */
+  /** Number of failed recordings. */
   failed: number;
-  /** Those that go on. */
+  /** Number of running recordings. */
   recording: number;
 }
 
 /** What a recording is doing. */
 export type RecordingPhase = "recording" | "ended" | "failed";
 
-/** A node's answer to `get/recording`: a piece of a file that is whole. */
+/** A piece of a complete part of a recording. */
 export interface RecordingPiece {
-  /** The piece, as base64: at most 512 KiB of the part; empty where the part ends. */
+  /** The piece, as base64: at most 512 KiB of the part; empty at the end of the part. */
   bytes: string;
-  /** How long the whole part is, in bytes. */
+  /** The length of the part, bytes. */
   length: number;
-  /** Where in the part the piece begins, in bytes. */
+  /** The offset of the piece in the part, bytes. */
   offset: number;
   /** The number of the part, from 0. */
   part: number;
-  /** How many parts are whole now. */
+  /** Number of complete parts. */
   parts: number;
-  /** The recording. */
+  /** The name of the recording. */
   recording: string;
 }
 
-/** A node's answer to `get/recordings`. */
+/** The recordings of a daemon. */
 export interface Recordings {
-  /** All it has, ordered by name. */
+  /** The recordings, ordered by name. */
   recordings: Recording[];
 }
 
-/** A playback and its position. */
+/** A playback of a recording. */
 export interface Replay {
   /** Time units from its first frame to its last, resets and gaps left out. */
   duration: number;
-  /** The number of the current frame, from 1. */
+  /** The number of the present frame, from 1. */
   frame: number;
-  /** How many frames it has. */
+  /** Number of frames. */
   frames: number;
   /** The swarm that was recorded. */
   of: string;
@@ -1056,23 +1022,23 @@ export interface Replay {
   position: number;
 }
 
-/** The result of a command to a playback. */
+/** The reply to `replay`. */
 export interface ReplayResult {
-  /** The playback, for `open`. */
+  /** The playback after `open`; `null` after `upload`. */
   replay: Replay | null;
-  /** Uploaded bytes, which is the offset of the next piece. `null` for `open`. */
+  /** Number of uploaded bytes, which is the offset of the next piece; `null` after `open`. */
   uploaded: number | null;
 }
 
-/** The result of `reset`. */
+/** The reply to `reset`. */
 export interface ResetResult {
-  /** Its seed. */
+  /** The seed of the swarm. */
   seed: number;
   /** BLAKE3 of the state, in hexadecimal. */
   state_hash: string;
 }
 
-/** The result of one run of an experiment: a row of `results.csv`, one member for each column. */
+/** The result of one run of an experiment: a row of the table of results. */
 export interface ResultRow {
   /** The contact rule: `endpoints`, `closest` or `clamped`. */
   contacts: string;
@@ -1086,7 +1052,7 @@ export interface ResultRow {
   extra?: ExtraValue[];
   /** Number of steps that the fallback solved because the exact solver missed its target. */
   fallbacks: number;
-  /** Why the run ended early, if a fault ended it; left out otherwise. The other members are then those of the time before the fault. */
+  /** Why the run ended early, if a fault ended it; left out otherwise. The other values are then those of the time before the fault. */
   fault?: string | null;
   /** Number of informed individuals. */
   informed: number;
@@ -1130,15 +1096,15 @@ export interface ResultRow {
 
 /** Some rows of an experiment's table of results, in the order of its plan. */
 export interface ResultsPage {
-  /** The columns that only some experiments have, so that a table without rows has them, too. Left out by earlier versions. */
+  /** The columns that only some experiments have, so that a table without rows has them, too; left out in replies of earlier versions. */
   columns?: OccasionalColumns | null;
-  /** How many runs are over by now. */
+  /** Number of finished runs. */
   finished: number;
   /** The experiment's name. */
   name: string;
-  /** Where to ask on, as `after`; `null` if there is no more. */
+  /** The number to request the next page after, as `after`; `null` after the last page. */
   next: number | null;
-  /** The rows of the runs that are finished, faulted ones included, after the run asked for. */
+  /** The rows of the finished runs, faulted ones included, after the requested run. */
   rows: ResultRow[];
 }
 
@@ -1155,36 +1121,33 @@ export interface RunCommand {
   verb: string;
 }
 
-/** How the swarm runs now. */
+/** The reply to `run`. */
 export interface RunResult {
   /** Time units per second of wall clock; `null` is as fast as possible. */
   rate: number | null;
-  /** The step it will pause at. */
+  /** The step it will pause at; `null` if it has no end. */
   until_step: number | null;
 }
 
-/** A run that is being carried out. */
+/** A run that is being executed. */
 export interface RunUnderWay {
   /** Its name. */
   run: string;
-  /** The share of its steps that is done. */
+  /** The finished share of its steps, 0 to 1. */
   share: number;
 }
 
-/** How values are spread over a range. */
-export type Scale = "linear" | "logarithmic";
-
-/** The result of a command that is scheduled by `at_step`. */
+/** The reply to a command with an `at_step` that lies ahead. */
 export interface Scheduled {
-  /** The step at which it will be executed; an event then has its result. */
+  /** The step at which the command will be executed; an event then has its result. */
   applies_at_step: number;
 }
 
-/** A node's reply to `get/schema`: JSON Schemas (2020-12) of every message. */
+/** The JSON Schemas (2020-12) of every message. */
 export interface Schemas {
-  /** By the name of the message, such as `step.args`. */
+  /** The schemas by the name of the message, such as `step.args` and `step.reply`. */
   schemas: Record<string, unknown>;
-  /** The version of the contract they describe. */
+  /** The version of the contract that they describe. */
   wire_version: number;
 }
 
@@ -1222,15 +1185,15 @@ export interface SeriesPage {
   total?: number | null;
 }
 
-/** The result of `set`. */
+/** The reply to `set`. */
 export interface SetResult {
   /** The values before. */
   before: ParameterValues;
   /** The values now. */
   now: ParameterValues;
-  /** How many states a second it publishes at most while it runs: what `rate`, `dt` and `publish_every` ask for, or the daemon's `max_hz` if that is less. Left out in a `batch`. */
+  /** As in `Status`; left out in a `batch`. */
   published_hz?: number | null;
-  /** The factor by which positions were scaled to make room; 1 if they were not. */
+  /** The factor by which `make_room` scaled the positions; 1 is not at all. */
   scaled_by: number;
 }
 
@@ -1352,39 +1315,39 @@ export interface SolverMemory {
   second: number[];
 }
 
-/** The description of a swarm: same spec, same seed, same bytes. Lengths are in body sizes, speeds in free speeds, times in their quotient. Everything but `n` may be left out. */
+/** The spec of a swarm: equal specs give equal states, bit for bit. Lengths are in body sizes, speeds in free speeds, times in their quotient. Table 1 of the paper defines π1 to π4. Only `n` is required. */
 export interface Spec {
-  /** What an individual turns towards. */
+  /** The law of attraction: `{"kind": "all"}` is eq. (4), which an `accuracy` makes faster from some thousand individuals on; others are `voronoi`, `metric` with a `radius` in body sizes, `topological` with a number of `neighbours`, and `power` with an `exponent`. */
   attraction?: Attraction;
-  /** Which of a pair's contacts constrain it. */
+  /** Which contacts of a pair constrain a step: `endpoints`; `closest`, only the one with the smallest gap; or, for comparison, `clamped`, which adds redundant ones. */
   contacts?: ContactRule;
-  /** The time step: above 0, and short enough that a step cannot carry a body across another. */
+  /** The time step: above 0, and so short that no point of a body's axis travels further than a body's width. */
   dt?: number;
-  /** The measures in each published order, such as `milling`, at most 16 that need no earlier state; none if left out. */
+  /** The measures in each published order, such as `milling`, at most 16 that need no earlier state; no measures if left out. */
   measures?: string[] | null;
   /** The number of individuals: 1 to the daemon's limit; in a spec that at the start. */
   n: number;
-  /** Intensity of white noise on the turning rate, squared angle over time: 0 or more. */
+  /** Intensity of white noise on the turning rate, squared radians per time unit: 0 to 10⁶. */
   noise?: number;
   /** Length over width of a body: 1 (a disc) to 32. */
   pi1?: number;
-  /** Weight of the preferred direction of individuals informed without a weight: 0 or more. */
+  /** Weight of individuals that are informed without a weight: 0 to 10⁶. */
   pi2?: number;
-  /** Body size over turning radius: above 0. */
+  /** Body size over turning radius: above 0, to 10⁶. */
   pi3?: number;
-  /** Translational over rotational drag: above 0. */
+  /** Translational over rotational drag: above 0, to 10⁶. */
   pi4?: number;
-  /** Steps between two published states: 1 or more. */
+  /** Number of steps between two published states: 1 or more. */
   publish_every?: number;
   /** Time units per second of wall clock; `null` is as fast as possible. */
   rate?: number | null;
-  /** How many more programs a step solves about what the last one predicts: 0 or 1. One more leaves less overlap, and goes with `position` alone. */
+  /** Number of further programs that a step solves about the result of the last one: 0, or 1, which leaves less overlap and requires `position`. */
   relinearise?: number;
-  /** The seed of every draw: 0 to 2⁵³ - 1. */
+  /** The seed of all random draws: 0 to 2⁵³ - 1. */
   seed?: number;
-  /** Where the individuals begin. */
+  /** Where the individuals begin: in a `disc`, or at `given` poses. */
   start?: Start;
-  /** What a contact limits. */
+  /** What a contact limits: `position`, the gap after the step, or `velocity`, the speed at which touching bodies approach each other. */
   stepping?: Stepping;
 }
 
@@ -1437,94 +1400,88 @@ export interface State {
   y: number[];
 }
 
-/** A swarm's reply to `get/status`; phase, step and time are in the envelope. */
+/** The status of a swarm; its phase, step and time are in the envelope. */
 export interface Status {
   /** Whether it lately omitted steps that were due, since they take longer than `rate` allows on the cores that it gets. */
   behind_rate?: boolean;
-  /** How exact the state is. */
+  /** The accuracy of the state. */
   certificate: Certificate;
   /** The same conditions: their ids, actions and clients; left out without any. */
   conditions?: WaitingCondition[];
-  /** How many controllers have joined. */
+  /** Number of controllers that have joined. */
   controllers?: number;
-  /** The time step. */
+  /** The time step, body sizes over free speed. */
   dt: number;
-  /** What went wrong, if it has faulted; left out otherwise. */
-  fault?: Fault | null;
-  /** The start of its stored history; `null` while that cannot be read. */
+  /** The oldest stored checkpoint; `null` while it cannot be read. */
   history_from: HistoryFrom | null;
-  /** How many individuals are informed. */
+  /** Number of informed individuals. */
   informed: number;
-  /** The number of individuals. */
+  /** The size of the group. */
   n: number;
   /** Order and drift. */
   order: Order;
-  /** What it was made from; left out if it was created from a spec, and for swarms made by earlier versions. */
-  origin?: Origin | null;
-  /** The parameters that commands can change. */
+  /** The parameters that `set` can change. */
   parameters: ParameterValues;
-  /** How many states a second it publishes at most while it runs: what `rate`, `dt` and `publish_every` ask for, or the daemon's `max_hz` if that is less. Left out for a replay. */
+  /** How many states a second it publishes at most while it runs: what `rate`, `dt` and `publish_every` ask for, or the daemon's `max_hz` if that is less; left out for a playback and in replies of earlier daemons. */
   published_hz?: number | null;
   /** Time units per second of wall clock; `null` is as fast as possible. */
   rate: number | null;
-  /** The rate that was reached lately; `null` while it does not run. */
+  /** The rate that it reached lately; `null` while it does not run. */
   real_time_factor: number | null;
   /** Why it is paused or faulted. */
   reason: string | null;
-  /** The position, if it is the playback of a recording. */
+  /** The position, if it is a playback. */
   replay?: Replay | null;
-  /** Commands that wait for their step. */
+  /** Number of commands that wait for their step. */
   scheduled: number;
-  /** The seed of every draw. */
+  /** The seed of all random draws. */
   seed: number;
   /** BLAKE3 of the state, in hexadecimal; zeros for a replay, which has frames and no state. */
   state_hash: string;
-  /** The number of the swarm in the store of its daemon: another swarm that gets this name later has another one. Left out for a replay. */
-  swarm_id?: number | null;
-  /** The step it will pause at. */
+  /** The step it will pause at; `null` if it has no end. */
   until_step: number | null;
-  /** The share of its history that a `verify` under way has replayed, from 0 to 1; `null` if none is under way. */
+  /** The fraction of the history that a running `verify` has replayed, 0 to 1; `null` if none is running. */
   verifying?: number | null;
   /** The controllers that the swarm waits for in lock-step. */
   waiting_for?: Awaited[];
-  /** The conditions for which clients wait by `get/wait`; left out without any. They are no part of the swarm's state. */
+  /** The conditions for which clients wait by `get/wait`; left out without any. They are no part of the state. */
   waits?: WaitingClient[];
-  /** The conditions that it waits for, in the order of their commands; left out without any. */
+  /** The conditions that it waits for, in the order of their commands; left out without any. See `when`. */
   when?: string[] | null;
 }
 
-/** The result of `step`. */
+/** The reply to `step`. */
 export interface StepResult {
-  /** The last step that is durable: a crash of the daemon does not undo it. It follows `step` within a few milliseconds, unless the disk is full. */
+  /** The last step that a crash of the daemon would not take back. It follows `step` within a few milliseconds, unless the disk is full. */
   durable_step?: number;
   /** The state after the steps, if requested. A retry of the request gets the cached reply, which has no state if the first one took more than 4 KiB: the reply is then JSON. */
   state?: State | null;
   /** BLAKE3 of the state, in hexadecimal. */
   state_hash: string;
-  /** How many steps were taken; fewer than asked for if another command came between. */
+  /** Number of steps that were taken; fewer than requested if another command interrupted them. */
   steps: number;
 }
 
 /** What a contact limits. */
 export type Stepping = "position" | "velocity";
 
-/** How a daemon's memory on disk does. */
+/** The database of a daemon. */
 export interface StoreMetrics {
-  /** Seconds that all commits took, their syncs included. */
+  /** Seconds that they took, with their syncs. */
   commit_secs: number;
-  /** Commits. */
+  /** Number of commits since the daemon started. */
   commits: number;
-  /** What it takes on disk, in bytes. */
+  /** Bytes on disk. */
   disk_bytes: number;
-  /** Whether writing fails otherwise. */
+  /** Whether writing fails for another reason. */
   failing: boolean;
   /** Whether the disk is full. */
   full: boolean;
   /** Seconds that the last one took. */
   last_commit_secs: number;
-  /** Whether more waits than should be kept in memory. */
+  /** Whether the queue exceeds its memory limit. */
   overrun: boolean;
-  /** Writes that wait. */
+  /** Number of queued writes. */
   waiting: number;
 }
 
@@ -1552,39 +1509,39 @@ export interface Sums {
   velocity: [number, number];
 }
 
-/** A swarm in numbers. */
+/** Metrics of a swarm. */
 export interface SwarmMetrics {
-  /** Contacts of its last step. */
+  /** Number of contacts of the last step. */
   contacts: number;
-  /** Steps that missed the target residual, yet were good enough to go on. */
+  /** Number of steps that missed the target residual, but were acceptable. */
   degraded: number;
-  /** How many of them were due at a time. */
+  /** Number of these steps that had a due time. */
   due_steps: number;
-  /** Steps that failed. */
+  /** Number of failed steps. */
   faults: number;
-  /** Seconds that they began after they were due. */
+  /** Seconds that they began after their due times. */
   late_secs: number;
-  /** The number of individuals. */
+  /** The size of the group. */
   n: number;
-  /** What it is doing. */
+  /** The phase of the swarm. */
   phase: Phase;
   /** Time units per second of wall clock; `null` is as fast as possible. */
   rate: number | null;
-  /** Time units per second of wall clock it lately ran at; `null` while it does not run. */
+  /** The rate that it reached lately; `null` while it does not run. */
   real_time_factor: number | null;
-  /** Residual of its last step, in body sizes. */
+  /** Residual of the last step, body sizes. */
   residual: number;
-  /** The number of steps since the start. */
+  /** Number of steps since the start. */
   step: number;
   /** Seconds that these steps took. */
   step_secs: number;
-  /** Steps taken since it is hosted here. */
+  /** Number of steps since the daemon loaded it. */
   steps: number;
-  /** Its name. */
+  /** The swarm's name. */
   swarm: string;
 }
 
-/** A swarm in a list. */
+/** A swarm in the list of a daemon. */
 export interface SwarmSummary {
   /** The other daemon that has a swarm of this name, if there is one; see `contested`. */
   contested_by?: string | null;
@@ -1592,10 +1549,8 @@ export interface SwarmSummary {
   informed: number;
   /** The number of individuals. */
   n: number;
-  /** The polar order parameter. */
+  /** The polar order parameter, 0 to 1. */
   order: number;
-  /** As in its status. */
-  origin?: Origin | null;
   /** Its phase. */
   phase: Phase;
   /** Time units per second of wall clock; `null` is as fast as possible. */
@@ -1610,39 +1565,27 @@ export interface SwarmSummary {
   step: number;
   /** Its name. */
   swarm: string;
-  /** As in its status. */
-  swarm_id?: number | null;
-  /** `step · dt`. */
+  /** `step · dt`, body sizes over free speed. */
   time: number;
 }
 
-/** A node's reply to `get/swarms`. */
+/** The swarms of a daemon. */
 export interface Swarms {
-  /** All it hosts, ordered by name. */
+  /** The swarms, ordered by name. */
   swarms: SwarmSummary[];
 }
 
-/** The usual values of a parameter, for a slider: those of the paper where it varies one, else around its value. Others are valid, too. */
-export interface Usual {
-  /** The least. */
-  from: number;
-  /** How they are spread. */
-  scale: Scale;
-  /** The largest. */
-  to: number;
-}
-
-/** Whether a replay of a swarm's journal gives the same hashes. */
+/** The result of a replay of a swarm's history. */
 export interface Verified {
-  /** The first step with a different hash; `null` if there is none. */
+  /** The first step whose hash differs; `null` if there is none. */
   differs_at: number | null;
   /** The epoch of that step: a reset restarts the count of steps. */
   differs_in_epoch: number | null;
-  /** The step of the checkpoint from which it was replayed. */
+  /** The step of the checkpoint that it began at. */
   from_step: number;
-  /** How many hashes were compared: those in the journal, and the current one of a swarm that is paused. */
+  /** Number of hashes that were compared: those in the history, and the present one of a paused swarm. */
   hashes: number;
-  /** The step to which it was replayed. */
+  /** The step that it ended at. */
   to_step: number;
 }
 
@@ -1669,13 +1612,13 @@ export interface WaitingClient {
 
 /** A condition of `when` that waits. */
 export interface WaitingCondition {
-  /** What the swarm does once it holds. */
+  /** `pause`, `commands` or `event`. */
   action: WaitingAction;
-  /** The client that sent it, as the request names it; `null` if it does not. */
+  /** The client that sent it, as the request names it; `null` if it is not known. */
   client: string | null;
   /** The condition. */
   condition: string;
-  /** Whether it is evaluated, left out if it is. If not, it does not hold: the group has grown, or an earlier version accepted more conditions, so that their measures need too much time or too many earlier states. */
+  /** False if the condition does not hold since its measures need too much time or too many earlier states: the group has grown, or an earlier version accepted more of them. Left out if it is evaluated. */
   evaluated?: boolean;
   /** The name of its event; left out without one. */
   event?: string | null;
@@ -1683,22 +1626,22 @@ export interface WaitingCondition {
   id: string;
 }
 
-/** The result of `when`. */
+/** The reply to `when`. */
 export interface WhenResult {
-  /** With `event` and `from_step`: whether the condition holds in the present state. It does not wait then. */
+  /** With `event`: whether the condition holds already, so that it does not wait; left out if it waits. */
   holds?: boolean;
-  /** The id of the condition that waits now, by which `when` with `cancel` removes it; left out if none does. Daemons of earlier versions leave it out. */
+  /** The id of the condition that waits now, by which `when` with `cancel` removes it; left out if none does, and in replies of earlier daemons. */
   id?: string | null;
 }
 
-/** A daemon's answer to `get/whoami`, which goes by the token that the query brings along. */
+/** The person and role that a daemon assigns to a client, by the token of the query. */
 export interface WhoAmI {
-  /** What they may have the daemon execute. */
+  /** The permitted commands of the daemon. */
   node_verbs: string[];
-  /** The name; `null` from a daemon without users, and for an unknown token. */
+  /** The person; `null` from a daemon without users, and for an unknown token. */
   person: string | null;
   /** The role; `null` for an unknown token. */
   role: Role | null;
-  /** What they may have swarms execute. */
+  /** The permitted commands of swarms. */
   verbs: string[];
 }

@@ -176,25 +176,25 @@ export interface ForkArgs {
 export interface InformArgs {
   /** Their preferred direction in radians, counter-clockwise from +x. */
   direction: number;
-  /** After this many time units they are uninformed again; for good if left out. */
+  /** The time after which they are uninformed again, body sizes over free speed; for good if left out. */
   for_time?: number | null;
   /** The individuals; draws are from all. */
   select: Select;
-  /** How much it counts beside attraction, `pi2` if left out: above 0. */
+  /** The weight of that direction beside attraction: above 0; `pi2` if left out. */
   weight?: number | null;
 }
 
 /** Adds individuals, informed or not, where they overlap no other one. One of `count` and `at`. */
 export interface InjectArgs {
-  /** Exactly there. */
+  /** Their poses. */
   at?: Pose[] | null;
-  /** How many, at the border of the group, or in `within`. */
+  /** Their number, at the border of the group, or in `within`. */
   count?: number | null;
-  /** Informs them: their preferred direction in radians. */
+  /** Informs them: their preferred direction in radians, counter-clockwise from +x. */
   direction?: number | null;
-  /** With `direction`: how much it counts beside attraction, `pi2` if left out. */
+  /** With `direction`: its weight beside attraction; `pi2` if left out. */
   weight?: number | null;
-  /** With `count`: the disc they are drawn in. */
+  /** With `count`: the disc in which they are drawn, absolute centre and radius in body sizes. */
   within?: Region | null;
 }
 
@@ -359,31 +359,31 @@ export type Select = {
 
 /** Changes the given parameters, at least one. A new `pi2` is not that of individuals informed before; `contacts` other than `closest` require that no axes cross. */
 export interface SetArgs {
-  /** What an individual turns towards. */
+  /** The law of attraction: `{"kind": "all"}` is eq. (4), which an `accuracy` makes faster from some thousand individuals on; others are `voronoi`, `metric` with a `radius` in body sizes, `topological` with a number of `neighbours`, and `power` with an `exponent`. */
   attraction?: Attraction | null;
-  /** Which of a pair's contacts constrain it. */
+  /** Which contacts of a pair constrain a step: `endpoints`; `closest`, only the one with the smallest gap; or, for comparison, `clamped`, which adds redundant ones. */
   contacts?: ContactRule | null;
-  /** With `pi1`: scale positions about the centroid by the least factor that makes room. */
+  /** With `pi1`: scale all positions about the centroid by the smallest factor that lets longer bodies fit. */
   make_room?: boolean;
-  /** Remove a controller in lock-step for which the swarm has waited so many seconds, and which has sent nothing meanwhile: 0.1 or more; 0 is no limit. */
+  /** Remove a controller in lock-step for which the swarm has waited so many seconds, and which has sent nothing meanwhile: 0.1 to 10⁶; 0 is no limit, as in a new swarm. */
   max_idle_secs?: number | null;
   /** The measures in each published order, such as `milling`, at most 16 that need no earlier state; none if empty. */
   measures?: string[] | null;
-  /** Intensity of white noise on the turning rate, squared angle over time: 0 or more. */
+  /** Intensity of white noise on the turning rate, squared radians per time unit: 0 to 10⁶. */
   noise?: number | null;
   /** Length over width of a body: 1 (a disc) to 32. */
   pi1?: number | null;
-  /** Weight of the preferred direction of individuals informed without a weight: 0 or more. */
+  /** Weight of individuals that are informed without a weight: 0 to 10⁶. */
   pi2?: number | null;
-  /** Body size over turning radius: above 0. */
+  /** Body size over turning radius: above 0, to 10⁶. */
   pi3?: number | null;
-  /** Translational over rotational drag: above 0. */
+  /** Translational over rotational drag: above 0, to 10⁶. */
   pi4?: number | null;
-  /** Steps between two published states: 1 or more. */
+  /** Number of steps between two published states: 1 or more. */
   publish_every?: number | null;
-  /** How many more programs a step solves about what the last one predicts: 0 or 1. One more leaves less overlap, and goes with `position` alone. */
+  /** Number of further programs that a step solves about the result of the last one: 0, or 1, which leaves less overlap and requires `position`. */
   relinearise?: number | null;
-  /** What a contact limits. */
+  /** What a contact limits: `position`, the gap after the step, or `velocity`, the speed at which touching bodies approach each other. */
   stepping?: Stepping | null;
 }
 
@@ -401,39 +401,39 @@ export interface SetPoints {
   weight?: number[] | null;
 }
 
-/** The description of a swarm: same spec, same seed, same bytes. Lengths are in body sizes, speeds in free speeds, times in their quotient. Everything but `n` may be left out. */
+/** The spec of a swarm: equal specs give equal states, bit for bit. Lengths are in body sizes, speeds in free speeds, times in their quotient. Table 1 of the paper defines π1 to π4. Only `n` is required. */
 export interface Spec {
-  /** What an individual turns towards. */
+  /** The law of attraction: `{"kind": "all"}` is eq. (4), which an `accuracy` makes faster from some thousand individuals on; others are `voronoi`, `metric` with a `radius` in body sizes, `topological` with a number of `neighbours`, and `power` with an `exponent`. */
   attraction?: Attraction;
-  /** Which of a pair's contacts constrain it. */
+  /** Which contacts of a pair constrain a step: `endpoints`; `closest`, only the one with the smallest gap; or, for comparison, `clamped`, which adds redundant ones. */
   contacts?: ContactRule;
-  /** The time step: above 0, and short enough that a step cannot carry a body across another. */
+  /** The time step: above 0, and so short that no point of a body's axis travels further than a body's width. */
   dt?: number;
-  /** The measures in each published order, such as `milling`, at most 16 that need no earlier state; none if left out. */
+  /** The measures in each published order, such as `milling`, at most 16 that need no earlier state; no measures if left out. */
   measures?: string[] | null;
   /** The number of individuals: 1 to the daemon's limit; in a spec that at the start. */
   n: number;
-  /** Intensity of white noise on the turning rate, squared angle over time: 0 or more. */
+  /** Intensity of white noise on the turning rate, squared radians per time unit: 0 to 10⁶. */
   noise?: number;
   /** Length over width of a body: 1 (a disc) to 32. */
   pi1?: number;
-  /** Weight of the preferred direction of individuals informed without a weight: 0 or more. */
+  /** Weight of individuals that are informed without a weight: 0 to 10⁶. */
   pi2?: number;
-  /** Body size over turning radius: above 0. */
+  /** Body size over turning radius: above 0, to 10⁶. */
   pi3?: number;
-  /** Translational over rotational drag: above 0. */
+  /** Translational over rotational drag: above 0, to 10⁶. */
   pi4?: number;
-  /** Steps between two published states: 1 or more. */
+  /** Number of steps between two published states: 1 or more. */
   publish_every?: number;
   /** Time units per second of wall clock; `null` is as fast as possible. */
   rate?: number | null;
-  /** How many more programs a step solves about what the last one predicts: 0 or 1. One more leaves less overlap, and goes with `position` alone. */
+  /** Number of further programs that a step solves about the result of the last one: 0, or 1, which leaves less overlap and requires `position`. */
   relinearise?: number;
-  /** The seed of every draw: 0 to 2⁵³ - 1. */
+  /** The seed of all random draws: 0 to 2⁵³ - 1. */
   seed?: number;
-  /** Where the individuals begin. */
+  /** Where the individuals begin: in a `disc`, or at `given` poses. */
   start?: Start;
-  /** What a contact limits. */
+  /** What a contact limits: `position`, the gap after the step, or `velocity`, the speed at which touching bodies approach each other. */
   stepping?: Stepping;
 }
 
@@ -477,7 +477,7 @@ export interface SubmitArgs {
   toml: string;
 }
 
-/** Takes individuals' direction away. */
+/** Takes the preferred direction of individuals away. */
 export interface UninformArgs {
   /** The individuals; draws are from the informed. */
   select: Select;
