@@ -24,7 +24,7 @@ from arguments import (
     VALUES,
 )
 from jostle import aio, env
-from jostle._commands import Options
+from jostle._options import Options
 from rows import Row
 from timeouts import ENDED
 

@@ -10,11 +10,11 @@ import msgspec
 import pytest
 
 import jostle
-from jostle._audit import Audit, newest_lines, selection
+from jostle._audit import newest_lines, selection
 from jostle._errors import JostleError
-from jostle._events import Journal
 from jostle._history import journal_entries
 from jostle._queries import Queries
+from jostle._wire import Audit, Journal
 
 
 def _line(number: int) -> dict[str, Any]:

@@ -17,7 +17,7 @@ import pytest
 import jostle
 from conftest import Daemon
 from jostle._experiment import to_toml
-from jostle._results import ExperimentResult
+from jostle._wire import ExperimentResult
 
 SMALL = {
     "name": "small",

@@ -13,6 +13,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::Value;
 
+mod python;
 mod typescript;
 
 /// The folder `proto/`.
@@ -26,7 +27,12 @@ pub fn folder() -> &'static Path {
 /// A file below `proto/` cannot be read.
 pub fn files() -> io::Result<BTreeMap<PathBuf, String>> {
     let mut files = BTreeMap::new();
-    for (name, document) in contract::documents().map_err(io::Error::other)? {
+    let documents = contract::documents().map_err(io::Error::other)?;
+    let package = Path::new("../clients/python/src/jostle");
+    for (name, text) in python::files(&documents)? {
+        files.insert(package.join(name), text);
+    }
+    for (name, document) in documents {
         let (types, title) = match name {
             "sent.json" => (
                 "messages.ts",

@@ -1,5 +1,5 @@
-//! Writes all that is made from the contract: `schema/`, `asyncapi.json`, and the tables in
-//! `README.md`.
+//! Writes all that is made from the contract: `schema/`, `asyncapi.json`, the tables in
+//! `README.md`, and the types of the clients in Python and TypeScript.
 //!
 //! ```sh
 //! cargo run --release -p jostle-contract

@@ -30,31 +30,16 @@ from ._arguments import (
     within,
 )
 from ._at_step import AtStep
-from ._attachment import Attachment
-from ._audit import AuditLine, AuditOutcome
 from ._changes import Change, Inform, Inject, Remove, Set, Uninform
 from ._client import Client, connect, experiment
-from ._commands import Options
 from ._controller import Controller
-from ._controller_messages import (
-    Advanced,
-    Arrived,
-    ControllerSummary,
-    Departed,
-    Miss,
-    Mode,
-    News,
-    OnTimeout,
-    Puts,
-)
-from ._credentials import Role, WhoAmI
+from ._controller_messages import Advanced, Arrived
 from ._errors import (
     AlreadyExists,
     Busy,
     Conflict,
     Contested,
     DeadlineExceeded,
-    ErrorMessage,
     Faulted,
     IncorrectState,
     Internal,
@@ -66,56 +51,82 @@ from ._errors import (
     StorageFull,
     Unavailable,
 )
-from ._events import Event, JournalEntry
 from ._experiment import Experiment
 from ._frame import frame
 from ._local import Local, local
-from ._messages import (
-    Awaited,
-    BatchResult,
-    Certificate,
-    Changed,
-    HistoryFrom,
-    IdsResult,
-    Order,
-    OrderSample,
-    Parameter,
-    ParameterValues,
-    Phase,
-    Replay,
-    Reply,
-    ResetResult,
-    RunResult,
-    Scheduled,
-    SetResult,
-    Status,
-    StepResult,
-    Verified,
-    WaitingClient,
-    WaitingCondition,
-    WhenResult,
-)
-from ._metrics import Metrics, RecordingMetrics, StoreMetrics, SwarmMetrics
-from ._node import Hello, Limits, NodeStatus, Schemas, SwarmSummary
+from ._messages import Scheduled
 from ._objective import Objective
+from ._options import Options
 from ._recording import RecordedFrame, Recording, read_recording
-from ._recordings import (
-    RecordedAt,
-    RecordingFormat,
-    RecordingGap,
-    RecordingPhase,
-    RecordingStatus,
-)
 from ._repr import HtmlList
-from ._results import ExperimentPhase, ExtraValue, OrderSeries, Progress, ResultRow, RunUnderWay
+from ._results import OrderSeries
 from ._snapshot import Snapshot
-from ._spec import Disc, Given, Spec
+from ._spec import Disc, Given
 from ._state import State
 from ._stream import Stream
 from ._swarm import Swarm
 from ._sweep import Sweep, sweep
 from ._tables import read_table
 from ._view import View
+from ._wire import (
+    Attachment,
+    AuditLine,
+    AuditOutcome,
+    Awaited,
+    BatchResult,
+    Certificate,
+    Changed,
+    ControllerSummary,
+    Departed,
+    ErrorMessage,
+    Event,
+    ExperimentPhase,
+    ExtraValue,
+    Hello,
+    HistoryFrom,
+    IdsResult,
+    JournalEntry,
+    Limits,
+    Metrics,
+    Miss,
+    Mode,
+    News,
+    NodeStatus,
+    OnTimeout,
+    Order,
+    OrderSample,
+    Parameter,
+    ParameterValues,
+    Phase,
+    Progress,
+    Puts,
+    RecordedAt,
+    RecordingFormat,
+    RecordingGap,
+    RecordingMetrics,
+    RecordingPhase,
+    RecordingStatus,
+    Replay,
+    Reply,
+    ResetResult,
+    ResultRow,
+    Role,
+    RunResult,
+    RunUnderWay,
+    Schemas,
+    SetResult,
+    Spec,
+    Status,
+    StepResult,
+    StoreMetrics,
+    SwarmMetrics,
+    SwarmSummary,
+    Verified,
+    WaitingClient,
+    WaitingCondition,
+    WhenResult,
+    WhoAmI,
+)
 
 __all__ = [
     "Advanced",

@@ -281,6 +281,11 @@ def whole(what: str, number: SupportsIndex) -> int:
         raise invalid(what, f"{what} is {number!r}, but must be a whole number") from error
 
 
+def whole_or_none(what: str, number: SupportsIndex | None) -> int | None:
+    """A whole number, if there is one."""
+    return None if number is None else whole(what, number)
+
+
 def whole_from_0(what: str, number: SupportsIndex) -> int:
     """Returns a whole number of any type as an int.
 

@@ -8,9 +8,11 @@ from collections.abc import Callable
 from types import EllipsisType
 from typing import Any, Concatenate, ParamSpec, SupportsIndex, TypeVar, Unpack
 
-from ._commands import Commands, Options, Pending, check_options
-from ._messages import Reply, RunResult, Scheduled, StepResult
+from ._commands import Commands, Pending
+from ._messages import Scheduled
+from ._options import Options, check_options
 from ._state import State
+from ._wire import Reply, RunResult, StepResult
 
 P = ParamSpec("P")
 R = TypeVar("R", bound=Reply)

@@ -7,25 +7,7 @@ from typing import NamedTuple
 
 from ._decode import convert, read_map
 from ._errors import Internal
-from ._repr import HtmlStruct
-
-
-class Attachment(HtmlStruct, frozen=True, kw_only=True):
-    """What a daemon attaches to a state that it publishes: times of its clock, and set-points.
-
-    Attributes:
-        stepped_unix_nanos: When the step that led to the state was taken, nanoseconds since 1970,
-            UTC; None if the daemon does not know: before the first step, after a reset or a restart
-            until the next one, and in a playback.
-        published_unix_nanos: When the daemon published the state; None in a recording by the
-            daemon.
-        sequences: The numbers of the newest set-points in the state, as `Controller.put` returned
-            them, by controller. Controllers in lock-step have none.
-    """
-
-    stepped_unix_nanos: int | None = None
-    published_unix_nanos: int | None = None
-    sequences: dict[str, int]
+from ._wire import Attachment
 
 
 class Arrival(NamedTuple):

@@ -7,85 +7,17 @@ from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from typing import SupportsIndex
 
-import msgspec
-
 from ._arguments import check_name, check_parameter, whole
 from ._decode import read_reply
 from ._errors import JostleError, NotFound, Unavailable, invalid
-from ._repr import HtmlList, HtmlStruct
+from ._repr import HtmlList
 from ._session import Session
+from ._wire import Audit, AuditLine
 
 # The most lines of a page.
 _MAX_PAGE = 1000
 # No line has a higher number: the page before it has the newest lines.
 _MAX_NUMBER = 2**64 - 1
-
-
-class AuditOutcome(HtmlStruct, frozen=True, kw_only=True):
-    """How commands ended.
-
-    Attributes:
-        outcome: `ok`, the code of the error, such as `permission_denied`, or `abandoned` of a
-            command that ended because its client was gone.
-        count: Number of commands that ended so.
-    """
-
-    outcome: str
-    count: int
-
-
-class AuditLine(HtmlStruct, frozen=True, kw_only=True):
-    """Equal commands of one client within a minute.
-
-    Attributes:
-        number: The number of the line, from 1.
-        unix_secs: The daemon's wall clock when it received the first of them, seconds since 1970,
-            UTC. `when` is the same as a datetime.
-        last_unix_secs: The same for the last of them.
-        count: Number of commands.
-        user: The user of the token; None from a daemon without users, and for an unknown token.
-        client: The name that the client gives itself; None if it gives none.
-        verb: The verb.
-        action: What an `experiment`, `record` or `replay` does, such as `cancel`; None for other
-            verbs.
-        name: The swarm, experiment or recording; of `create`, `restore` and `replay` the new swarm.
-        outcomes: How the commands ended. Those missing to `count` had no outcome when the line was
-            stored.
-    """
-
-    number: int
-    unix_secs: float
-    last_unix_secs: float
-    count: int
-    user: str | None = None
-    client: str | None = None
-    verb: str
-    action: str | None = None
-    name: str | None = None
-    outcomes: list[AuditOutcome]
-
-    @property
-    def when(self) -> datetime:
-        """`unix_secs` as an aware datetime, UTC."""
-        return datetime(1970, 1, 1, tzinfo=UTC) + timedelta(seconds=self.unix_secs)
-
-
-class Audit(msgspec.Struct, frozen=True, kw_only=True):
-    """A page of the audit log.
-
-    Attributes:
-        node: The daemon's name.
-        lines: The lines of the page, oldest first.
-        oldest: The number of the oldest stored line; None if there is none.
-        newest: The number of the newest line; 0 before the first.
-        damaged: Number of selected lines that are damaged, and left out.
-    """
-
-    node: str
-    lines: list[AuditLine]
-    oldest: int | None = None
-    newest: int
-    damaged: int
 
 
 class Auditor:

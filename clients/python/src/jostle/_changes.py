@@ -1,35 +1,49 @@
-"""The changes of a swarm: the arguments of `set`, `inform`, `uninform`, `inject` and `remove`."""
+"""The changes of a `batch`: the arguments of some commands.
+
+Written by `cargo run --release -p jostle-contract`; not by hand.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import msgspec
 
 from ._arguments import Pose, Region, Select
-from ._errors import invalid
 
 
 class Set(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """Changes parameters, in a `batch`; a parameter that is None does not change.
+    """Changes the given parameters, at least one.
 
-        swarm.batch([jostle.Set(pi3=2.0), jostle.Set(noise=0.1)])
+    A new `pi2` is not that of individuals informed before; `contacts` other than `closest` require
+    that no axes cross.
 
     Attributes:
-        pi1: See `Swarm.set`.
-        pi2: See `Swarm.set`.
-        pi3: See `Swarm.set`.
-        pi4: See `Swarm.set`.
-        contacts: See `Swarm.set`.
-        stepping: See `Swarm.set`.
-        relinearise: See `Swarm.set`.
-        attraction: See `Swarm.set`.
-        noise: See `Swarm.set`.
-        publish_every: See `Swarm.set`.
-        measures: See `Swarm.set`.
-        max_idle_secs: See `Swarm.set`.
-        make_room: See `Swarm.set`.
+        pi1: Length over width of a body: 1 (a disc) to 32.
+        pi2: Weight of individuals that are informed without a weight: 0 to 10⁶.
+        pi3: Body size over turning radius: above 0, to 10⁶.
+        pi4: Translational over rotational drag: above 0, to 10⁶.
+        contacts: Which contacts of a pair constrain a step: `endpoints`; `closest`, only the one
+            with the smallest gap; or, for comparison, `clamped`, which adds redundant ones.
+        stepping: What a contact limits: `position`, the gap after the step, or `velocity`, the
+            speed at which touching bodies approach each other.
+        relinearise: Number of further programs that a step solves about the result of the last one:
+            0, or 1, which leaves less overlap and requires `position`.
+        attraction: The law of attraction: `{"kind": "all"}` is eq. (4), which an `accuracy` makes
+            faster from some thousand individuals on; others are `voronoi`, `metric` with a `radius`
+            in body sizes, `topological` with a number of `neighbours`, and `power` with an
+            `exponent`.
+        noise: Intensity of white noise on the turning rate, squared radians per time unit: 0 to
+            10⁶. In free speed / body size.
+        publish_every: Number of steps between two published states: 1 or more.
+        measures: The measures in each published order, such as `milling`, at most 16 that need no
+            earlier state; none if empty.
+        max_idle_secs: Remove a controller in lock-step for which the swarm has waited so many
+            seconds, and which has sent nothing meanwhile: 0.1 to 10⁶; 0 is no limit, as in a new
+            swarm.
+        make_room: With `pi1`: scale all positions about the centroid by the smallest factor that
+            lets longer bodies fit.
     """
 
     verb: ClassVar[str] = "set"
@@ -50,15 +64,14 @@ class Set(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class Inform(msgspec.Struct, frozen=True, omit_defaults=True):
-    """Informs individuals, in a `batch`.
-
-        swarm.batch([jostle.Inform(jostle.ids([0, 1]), direction=0.0, weight=2.0)])
+    """Gives individuals a direction of their own.
 
     Attributes:
-        select: See `Swarm.inform`.
-        direction: See `Swarm.inform`; radians, counter-clockwise from +x.
-        weight: See `Swarm.inform`.
-        for_time: See `Swarm.inform`; body sizes over free speed.
+        select: The individuals; draws are from all.
+        direction: Their preferred direction in radians, counter-clockwise from +x.
+        weight: The weight of that direction beside attraction: above 0; `pi2` if None.
+        for_time: The time after which they are uninformed again, body sizes over free speed; for
+            good if None.
     """
 
     verb: ClassVar[str] = "inform"
@@ -69,11 +82,11 @@ class Inform(msgspec.Struct, frozen=True, omit_defaults=True):
     for_time: float | None = None
 
 
-class Uninform(msgspec.Struct, frozen=True):
-    """Removes the preferred direction of individuals, in a `batch`.
+class Uninform(msgspec.Struct, frozen=True, omit_defaults=True):
+    """Takes the preferred direction of individuals away.
 
     Attributes:
-        select: See `Swarm.uninform`.
+        select: The individuals; draws are from the informed.
     """
 
     verb: ClassVar[str] = "uninform"
@@ -82,16 +95,17 @@ class Uninform(msgspec.Struct, frozen=True):
 
 
 class Inject(msgspec.Struct, frozen=True, omit_defaults=True):
-    """Adds individuals, in a `batch`; give one of `count` and `at`.
+    """Adds individuals, informed or not, where they overlap no other one.
 
-        swarm.batch([jostle.Inject(at=jostle.poses([[12.0, 0.0, math.pi]]))])
+    One of `count` and `at`.
 
     Attributes:
-        count: See `Swarm.inject`.
-        at: Their poses; `jostle.poses` makes them from an array.
-        within: With `count`: the disc, absolute centre and radius in body sizes.
-        direction: See `Swarm.inject`; radians, counter-clockwise from +x.
-        weight: See `Swarm.inject`.
+        count: Their number, at the border of the group, or in `within`.
+        at: Their poses.
+        within: With `count`: the disc in which they are drawn, absolute centre and radius in body
+            sizes.
+        direction: Informs them: their preferred direction in radians, counter-clockwise from +x.
+        weight: With `direction`: its weight beside attraction; `pi2` if None.
     """
 
     verb: ClassVar[str] = "inject"
@@ -103,11 +117,13 @@ class Inject(msgspec.Struct, frozen=True, omit_defaults=True):
     weight: float | None = None
 
 
-class Remove(msgspec.Struct, frozen=True):
-    """Removes individuals from the group, in a `batch`. The last one cannot be removed.
+class Remove(msgspec.Struct, frozen=True, omit_defaults=True):
+    """Takes individuals out of the group.
+
+    The last one cannot be removed.
 
     Attributes:
-        select: See `Swarm.remove`.
+        select: The individuals; draws are from all.
     """
 
     verb: ClassVar[str] = "remove"
@@ -117,28 +133,3 @@ class Remove(msgspec.Struct, frozen=True):
 
 Change = Set | Inform | Uninform | Inject | Remove
 """A change of a `batch`."""
-
-
-def commands(changes: Iterable[Change | Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """The changes of a `batch` as on the wire.
-
-    Raises:
-        InvalidArgument: They are no iterable, or one of them is no change.
-    """
-    if not isinstance(changes, Iterable):
-        raise invalid(
-            "commands",
-            f"commands is {changes!r}, but must be several changes, such as [jostle.Set(pi3=2)]",
-        )
-    encoded = []
-    for index, change in enumerate(changes):
-        if isinstance(change, Change):
-            encoded.append({"verb": change.verb, "args": change})
-        elif isinstance(change, Mapping):
-            encoded.append(dict(change))
-        else:
-            raise invalid(
-                f"commands[{index}]",
-                f"commands[{index}] is {change!r}, but must be a change such as jostle.Set(pi3=2)",
-            )
-    return encoded

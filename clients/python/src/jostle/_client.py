@@ -14,23 +14,36 @@ import msgspec
 from ._arguments import check_name, whole
 from ._audit import Auditor
 from ._connect import open_session
-from ._credentials import WhoAmI, read_credentials
+from ._credentials import read_credentials
 from ._decode import read_reply
 from ._errors import InvalidArgument, JostleError, NotFound, invalid
 from ._experiment import Experiment, Files, Source, read_files
-from ._messages import CreateResult, Reply
-from ._metrics import Metrics
-from ._node import Hello, NodeStatus, Schemas, Swarms, SwarmSummary
 from ._play import Player
 from ._recording import check_finished
-from ._recordings import RecordingResult, Recordings, RecordingStatus, fetch
+from ._recordings import fetch
 from ._replay import open_replay, upload
 from ._repr import HtmlList, error_html
-from ._results import ExperimentResult, Experiments, Progress
 from ._session import Session
 from ._snapshot import Snapshot
-from ._spec import Spec
 from ._swarm import Swarm
+from ._wire import (
+    CreateResult,
+    ExperimentResult,
+    Experiments,
+    Hello,
+    Metrics,
+    NodeStatus,
+    Progress,
+    RecordingResult,
+    Recordings,
+    RecordingStatus,
+    Reply,
+    Schemas,
+    Spec,
+    Swarms,
+    SwarmSummary,
+    WhoAmI,
+)
 
 T = TypeVar("T")
 

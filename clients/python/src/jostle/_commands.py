@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from types import EllipsisType
-from typing import Any, Literal, SupportsIndex, TypedDict, TypeVar, Unpack, overload
+from typing import Any, Literal, SupportsIndex, TypeVar, Unpack, overload
 
+import msgspec
 from numpy.typing import ArrayLike
 
 from ._arguments import (
@@ -17,21 +18,19 @@ from ._arguments import (
     check_select,
     measure_names,
     poses,
-    whole,
     whole_from_0,
+    whole_or_none,
 )
+from ._batch import encode_changes
 from ._changes import Change, Inform, Inject, Remove, Set, Uninform
-from ._changes import commands as encode_changes
 from ._decode import read_batch, read_reply, read_scheduled
-from ._errors import (
-    DeadlineExceeded,
-    Internal,
-    JostleError,
-    Unavailable,
-    invalid,
-    late,
-)
-from ._messages import (
+from ._errors import DeadlineExceeded, Internal, JostleError, Unavailable, invalid, late
+from ._options import Options, check_options
+from ._queries import BodyShape, Queries, stopped
+from ._session import Session
+from ._set import SetCommand
+from ._state import State, fetch_state, read_step_reply
+from ._wire import (
     BatchResult,
     IdsResult,
     Reply,
@@ -42,34 +41,11 @@ from ._messages import (
     StepResult,
     WhenResult,
 )
-from ._queries import BodyShape, Queries, stopped
-from ._session import Session
-from ._state import State, fetch_state, read_step_reply
 
 T = TypeVar("T")
 
 # The daemon's limit of `timeout_secs`.
 MAX_TIMEOUT_SECS = 3600.0
-
-
-class Options(TypedDict, total=False):
-    """The options of every command.
-
-        swarm.set(pi3=2.0, expect_step=100, timeout=1.0)
-
-    Attributes:
-        expect_step: Raise `Conflict` and change nothing unless the swarm is at this step.
-        expect_epoch: Raise `Conflict` and change nothing unless the swarm is in this epoch.
-        timeout: Seconds the command may take; the client's `timeout` if left out.
-        request_id: The id of the request, 1 to 256 bytes; a new one if left out. The daemon
-            executes a request id only once for all clients of the same `client` name: a repeated
-            command gets the first reply, and another command with that id raises `Conflict`.
-    """
-
-    expect_step: SupportsIndex
-    expect_epoch: SupportsIndex
-    timeout: float
-    request_id: str
 
 
 def _left(id: str | None) -> str:
@@ -81,7 +57,7 @@ class Pending(Exception):
     """The reply to a command that waits for its step; its argument is the `Scheduled`."""
 
 
-class Commands(Queries):
+class Commands(SetCommand, Queries):
     """The part of a `Swarm` that sends commands."""
 
     def __init__(
@@ -316,84 +292,16 @@ class Commands(Queries):
         """
         return self._command("reset", _given(seed=seed), ResetResult, options)
 
-    def set(
-        self,
-        *,
-        pi1: float | None = None,
-        pi2: float | None = None,
-        pi3: float | None = None,
-        pi4: float | None = None,
-        contacts: str | None = None,
-        stepping: str | None = None,
-        relinearise: SupportsIndex | None = None,
-        attraction: dict[str, Any] | None = None,
-        noise: float | None = None,
-        publish_every: SupportsIndex | None = None,
-        measures: Sequence[str] | None = None,
-        max_idle_secs: float | None = None,
-        make_room: bool = False,
-        **options: Unpack[Options],
-    ) -> SetResult:
-        """Changes parameters between two steps.
-
-            swarm.set(pi3=2.0, attraction={"kind": "topological", "neighbours": 7})
-
-        A parameter that is None does not change. Table 1 of the paper defines π1 to π4.
-
-        Args:
-            pi1: π1, length over width of a body: 1 to 32.
-            pi2: π2, weight of individuals that are informed without a weight: 0 to 10⁶;
-                individuals that are informed already keep theirs.
-            pi3: π3, body size over turning radius: above 0, to 10⁶.
-            pi4: π4, translational over rotational drag: above 0, to 10⁶.
-            contacts: The contact rule, `endpoints`, `closest` or `clamped`; all but `closest`
-                require that no two axes cross.
-            stepping: What a contact limits, `position` or `velocity`; see `Spec`.
-            relinearise: Number of further programs that a step solves: 0 or 1.
-            attraction: The law of attraction, eq. (4) or another; see `Spec`.
-            noise: Intensity of white noise on the turning rate, squared radians per time unit:
-                0 to 10⁶.
-            publish_every: Number of steps between two published states: 1 or more.
-            measures: The measures in each published order (`OrderSample.measures`), at most 16 that
-                need no earlier state, such as `["drift", "milling"]`; none if empty.
-            max_idle_secs: Remove a controller in lock-step for which the swarm has waited so many
-                seconds, and which has sent nothing meanwhile: 0.1 to 10⁶; 0 is no limit, as in a
-                new swarm.
-            make_room: With `pi1`: scale all positions about the centroid by the smallest factor
-                that lets longer bodies fit.
-            options: See `Options`.
-
-        Returns:
-            The values before and after, and the factor of `make_room`.
-
-        Raises:
-            InvalidArgument: A value is out of range, or no parameter is given.
-            IncorrectState: The swarm is faulted, or axes cross and the contact rule forbids that.
-            ResourceExhausted: Longer bodies would overlap; see `make_room`. Or the group is too
-                large for a measure.
-        """
+    def _set(self, change: Set, options: Options) -> SetResult:
         check_options("set", options)
-        change = Set(
-            pi1=pi1,
-            pi2=pi2,
-            pi3=pi3,
-            pi4=pi4,
-            contacts=contacts,
-            stepping=stepping,
-            relinearise=_whole("relinearise", relinearise),
-            attraction=attraction,
-            noise=noise,
-            publish_every=_whole("publish_every", publish_every),
-            measures=None if measures is None else measure_names(measures),
-            max_idle_secs=max_idle_secs,
-            make_room=make_room,
-        )
+        if change.measures is not None:
+            change = msgspec.structs.replace(change, measures=measure_names(change.measures))
         if change == Set():
+            *others, last = (it for it in Set.__struct_fields__ if it != "make_room")
             raise invalid(
                 "args",
-                "nothing to set: give pi1, pi2, pi3, pi4, contacts, stepping, relinearise, "
-                "attraction, noise, publish_every, measures or max_idle_secs; None leaves a "
-                "parameter as it is",
+                f"nothing to set: give {', '.join(others)} or {last}; None leaves a parameter as "
+                "it is",
             )
         result = self._change(change, SetResult, options)
         self._shape.pi1 = result.now.pi1
@@ -492,7 +400,7 @@ class Commands(Queries):
             x, y, radius = within
             within = Region(x=x, y=y, radius=radius)
         poses_ = None if at is None else poses(at)
-        change = Inject(_whole("count", count), poses_, within, direction, weight)
+        change = Inject(whole_or_none("count", count), poses_, within, direction, weight)
         return self._change(change, IdsResult, options)
 
     def remove(self, select: Select, **options: Unpack[Options]) -> IdsResult:
@@ -672,22 +580,6 @@ class Commands(Queries):
         if self._at_step is not None and (scheduled := read_scheduled(payload)) is not None:
             raise Pending(scheduled)
         return payload
-
-
-def check_options(verb: str, options: Options) -> None:
-    """Rejects unknown options.
-
-    Raises:
-        TypeError: One of them is unknown.
-    """
-    for name in options:
-        if name not in Options.__annotations__:
-            hint = f"; use at(step).{verb}()" if name == "at_step" else ""
-            raise TypeError(f"{verb}() got an unexpected keyword argument {name!r}{hint}")
-
-
-def _whole(name: str, number: SupportsIndex | None) -> int | None:
-    return None if number is None else whole(name, number)
 
 
 def _given(**arguments: object) -> dict[str, Any]:

@@ -15,12 +15,12 @@ from ._arguments import check_label, check_name, check_seconds
 from ._credentials import Credentials, zenoh_auth
 from ._decode import read_reply
 from ._errors import Busy, JostleError, PermissionDenied, Unavailable, invalid
-from ._node import WIRE_VERSION, Hello
 from ._outage import Outage
 from ._retry import FAILED, Backoff
 from ._session import REPLY_MARGIN_SECS, Session
 from ._shutdown import use_zenoh
 from ._tls import certificate_mismatch, split_endpoint
+from ._wire import WIRE_VERSION, Hello
 
 _PROBE_TIMEOUT_SECS = 1.0
 

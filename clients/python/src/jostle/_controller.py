@@ -19,18 +19,8 @@ from numpy.typing import ArrayLike
 
 from . import _cancel
 from ._arguments import check_name, check_seconds, id_list, ids, numbers, to_json, whole
-from ._commands import MAX_TIMEOUT_SECS, Options
-from ._controller_messages import (
-    Advanced,
-    Arrived,
-    Controllers,
-    ControllerSummary,
-    Joined,
-    Mode,
-    News,
-    read_advanced,
-    with_state,
-)
+from ._commands import MAX_TIMEOUT_SECS
+from ._controller_messages import Advanced, Arrived, read_advanced, with_state
 from ._decode import read_reply
 from ._errors import (
     Conflict,
@@ -42,9 +32,10 @@ from ._errors import (
     invalid,
     late,
 )
-from ._messages import Reply
+from ._options import Options
 from ._session import Session
 from ._state import State, fetch_state, read_state
+from ._wire import ControllerList, ControllerSummary, JoinResult, Mode, News, Reply
 
 # Advances that a crash of the daemon may take back. They are dropped when they are durable, a few
 # milliseconds later, so that there are this many only if the daemon's disk is full.
@@ -374,7 +365,7 @@ class Controller:
         Raises:
             NotFound: There is no such swarm.
         """
-        listed = read_reply(self._get("get/controllers"), Controllers)
+        listed = read_reply(self._get("get/controllers"), ControllerList)
         mine = next((one for one in listed.controllers if one.controller == self._name), None)
         target = None if mine is None else mine.target_step
         is_pending = target is not None and target > listed.step
@@ -413,7 +404,7 @@ class Controller:
             key = self._session.swarm_key(self._swarm, f"ctl/{self._name}/alive")
             self._token = self._session.declare_token(key)
         args = {"controller": self._name, **terms}
-        joined = self._session.swarm_command(self._swarm, "join", args, Joined, **options)
+        joined = self._session.swarm_command(self._swarm, "join", args, JoinResult, **options)
         self._ids, self._step = joined.ids, joined.step
         self._update(joined)
 
@@ -424,7 +415,7 @@ class Controller:
             with contextlib.suppress(zenoh.ZError):
                 token.undeclare()
 
-    def _update(self, reply: Joined | Advanced) -> None:
+    def _update(self, reply: JoinResult | Advanced) -> None:
         self._news, self._epoch = reply.news, reply.epoch
         if reply.news.removed:
             gone = set(reply.news.removed)
@@ -491,7 +482,7 @@ class Controller:
 
     def _listed(self) -> ControllerSummary | None:
         """The daemon's record of this controller; None if it has left."""
-        listed = read_reply(self._get("get/controllers"), Controllers).controllers
+        listed = read_reply(self._get("get/controllers"), ControllerList).controllers
         return next((one for one in listed if one.controller == self._name), None)
 
     def _explain(self, error: Conflict) -> None:

@@ -2,74 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any
 
 import msgspec
 
 from ._decode import convert, read_map, unreadable
 from ._errors import Internal
-from ._messages import Reply, StepResult
-from ._repr import HtmlStruct
 from ._state import State, read_columns
-
-Mode = Literal["lockstep", "free_running"]
-"""Whether the swarm steps when every controller has advanced, or runs by itself."""
-
-OnTimeout = Literal["hold", "free", "pause"]
-"""What happens to the individuals of a controller that is late."""
-
-
-class Miss(HtmlStruct, frozen=True, kw_only=True):
-    """A missed deadline.
-
-    Attributes:
-        controller: The controller that missed it.
-        step: The step at which the swarm waited.
-        misses: Number of misses in a row: with the third the controller has left.
-    """
-
-    controller: str
-    step: int
-    misses: int
-
-
-class Departed(HtmlStruct, frozen=True, kw_only=True):
-    """A controller that has left.
-
-    Attributes:
-        controller: Its name.
-        why: `left`: it sent `leave`; `lost`: its liveliness token was undeclared; `late`: it missed
-            three deadlines in a row, or sent nothing for `max_idle_secs`.
-    """
-
-    controller: str
-    why: Literal["left", "lost", "late"]
-
-
-class News(HtmlStruct, frozen=True, kw_only=True):
-    """What happened since the last reply to a controller.
-
-    Attributes:
-        missed: Missed deadlines, also its own.
-        left: Controllers that have left.
-        removed: Ids of individuals of its own that were removed.
-    """
-
-    missed: list[Miss]
-    left: list[Departed]
-    removed: list[int]
-
-
-class Joined(Reply, frozen=True, kw_only=True):
-    """The reply to `join`.
-
-    Attributes:
-        ids: The ids of the individuals that the controller steers.
-        news: What happened since it left, if it rejoins.
-    """
-
-    ids: list[int]
-    news: News
+from ._wire import News, Reply, StepResult
 
 
 class Advanced(StepResult, frozen=True, kw_only=True):
@@ -91,57 +31,6 @@ class Arrived(Advanced, frozen=True, kw_only=True):
     """The reply to `Controller.advance` with `state=True`."""
 
     state: State
-
-
-class Puts(HtmlStruct, frozen=True, kw_only=True):
-    """Numbers of the messages of `Controller.put`, by outcome.
-
-    Attributes:
-        applied: They were applied.
-        stale: They were not newer than one before, or of another epoch.
-        overtaken: A newer one arrived before the next step.
-        refused: They were unreadable, out of range, not permitted, or for individuals of another
-            controller.
-    """
-
-    applied: int
-    stale: int
-    overtaken: int
-    refused: int
-
-
-class ControllerSummary(HtmlStruct, frozen=True, kw_only=True):
-    """A controller that has joined.
-
-    Attributes:
-        controller: Its name.
-        mode: `lockstep` or `free_running`.
-        ids: The ids of the individuals that it steers.
-        deadline_secs: Seconds that others wait for it, or that its set-points apply.
-        on_timeout: What happens to its individuals when it is late.
-        driving: Whether it may set turning rates and speeds.
-        target_step: The step that it has advanced to; None unless in lock-step.
-        misses: Number of deadlines missed in a row.
-        waited_secs: Seconds that others have waited for it; None if they do not.
-        puts: The outcomes of its puts.
-    """
-
-    controller: str
-    mode: Mode
-    ids: list[int]
-    deadline_secs: float
-    on_timeout: OnTimeout
-    driving: bool
-    target_step: int | None = None
-    misses: int
-    waited_secs: float | None = None
-    puts: Puts
-
-
-class Controllers(Reply, frozen=True, kw_only=True):
-    """The controllers that have joined a swarm, by name."""
-
-    controllers: list[ControllerSummary]
 
 
 class _Result(msgspec.Struct, kw_only=True):

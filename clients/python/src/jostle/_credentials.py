@@ -4,39 +4,14 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import msgspec
 
 from ._errors import invalid
-from ._repr import HtmlStruct
-
-Role = Literal["viewer", "controller", "operator"]
-"""A role: a viewer queries and subscribes, a controller also steers, an operator does all."""
+from ._wire import Role, WhoAmI
 
 _FILE = "credentials.json"
-
-
-class WhoAmI(HtmlStruct, frozen=True, kw_only=True):
-    """The person and role that a daemon assigns to this client.
-
-    Attributes:
-        node: The daemon's name.
-        person: The person; None if the daemon has no authentication, or for an unknown token.
-        role: The role; None for an unknown token.
-        verbs: The permitted commands of swarms.
-        node_verbs: The permitted commands of the daemon.
-    """
-
-    node: str
-    person: str | None
-    role: Role | None
-    verbs: list[str]
-    node_verbs: list[str]
-
-    def may(self, verb: str) -> bool:
-        """Whether `verb` is permitted, such as `"pause"` or `"create"`."""
-        return verb in self.verbs or verb in self.node_verbs
 
 
 class Credentials(msgspec.Struct, frozen=True):

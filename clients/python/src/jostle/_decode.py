@@ -9,8 +9,8 @@ import cbor2
 import msgspec
 
 from ._errors import Internal
-from ._events import Event, Events
-from ._messages import BatchResult, Scheduled
+from ._messages import Scheduled
+from ._wire import BatchResult, Event, Events
 
 T = TypeVar("T")
 

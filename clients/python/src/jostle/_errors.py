@@ -8,21 +8,7 @@ from typing import Any
 
 import msgspec
 
-
-class ErrorMessage(msgspec.Struct, frozen=True, kw_only=True):
-    """An error as on the wire: the `error` of an `Event`.
-
-    Attributes:
-        code: The kind of error, such as `conflict`.
-        message: For people: what is wrong, and the remedy.
-        details: For programs, such as `field` and `range`; may be empty.
-        step: The swarm's step at that time; None if it concerns no swarm.
-    """
-
-    code: str
-    message: str
-    details: dict[str, Any]
-    step: int | None = None
+from ._wire import ErrorMessage
 
 
 class JostleError(Exception):

@@ -32,20 +32,9 @@ from ._errors import (
 from ._outage import RECONNECT_TIMEOUT_SECS, Outage
 from ._progress import Bar
 from ._repr import HtmlList, error_html
-from ._results import (
-    NO_COLUMNS,
-    ExperimentResult,
-    OccasionalColumns,
-    OrderSeries,
-    Progress,
-    ResultRow,
-    ResultsPage,
-    SeriesColumns,
-    of_rows,
-    of_series,
-    of_trajectory,
-)
+from ._results import NO_COLUMNS, OrderSeries, SeriesColumns, of_rows, of_series, of_trajectory
 from ._session import Session
+from ._wire import ExperimentResult, OccasionalColumns, Progress, ResultRow, ResultsPage
 
 if TYPE_CHECKING:
     import pandas

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ._attachment import Attachment, unix_secs
+from ._attachment import unix_secs
 from ._errors import invalid
 from ._extras import import_extra
-from ._messages import OrderSample
 from ._state import State
+from ._wire import Attachment, OrderSample
 
 if TYPE_CHECKING:
     import pandas

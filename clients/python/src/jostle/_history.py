@@ -10,7 +10,7 @@ import msgspec
 from ._attachment import Arrival
 from ._decode import read_event
 from ._errors import Conflict, JostleError
-from ._events import Event, Journal, JournalEntry
+from ._wire import Event, Journal, JournalEntry
 
 T = TypeVar("T")
 R = TypeVar("R", Event, JournalEntry)

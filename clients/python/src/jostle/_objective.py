@@ -15,8 +15,8 @@ from typing import Any
 from ._cancel import sleep
 from ._errors import Conflict, Faulted, InvalidArgument, invalid
 from ._experiment import Source, to_toml
-from ._results import ResultRow
 from ._sweep import UNNAMED, Sweep, source_label, sweep
+from ._wire import ResultRow
 
 _RETRY_INTERVAL_SECS = 0.2
 # Fields of a grid that a spec does not have.

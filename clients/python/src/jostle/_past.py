@@ -10,10 +10,9 @@ from ._arguments import check_parameter, whole_from_0
 from ._atomic_file import atomic_file
 from ._decode import read_events, read_reply
 from ._errors import InvalidArgument, Unavailable
-from ._events import Event, Journal, JournalEntry
 from ._history import journal_entries, mark_gaps, pages
-from ._messages import ExperimentFile
 from ._repr import HtmlList
+from ._wire import Event, ExperimentFile, Journal, JournalEntry
 
 
 class Past:

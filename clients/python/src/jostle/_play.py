@@ -10,9 +10,8 @@ import msgspec
 from ._arguments import check_name, whole
 from ._errors import Busy, DeadlineExceeded, JostleError, Unavailable, invalid
 from ._experiment import Source, read_files
-from ._messages import CreateResult
-from ._results import ExperimentResult
 from ._swarm import Swarm
+from ._wire import CreateResult, ExperimentResult
 
 if TYPE_CHECKING:
     from ._session import Session

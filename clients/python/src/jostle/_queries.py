@@ -19,7 +19,6 @@ from ._arguments import (
     check_seconds,
     whole,
 )
-from ._controller_messages import Controllers, ControllerSummary
 from ._decode import read_json, read_reply
 from ._errors import (
     DeadlineExceeded,
@@ -30,15 +29,7 @@ from ._errors import (
     Unavailable,
     late,
 )
-from ._messages import (
-    Measures,
-    Parameter,
-    Parameters,
-    Phase,
-    SpecReply,
-    Status,
-    Verified,
-)
+from ._messages import SpecReply
 from ._outage import RECONNECT_TIMEOUT_SECS, Outage
 from ._past import Past
 from ._progress import Bar
@@ -46,8 +37,18 @@ from ._repr import HtmlList
 from ._retry import FAILED, Backoff
 from ._session import Session
 from ._snapshot import Snapshot, read_snapshot
-from ._spec import Spec
 from ._state import State, read_state
+from ._wire import (
+    ControllerList,
+    ControllerSummary,
+    Measures,
+    Parameter,
+    Parameters,
+    Phase,
+    Spec,
+    Status,
+    Verified,
+)
 
 # The daemon replies to a `get/wait` within this time; it is sent again until the deadline.
 _MAX_WAIT_SECS = 30.0
@@ -230,7 +231,7 @@ class Queries(Past):
         Raises:
             NotFound: There is no such swarm.
         """
-        return HtmlList(read_reply(self._get("get/controllers"), Controllers).controllers)
+        return HtmlList(read_reply(self._get("get/controllers"), ControllerList).controllers)
 
     def snapshot(self) -> Snapshot:
         """A snapshot: everything that determines the swarm's future.

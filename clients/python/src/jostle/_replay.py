@@ -7,33 +7,17 @@ import os
 from pathlib import Path
 from typing import Any
 
-import msgspec
-
 from ._arguments import check_name
 from ._errors import InvalidArgument
-from ._messages import Replay
 from ._progress import Bar
 from ._session import Session
+from ._wire import ReplayResult
 
 _PIECE_BYTES = 180 * 1024
 """Bytes of a message of an upload; in base64 they are below every daemon's limit."""
 
 _OPEN_TIMEOUT_SECS = 60.0
 """Seconds that a daemon may take to index a long recording."""
-
-
-class ReplayResult(msgspec.Struct, frozen=True, kw_only=True):
-    """The reply to a command of a playback.
-
-    Attributes:
-        node: The daemon's name.
-        uploaded: Number of uploaded bytes; None after `open`.
-        replay: The playback after `open`.
-    """
-
-    node: str
-    uploaded: int | None = None
-    replay: Replay | None = None
 
 
 def upload(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import html
 import json
 from datetime import datetime
@@ -29,6 +30,12 @@ class HtmlStruct(msgspec.Struct, frozen=True, kw_only=True):
             if _has_value(value)
         )
         return f"<table><caption {_CELL}><b>{title}</b></caption>{rows}</table>"
+
+    def __reduce__(self) -> tuple[object, ...]:
+        # Without fields that are not set: picklers search all modules for the name of `UNSET`.
+        given = {name: getattr(self, name) for name in self.__struct_fields__}
+        given = {name: value for name, value in given.items() if value is not msgspec.UNSET}
+        return functools.partial(type(self), **given), ()
 
 
 class HtmlList(list[T]):

@@ -12,7 +12,7 @@ import msgspec
 from ._arguments import check_label, check_seconds, to_json
 from ._cancel import sleep
 from ._claims import Claim, contested_error, read_claims, unserved_error
-from ._credentials import WhoAmI, denial_reason, restricted_verb
+from ._credentials import denial_reason, restricted_verb
 from ._decode import read_reply
 from ._errors import (
     Busy,
@@ -25,9 +25,9 @@ from ._errors import (
     late,
 )
 from ._link import LIVELINESS_TIMEOUT_SECS, POLL_INTERVAL_SECS, Link
-from ._node import Hello
 from ._outage import Outage
 from ._retry import FAILED, FIRST_DELAY_SECS, FORGOTTEN_COMMANDS, Backoff
+from ._wire import Hello, WhoAmI
 
 T = TypeVar("T")
 

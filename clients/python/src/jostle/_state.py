@@ -11,11 +11,11 @@ import cbor2
 import numpy as np
 from numpy.typing import NDArray
 
-from ._attachment import Arrival, Attachment, read_attachment, time_of
+from ._attachment import Arrival, read_attachment, time_of
 from ._decode import convert, read_map, read_reply
 from ._draw import Camera, draw
 from ._errors import Conflict, Internal
-from ._messages import Certificate, Order, OrderSample, Phase, Status, StepResult
+from ._wire import Attachment, Certificate, Order, OrderSample, Phase, Status, StepResult
 
 # How often a state is queried again because another command was applied meanwhile.
 _MAX_ATTEMPTS = 10

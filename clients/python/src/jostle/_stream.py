@@ -15,12 +15,12 @@ from ._attachment import Arrival
 from ._decode import read_event, read_reply
 from ._errors import Busy, DeadlineExceeded, Internal, NotFound, PermissionDenied, Unavailable
 from ._link import LIVELINESS_TIMEOUT_SECS
-from ._node import Swarms
 from ._outage import Outage
 from ._presence import Presence, State
 from ._published import belongs
 from ._session import Session
 from ._threads import listen
+from ._wire import Swarms
 
 T = TypeVar("T")
 T_co = TypeVar("T_co", covariant=True)

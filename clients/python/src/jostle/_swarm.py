@@ -7,22 +7,21 @@ from typing import TYPE_CHECKING, Any, Self, SupportsIndex, TypeVar, Unpack
 
 from ._arguments import Select, check_seconds, whole, whole_from_0
 from ._at_step import AtStep
-from ._commands import MAX_TIMEOUT_SECS, Commands, Options
+from ._commands import MAX_TIMEOUT_SECS, Commands
 from ._controller import Controller
-from ._controller_messages import Mode, OnTimeout
 from ._decode import read_json
 from ._errors import JostleError, invalid
-from ._events import Event
 from ._extras import import_extra
 from ._frame import of_states
 from ._history import EventReader
-from ._messages import CreateResult, OrderSample, Reply
+from ._options import Options
 from ._progress import Bar
 from ._repr import error_html
 from ._session import Session
 from ._state import FrameReader, State, read_state
 from ._stream import Reader, Stream
 from ._view import View
+from ._wire import CreateResult, Event, Mode, OnTimeout, OrderSample, Reply
 
 if TYPE_CHECKING:
     import pandas

@@ -36,8 +36,9 @@ from ._part import Definitions, check_version
 from ._plan import Programs, Task
 from ._progress import Bar
 from ._repr import HtmlList
-from ._results import ResultRow, of_rows
+from ._results import of_rows
 from ._tasks import DASK, Tasks
+from ._wire import ResultRow
 
 if TYPE_CHECKING:
     import pandas

@@ -31,10 +31,9 @@ from .._errors import (
     invalid,
 )
 from .._local import local
-from .._messages import Status
-from .._spec import Spec
 from .._state import State
 from .._swarm import Swarm
+from .._wire import Spec, Status
 from ._checks import ResetNeeded, at_least_1, finite, positive
 from ._picture import Pixels, paint
 
