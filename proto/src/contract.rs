@@ -42,8 +42,13 @@ pub fn messages() -> BTreeSet<&'static str> {
 pub fn schemas() -> BTreeMap<&'static str, Schema> {
     let messages = messages().into_iter();
     messages
-        .filter_map(|name| Some((name, visit(name, SchemaOf)?)))
+        .filter_map(|name| Some((name, schema(name)?)))
         .collect()
+}
+
+/// The JSON Schema (2020-12) of one message, which stands alone; `None` if there is no such message.
+pub fn schema(message: &str) -> Option<Schema> {
+    visit(message, SchemaOf)
 }
 
 /// The file in `schema/` with the definition of this message, and the definition's name.

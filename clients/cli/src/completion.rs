@@ -118,10 +118,12 @@ pub fn verbs(typed: &OsStr) -> Vec<CompletionCandidate> {
     beginning_with(typed, keys::SWARM_VERBS.iter().chain(&keys::NODE_VERBS))
 }
 
-/// The verbs that have messages, and the messages.
+/// The verbs that have messages, the messages, and the file of an experiment.
 pub fn messages(typed: &OsStr) -> Vec<CompletionCandidate> {
     let verbs = keys::SWARM_VERBS.into_iter().chain(keys::NODE_VERBS);
-    beginning_with(typed, verbs.chain(contract::messages()))
+    let mut messages = contract::messages();
+    messages.insert(jostle_experiment::SCHEMA);
+    beginning_with(typed, verbs.chain(messages))
 }
 
 /// The measures of one state, which a daemon evaluates.

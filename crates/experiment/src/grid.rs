@@ -12,6 +12,7 @@ use toml::{Spanned, Value};
 
 use crate::error::PlanError;
 use crate::file::{Source, Table, in_words, is_of_name};
+use crate::limits::REPLICATES;
 use crate::protocol::Variables;
 use crate::start::{Base, FIXED};
 
@@ -31,6 +32,22 @@ pub const AXES: [&str; 13] = [
     "attraction",
     "noise",
 ];
+
+/// What the axes are that are not fields of a spec.
+pub const INFORMED: [(&str, &str); 2] = [
+    (
+        "informed",
+        "How many individuals are informed, from the start: a whole number up to `n`.",
+    ),
+    (
+        "informed_fraction",
+        "The share of the individuals that are informed, from the start: 0 to 1. `informed_fraction * n` is \
+         rounded, halves upwards.",
+    ),
+];
+
+/// The range of `informed_fraction`.
+pub const SHARES: [f64; 2] = [0.0, 1.0];
 
 /// One `[[grid]]`.
 pub struct Grid {
@@ -69,7 +86,7 @@ pub fn common(
             let reason = "seed is not a field of [spec]: move it to the top of the file";
             return Err(source.reject(&key.span(), reason));
         }
-        if ["informed", "informed_fraction"].contains(&key.get_ref().as_str()) {
+        if INFORMED.iter().any(|(axis, _)| axis == key.get_ref()) {
             let key_text = key.get_ref();
             let reason = format!(
                 "{key_text} is not a field of [spec]: write it in a [[grid]], as {key_text} = {}",
@@ -122,7 +139,7 @@ pub fn check_varied(source: Source<'_>, grids: &[Grid]) -> Result<(), PlanError>
 }
 
 /// Reads every `[[grid]]`. A file without a grid has one grid with a single point. `used` are the
-/// variables that the protocol uses, and `max_replicates` limits the replicates of a grid.
+/// variables that the protocol uses.
 ///
 /// # Errors
 ///
@@ -132,7 +149,6 @@ pub fn grids(
     tables: &[Table],
     used: &BTreeSet<String>,
     replicates: u64,
-    max_replicates: u64,
 ) -> Result<Vec<Grid>, PlanError> {
     if tables.is_empty() {
         return Ok(vec![Grid {
@@ -141,7 +157,7 @@ pub fn grids(
             span: 0..0,
         }]);
     }
-    let read = |table| read_grid(source, table, used, replicates, max_replicates);
+    let read = |table| read_grid(source, table, used, replicates);
     tables.iter().map(read).collect()
 }
 
@@ -150,7 +166,6 @@ fn read_grid(
     table: &Table,
     used: &BTreeSet<String>,
     replicates: u64,
-    max_replicates: u64,
 ) -> Result<Grid, PlanError> {
     let spans = table.keys().map(Spanned::span);
     let mut grid = Grid {
@@ -165,7 +180,7 @@ fn read_grid(
             let number = value.get_ref().as_integer();
             let number = number.and_then(|number| u64::try_from(number).ok());
             let number = Spanned::new(value.span(), number.unwrap_or(0));
-            grid.replicates = source.whole(key, Some(&number), 0, [1, max_replicates])?;
+            grid.replicates = source.whole(key, Some(&number), 0, REPLICATES)?;
             continue;
         }
         check_axis(source, key, &key_span, used)?;
@@ -206,7 +221,7 @@ pub fn check_axis(
             "unknown axis {key:?}: use one of {axes}, replicates, or a variable that an [[at]] or \
              [stop] uses as \"${key}\""
         )
-    } else if is_taken(key) && !(source.is_stored && LATER_TAKEN.contains(&key)) {
+    } else if taken().any(|name| name == key) && !(source.is_stored && LATER_TAKEN.contains(&key)) {
         format!(
             "{key:?} is a column of the results, a measure or a field of [spec]: rename the variable"
         )
@@ -224,7 +239,7 @@ fn check(source: Source<'_>, key: &str, value: &Spanned<Value>) -> Result<(), Pl
         ("informed", _) => return reject("informed must be a whole number, 0 or more".to_owned()),
         ("informed_fraction", it) => {
             return match number(it) {
-                Some(fraction) if (0.0..=1.0).contains(&fraction) => Ok(()),
+                Some(fraction) if (SHARES[0]..=SHARES[1]).contains(&fraction) => Ok(()),
                 _ => reject("informed_fraction must be a number within [0, 1]".to_owned()),
             };
         }
@@ -243,15 +258,15 @@ fn check(source: Source<'_>, key: &str, value: &Spanned<Value>) -> Result<(), Pl
 /// and of the printed table.
 const LATER_TAKEN: [&str; 7] = [FAULT, "step", "id", "x", "y", "alpha", "runs"];
 
-/// Returns whether a variable must not have this name.
-fn is_taken(name: &str) -> bool {
+/// Returns the names that a variable must not have: those of fields, columns and measures.
+pub fn taken() -> impl Iterator<Item = String> {
     let fields = toml::Table::try_from(Spec::new(1)).unwrap_or_default();
-    fields.contains_key(name)
-        || LATER_TAKEN.contains(&name)
-        || ["rate", "start"].contains(&name)
-        || OCCASIONAL_COLUMNS.contains(&name)
-        || COLUMNS.iter().any(|column| column.name == name)
-        || definitions().iter().any(|measure| measure.name == name)
+    let columns = COLUMNS.iter().map(|column| column.name);
+    let measures = definitions().iter().map(|measure| measure.name);
+    let others = LATER_TAKEN.into_iter().chain(["rate", "start"]);
+    let others = others.chain(OCCASIONAL_COLUMNS).chain(columns);
+    let names = others.chain(measures).map(str::to_owned);
+    fields.into_iter().map(|(name, _)| name).chain(names)
 }
 
 /// Checks the value of a variable: a finite number.

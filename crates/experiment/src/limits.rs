@@ -1,5 +1,7 @@
 //! The limits of an experiment.
 
+use jostle_proto::LARGEST_WHOLE;
+
 /// Maximum number of runs of an experiment: a list of them is still readable.
 pub const MAX_RUNS: u64 = 100_000;
 
@@ -29,3 +31,12 @@ pub const MAX_COLUMNS: usize = 100;
 
 /// Maximum number of set-points of a run, the rows of its CSV.
 pub const MAX_SET_POINTS: u64 = 100_000;
+
+/// The range of the seeds in a file.
+pub const SEEDS: [u64; 2] = [0, LARGEST_WHOLE];
+
+/// The range of the replicates of a condition.
+pub const REPLICATES: [u64; 2] = [1, MAX_RUNS];
+
+/// The range of the number of steps between two measurements.
+pub const STEPS_BETWEEN: [u64; 2] = [1, MAX_STEPS];

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use jostle_measures::{Measure, check_past};
 use jostle_physics::observables::Definitions;
 use jostle_physics::simulation::{Spec, Start, begin, steps_in};
-use jostle_proto::{LARGEST_WHOLE, keys};
+use jostle_proto::keys;
 use toml::Spanned;
 
 use crate::error::PlanError;
@@ -15,6 +15,7 @@ use crate::files::Files;
 use crate::grid::{self, AXES, Choice, Grid};
 use crate::limits::{
     MAX_BLOCKS_OF_PLAN, MAX_ENTRIES, MAX_INDIVIDUALS, MAX_RUNS, MAX_STEPS, MAX_TRAJECTORY_BYTES,
+    REPLICATES, SEEDS, STEPS_BETWEEN,
 };
 use crate::protocol::{Block, Protocol, Setting, Variables, first_span, templates, used};
 use crate::row_grids;
@@ -125,7 +126,10 @@ impl Plan {
     ///
     /// [`PlanError`], with the line or the run.
     pub fn of(files: Files) -> Result<Self, PlanError> {
-        let mut plan = Self::checked(&files, false)?;
+        let checked = Self::checked(&files, false);
+        #[cfg(test)]
+        tests::compare(&files, &checked);
+        let mut plan = checked?;
         plan.files = files;
         Ok(plan)
     }
@@ -178,13 +182,12 @@ impl Plan {
             );
             return Err(source.reject(&file.name.span(), reason));
         }
-        let seed = source.whole("seed", file.seed.as_ref(), 0, [0, LARGEST_WHOLE])?;
-        let limits = [1, MAX_RUNS];
-        let replicates = source.whole("replicates", file.replicates.as_ref(), 1, limits)?;
+        let seed = source.whole("seed", file.seed.as_ref(), 0, SEEDS)?;
+        let replicates = source.whole("replicates", file.replicates.as_ref(), 1, REPLICATES)?;
         let every = file.measure.order_every.as_ref();
-        let every = source.whole("order_every", every, 0, [1, MAX_STEPS])?;
+        let every = source.whole("order_every", every, 0, STEPS_BETWEEN)?;
         let record = file.measure.record_every.as_ref();
-        let record = source.whole("record_every", record, 0, [1, MAX_STEPS])?;
+        let record = source.whole("record_every", record, 0, STEPS_BETWEEN)?;
         let duration = *file.duration.get_ref();
         if !(duration.is_finite() && duration > 0.0) {
             let reason = format!("duration = {duration} is not a finite number above 0");
@@ -207,7 +210,7 @@ impl Plan {
         let used = used(file.at.iter().map(Spanned::get_ref).chain([&file.stop]));
         let grids = match &points {
             Some(points) => row_grids::grids(points, source, &used, replicates)?,
-            None => grid::grids(source, &file.grid, &used, replicates, MAX_RUNS)?,
+            None => grid::grids(source, &file.grid, &used, replicates)?,
         };
         if base.is_some() {
             grid::check_varied(source, &grids)?;

@@ -160,7 +160,8 @@ pub struct WatchArguments {
 
 #[derive(Debug, Args)]
 pub struct SchemaArguments {
-    /// The message, such as step.args, or a verb [default: lists all messages]
+    /// The message, such as step.args, a verb, or experiment.file, which needs no daemon [default: lists
+    /// all messages]
     #[arg(add = ArgValueCompleter::new(completion::messages))]
     pub message: Option<String>,
 }

@@ -32,7 +32,7 @@ mod which;
 
 use crate::arguments::{
     Arguments, AuthArguments, AuthVerb, Experiment, ExperimentArguments, GlobalArguments,
-    MeasuresArguments, RecordArguments, Verb,
+    MeasuresArguments, RecordArguments, SchemaArguments, Verb,
 };
 use crate::connect::connect;
 use crate::context::Context;
@@ -54,6 +54,9 @@ pub async fn execute(arguments: Arguments, output: Output) -> Result<(), Failure
             return inspect::list_measures(output);
         }
         Verb::Results(arguments) => return results::results(output, &arguments.what),
+        Verb::Schema(SchemaArguments { message: Some(it) }) if it == jostle_experiment::SCHEMA => {
+            return schema::of_file(output);
+        }
         Verb::Experiment(ExperimentArguments {
             what: Experiment::Plan(arguments),
         }) => return experiment::plan(output, &arguments),

@@ -1,5 +1,8 @@
-//! `schema`: the JSON Schemas of the messages, from the daemon.
+//! `schema`: the JSON Schemas of the messages, from the daemon, and that of an experiment's file.
 
+use std::collections::BTreeSet;
+
+use jostle_experiment::SCHEMA;
 use jostle_proto::contract::{CHANNELS, Channel, ChannelKind};
 use jostle_proto::verbs::{NodeVerb, SwarmVerb};
 use jostle_proto::{NodeReply, Schemas};
@@ -9,7 +12,14 @@ use crate::arguments::SchemaArguments;
 use crate::context::Context;
 use crate::failure::Failure;
 use crate::format;
+use crate::output::Output;
 use crate::table;
+
+/// Prints the schema of an experiment's file, which needs no daemon.
+pub fn of_file(output: Output) -> Result<(), Failure> {
+    let schema = jostle_experiment::schema();
+    output.print(&schema, &format!("{schema:#}"))
+}
 
 /// Prints the schema of a message, or the list of messages.
 pub async fn schema(context: &Context, arguments: &SchemaArguments) -> Result<(), Failure> {
@@ -17,7 +27,9 @@ pub async fn schema(context: &Context, arguments: &SchemaArguments) -> Result<()
     let answer = client.get_node("schema").await?;
     let schemas = answer.read::<NodeReply<Schemas>>()?.result.schemas;
     let Some(message) = &arguments.message else {
-        let messages: Vec<&String> = schemas.keys().collect();
+        let mut messages: Vec<&str> = schemas.keys().map(String::as_str).collect();
+        messages.push(SCHEMA);
+        messages.sort_unstable();
         if output.json {
             let listed = messages.iter().map(|message| {
                 let (key, meaning) = purpose(message);
@@ -27,7 +39,10 @@ pub async fn schema(context: &Context, arguments: &SchemaArguments) -> Result<()
         }
         let table = table::of(
             &messages,
-            [("message", |it| (*it).clone()), ("key", |it| purpose(it).0)],
+            [
+                ("message", |it| (*it).to_owned()),
+                ("key", |it| purpose(it).0),
+            ],
         );
         let docs: Vec<String> = messages.iter().map(|it| purpose(it).1).collect();
         return output.data(&table::documented(&table, &docs));
@@ -47,7 +62,8 @@ pub async fn schema(context: &Context, arguments: &SchemaArguments) -> Result<()
             output.print(&of_verb, &text)
         }
         None => {
-            let there: Vec<String> = schemas.into_keys().collect();
+            let there = schemas.into_keys().chain([SCHEMA.to_owned()]);
+            let there: Vec<String> = there.collect::<BTreeSet<_>>().into_iter().collect();
             let what = format!("message {message}");
             let failure = Failure::unknown(&what, message, &there, "jostle schema");
             Err(failure.with("message", message.as_str()))
@@ -71,6 +87,7 @@ fn purpose(message: &str) -> (String, String) {
         }
         "request" => "The envelope around the arguments of a command.",
         "error" => "The error reply to a request.",
+        SCHEMA => "No message: the file of an experiment, for editors (draft-07).",
         "scheduled.reply" => "The reply to a scheduled command, one with `at_step`.",
         _ => "",
     };
@@ -88,7 +105,7 @@ mod tests {
 
     #[test]
     fn every_message_has_a_purpose() {
-        for message in contract::schemas().keys() {
+        for message in contract::schemas().into_keys().chain([SCHEMA]) {
             let (key, purpose) = purpose(message);
             assert!(!key.is_empty() && !purpose.is_empty(), "{message}");
         }

@@ -389,6 +389,13 @@ async fn daemons_and_messages_are_listed() {
     assert_eq!(of_verb, json!({"step.args": schema, "step.reply": reply}));
     let printed = daemon.said("schema step").await;
     assert_eq!(serde_json::from_str::<Value>(&printed).unwrap(), of_verb);
+    assert!(list.contains("\nexperiment.file  "), "{list}");
+    let of_file = daemon.reply("schema experiment.file").await;
+    assert_eq!(of_file, jostle_experiment::schema());
+    let printed = daemon.said("schema experiment.file").await;
+    assert_eq!(serde_json::from_str::<Value>(&printed).unwrap(), of_file);
+    let unknown = daemon.refusal("schema experiment.fil").await;
+    assert_eq!(unknown["details"]["nearest"][0], "experiment.file");
     let unknown = daemon.refusal("schema step.arg").await;
     assert_eq!(unknown["code"], "not_found");
     assert_eq!(unknown["details"]["nearest"], json!(["step.args"]));

@@ -75,6 +75,10 @@ async fn a_shell_completes_the_names_of_swarms_and_parameters() {
     );
     assert_eq!(here(&["list", "--node", ""]), ["test"]);
     assert_eq!(here(&["schema", "batch."]), ["batch.args", "batch.reply"]);
+    assert_eq!(
+        here(&["schema", "experiment.f"]),
+        ["experiment.file", "experiment.file.reply"]
+    );
     assert_eq!(here(&["pause", "demo", "--expect-s"]), ["--expect-step"]);
     let named = ["-e", &daemon.endpoint, "status", "des"];
     assert_eq!(completed("tcp/127.0.0.1:1", &named), ["desk"]);

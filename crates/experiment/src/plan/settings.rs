@@ -1,13 +1,12 @@
 //! Reads the settings that all runs share: `seeds` and `[measure]`.
 
 use jostle_measures::{Measure, MeasureError};
-use jostle_proto::LARGEST_WHOLE;
 use toml::Spanned;
 
 use super::Columns;
 use crate::error::PlanError;
 use crate::file::{File, Measure as MeasureTable, Source};
-use crate::limits::{MAX_BLOCKS, MAX_COLUMNS, MAX_RUNS, MAX_STEPS};
+use crate::limits::{MAX_BLOCKS, MAX_COLUMNS, MAX_RUNS, SEEDS, STEPS_BETWEEN};
 use crate::protocol::first_span;
 
 /// Checks the number of blocks and of columns.
@@ -38,7 +37,7 @@ pub fn seeds(source: Source<'_>, file: &File) -> Result<Option<Vec<u64>>, PlanEr
     } else if is_repeated(seeds) {
         "seeds: a seed is given twice: its runs would be the same"
     } else {
-        let whole = |seed| source.whole("seeds", Some(seed), 0, [0, LARGEST_WHOLE]);
+        let whole = |seed| source.whole("seeds", Some(seed), 0, SEEDS);
         return seeds.iter().map(whole).collect::<Result<_, _>>().map(Some);
     };
     Err(source.reject(&first, reason))
@@ -56,7 +55,7 @@ pub fn columns(
     file: &MeasureTable,
     duration: f64,
 ) -> Result<Columns, PlanError> {
-    let every = source.whole("every", file.every.as_ref(), 1, [1, MAX_STEPS])?;
+    let every = source.whole("every", file.every.as_ref(), 1, STEPS_BETWEEN)?;
     let from = file.from.as_ref().map_or(0.0, |from| *from.get_ref());
     if let Some(given) = &file.from
         && !(from >= 0.0 && from < duration)
@@ -77,7 +76,7 @@ pub fn columns(
         measures.push(measure);
     }
     let series_every = file.series_every.as_ref();
-    let series = source.whole("series_every", series_every, 0, [1, MAX_STEPS])?;
+    let series = source.whole("series_every", series_every, 0, STEPS_BETWEEN)?;
     if let Some(given) = series_every
         && measures.is_empty()
     {

@@ -1,7 +1,10 @@
 use super::*;
 use crate::grid::AXES;
+/// What each file is compared with that a test gives the parser.
+pub use crate::schema::tests::compare;
 use jostle_physics::model::ParametersError;
 use jostle_physics::simulation::ChangeError;
+use jostle_proto::LARGEST_WHOLE;
 
 const HEAD: &str = "name = \"a\"\nduration = 10\n";
 

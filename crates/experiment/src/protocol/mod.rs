@@ -8,6 +8,7 @@ mod arguments;
 mod block;
 mod check;
 mod execute;
+pub mod keys;
 mod resolve;
 mod setting;
 mod variables;

@@ -9,16 +9,11 @@ use toml::{Spanned, Value};
 
 use super::arguments::{check_ramps, to_change};
 use super::block::{Block, Changes, Timing, Trigger};
+use super::keys::{Kind, STOP, TIMINGS, VERBS, dependent, named};
 use super::setting::Setting;
 use crate::error::PlanError;
 use crate::file::{Source, Table};
 use crate::grid::AXES;
-
-/// The keys of a block that say when it is executed, and the key of its draws.
-const KEYS: [&str; 7] = ["time", "step", "every", "from", "until", "when", "draw"];
-
-/// The verbs of a block, those of `batch`.
-const VERBS: [&str; 5] = ["set", "inform", "uninform", "inject", "remove"];
 
 /// Returns the span of the first key of a block, or that of the block if it is empty.
 pub fn first_span(table: &Spanned<Table>) -> Range<usize> {
@@ -76,7 +71,7 @@ impl Resolver<'_> {
             let name = key.get_ref().as_str();
             if VERBS.contains(&name) {
                 verbs.push((key, value));
-            } else if !KEYS.contains(&name) {
+            } else if named(name).is_none() {
                 let reason = format!(
                     "unknown key {name:?}: an [[at]] has one of time, step, every or when, and one \
                      or more of {}",
@@ -129,7 +124,8 @@ impl Resolver<'_> {
                 "when" => condition = Some(self.condition(value)?),
                 "from" => from = self.from(value)?,
                 unknown => {
-                    let reason = format!("unknown key {unknown:?}: [stop] has when and from");
+                    let keys = STOP.join(" and ");
+                    let reason = format!("unknown key {unknown:?}: [stop] has {keys}");
                     return Err(self.source.reject(&first, reason));
                 }
             }
@@ -199,10 +195,8 @@ impl Resolver<'_> {
         span: &Range<usize>,
     ) -> Result<(Timing, Option<u64>), PlanError> {
         let entry = |key: &str| table.iter().find(|(it, _)| it.get_ref() == key);
-        let given: Vec<&str> = ["time", "step", "every", "when"]
-            .into_iter()
-            .filter(|key| entry(key).is_some())
-            .collect();
+        let timings = TIMINGS.iter().map(|(timing, _)| *timing);
+        let given: Vec<&str> = timings.filter(|it| entry(it).is_some()).collect();
         let [kind] = given[..] else {
             let reason = match given[..] {
                 [] => "[[at]] without a time: give time, step, every or when".to_owned(),
@@ -213,15 +207,9 @@ impl Resolver<'_> {
             };
             return Err(self.source.reject(span, reason));
         };
-        for (wrong, kinds, reason) in [
-            (
-                "from",
-                &["every", "when"][..],
-                "from requires every or when",
-            ),
-            ("until", &["every"], "until requires every"),
-        ] {
-            if let Some((key, _)) = entry(wrong).filter(|_| !kinds.contains(&kind)) {
+        for (dependent, timings) in dependent() {
+            if let Some((key, _)) = entry(dependent).filter(|_| !timings.contains(&kind)) {
+                let reason = format!("{dependent} requires {}", timings.join(" or "));
                 return Err(self.source.reject(&key.span(), reason));
             }
         }
@@ -301,14 +289,11 @@ impl Resolver<'_> {
             Value::Float(number) => number,
             _ => f64::NAN,
         };
-        if number.is_finite() && (number > 0.0 || number == 0.0 && key != "every") {
+        let is_interval = named(key).is_some_and(|it| it.kind == Kind::Interval);
+        if number.is_finite() && (number > 0.0 || number == 0.0 && !is_interval) {
             return Ok(number);
         }
-        let least = if key == "every" {
-            "above 0"
-        } else {
-            "0 or more"
-        };
+        let least = if is_interval { "above 0" } else { "0 or more" };
         let reason = format!("{key}: give a time in time units, {least}");
         Err(self.source.reject(&value.span(), reason))
     }
