@@ -32,6 +32,7 @@ pub mod snapshot;
 mod spec;
 mod state;
 mod units;
+mod usual;
 pub mod verbs;
 mod visitor;
 mod walk;
@@ -52,8 +53,8 @@ pub use parameters::{MAX_PUBLISHED_MEASURES, ParameterValues, Spec};
 pub use queries::{
     Audit, AuditLine, AuditOutcome, Awaited, Controller, ControllerList, Events, ExperimentFile,
     Fault, Hello, Histogram, HistoryFrom, Journal, JournalEntry, Limits, MeasureValue, Measures,
-    NodeStatus, Origin, OriginKind, Parameter, ParameterKind, Parameters, Puts, Scale, Schemas,
-    Status, SwarmSummary, Swarms, Usual, Verified, WaitingAction, WaitingClient, WaitingCondition,
+    NodeStatus, Origin, OriginKind, Parameter, ParameterKind, Parameters, Puts, Schemas, Status,
+    SwarmSummary, Swarms, Verified, WaitingAction, WaitingClient, WaitingCondition,
 };
 pub use recording::{
     BeginRecordingArgs, DEFAULT_MAX_RECORDING_BYTES, RecordArgs, RecordedAt, Recording,
@@ -69,6 +70,7 @@ pub use snapshot::Snapshot;
 pub use spec::{Attraction, ContactRule, Start, Stepping};
 pub use state::{Certificate, Order, OrderSample, Phase, State, to_cbor};
 pub use units::{LENGTH_UNIT, NO_UNIT, SPEED_UNIT, TIME_UNIT};
+pub use usual::{Scale, Usual};
 pub use walk::{Arguments, Lenient};
 
 /// The version of this contract; it grows when a message changes its meaning.

@@ -3,23 +3,12 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::usual::{linear, logarithmic};
 use crate::walk::lenient;
-use crate::{Attraction, ContactRule, LARGEST_WHOLE, Scale, Start, Stepping, Usual};
+use crate::{Attraction, ContactRule, LARGEST_WHOLE, Start, Stepping};
 
 /// Maximum number of measures in a published order.
 pub const MAX_PUBLISHED_MEASURES: usize = 16;
-
-/// Usual values, evenly spread.
-const fn linear(from: f64, to: f64) -> Usual {
-    let scale = Scale::Linear;
-    Usual { from, to, scale }
-}
-
-/// Usual values, evenly spread in their logarithms.
-const fn logarithmic(from: f64, to: f64) -> Usual {
-    let scale = Scale::Logarithmic;
-    Usual { from, to, scale }
-}
 
 /// What a rate can be.
 pub(crate) const RATE_RANGE: &str =

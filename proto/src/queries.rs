@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use serde_json::Value;
 
 use crate::verbs::{Mode, OnTimeout};
-use crate::{Certificate, Event, LARGEST_WHOLE, Order, ParameterValues, Phase, Replay};
+use crate::{Certificate, Event, LARGEST_WHOLE, Order, ParameterValues, Phase, Replay, Usual};
 
 /// The status of a swarm; its phase, step and time are in the envelope.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -305,7 +305,7 @@ pub struct Parameter {
     pub exclusive_minimum: Option<f64>,
     /// The largest value at present; `null` if there is none.
     pub maximum: Option<f64>,
-    /// What it usually is; `null` of a parameter without such a range, and of daemons of earlier versions.
+    /// Its usual values; `null` if it has none, and of daemons of earlier versions.
     #[serde(default)]
     pub usual: Option<Usual>,
     /// The values of a choice, without their numbers; empty otherwise.
@@ -320,28 +320,6 @@ pub struct Parameter {
     pub live: bool,
     /// The verbs that change it.
     pub changed_by: Vec<String>,
-}
-
-/// The usual values of a parameter, for a slider: those of the paper where it varies one, else around its
-/// value. Others are valid, too.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-pub struct Usual {
-    /// The least.
-    pub from: f64,
-    /// The largest.
-    pub to: f64,
-    /// How they are spread.
-    pub scale: Scale,
-}
-
-/// How values are spread over a range.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum Scale {
-    /// Evenly.
-    Linear,
-    /// Evenly in their logarithms.
-    Logarithmic,
 }
 
 /// What values a parameter takes.

@@ -170,13 +170,13 @@ async fn a_swarm_has_its_number_in_the_store_and_what_it_was_made_from() {
     let [(none, first), (_, second)] = &ids;
     assert_eq!((none, first < second), (&Value::Null, true));
     let fork = json!({
-        "kind": "fork", "swarm": "b", "swarm_id": second, "step": 7, "seq": 2, "state_hash": at_7,
+        "kind": "fork", "swarm": "b", "swarm_id": second, "step": 7, "seq": 3, "state_hash": at_7,
     });
     let before = json!({
-        "kind": "fork", "swarm": "b", "swarm_id": second, "step": 3, "seq": 2, "state_hash": at_3,
+        "kind": "fork", "swarm": "b", "swarm_id": second, "step": 3, "seq": 3, "state_hash": at_3,
     });
     let restored = json!({
-        "kind": "restore", "swarm": "b", "swarm_id": null, "step": 7, "seq": 2, "state_hash": at_7,
+        "kind": "restore", "swarm": "b", "swarm_id": null, "step": 7, "seq": 3, "state_hash": at_7,
     });
     assert_eq!(record_of(client, "now").await.0, fork);
     assert_eq!(record_of(client, "before").await.0, before);

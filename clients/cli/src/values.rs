@@ -230,7 +230,11 @@ pub fn size(text: &str) -> Result<u64, String> {
 
 /// Parses a whole number; the range is for the message, since the daemon checks ranges.
 fn parsed<T: FromStr>(text: &str, least: u64, most: u64) -> Result<T, String> {
-    let most = format::number(most as f64);
+    between(text, [least as f64, most as f64])
+}
+
+fn between<T: FromStr>(text: &str, range: [f64; 2]) -> Result<T, String> {
+    let [least, most] = range.map(format::number);
     text.parse()
         .map_err(|_| format!("give a whole number from {least} to {most}"))
 }
@@ -240,9 +244,9 @@ pub fn whole_in<const LEAST: u64, const MOST: u64>(text: &str) -> Result<u64, St
     parsed(text, LEAST, MOST)
 }
 
-/// Parses a whole number that the daemon accepts from `least` to `most`.
-pub fn whole_between(text: &str, least: u64, most: u64) -> Result<u64, String> {
-    parsed(text, least, most)
+/// Parses a whole number that the daemon accepts in this range.
+pub fn whole_between(text: &str, range: [f64; 2]) -> Result<u64, String> {
+    between(text, range)
 }
 
 /// Parses a whole number.

@@ -4,105 +4,84 @@
 use std::collections::BTreeMap;
 use std::ops::Range;
 
-use jostle_proto::keys::NAME_RULE;
 use serde::Deserialize;
-use serde_json::json;
 use toml::{Spanned, Value};
 
 use crate::error::PlanError;
 use crate::files::shown;
-use crate::keys::{keys, list, reference, whole};
-use crate::limits::{MAX_BLOCKS, MAX_COLUMNS, MAX_RUNS, REPLICATES, SEEDS, STEPS_BETWEEN};
 use crate::points::Points;
 
 /// Keys and values, each with its span in the file.
 pub type Table = BTreeMap<Spanned<String>, Spanned<Value>>;
 
-keys! {
-    /// The fields of a file.
-    #[derive(Deserialize)]
-    pub struct File {
-        required {
-            /// The experiment's name: lowercase letters, digits, '-' and '_', the first a letter or digit.
-            #[schema(json!({"type": "string", "pattern": NAME_RULE}))]
-            name: Spanned<String>,
-            /// The duration of a run, in time units: body sizes over free speed.
-            #[schema(json!({"type": "number", "exclusiveMinimum": 0}))]
-            duration: Spanned<f64>,
-        }
-        optional {
-            /// The seed from which the seeds of all runs are derived; 0 if left out.
-            #[schema(whole(SEEDS))]
-            seed: Option<Spanned<u64>>,
-            /// Runs of each condition; 1 if left out. A `[[grid]]` may have its own.
-            #[schema(whole(REPLICATES))]
-            replicates: Option<Spanned<u64>>,
-            /// The seeds of the runs of each condition, instead of `replicates`.
-            #[schema(json!({
-                "type": "array", "items": whole(SEEDS), "minItems": 1, "maxItems": MAX_RUNS, "uniqueItems": true
-            }))]
-            seeds: Option<Vec<Spanned<u64>>>,
-            /// What all runs share: the parameters of a swarm but `seed`.
-            #[schema(reference("spec"))]
-            spec: Table,
-            /// The CSV of the conditions, instead of `[[grid]]`: its name, relative to the folder of this
-            /// file.
-            #[schema(json!({"type": "string"}))]
-            points: Option<Spanned<String>>,
-            /// The snapshot from which every run starts: its name, relative to the folder of this file.
-            #[schema(json!({"type": "string"}))]
-            start: Option<Spanned<String>>,
-            /// The CSV of the set-points of every run: its name, relative to the folder of this file, or its
-            /// text.
-            #[schema(json!({"type": "string"}))]
-            setpoints: Option<Spanned<String>>,
-            /// What varies: every combination of the values of a `[[grid]]` is a condition.
-            #[schema(list(&reference("grid")))]
-            grid: Vec<Table>,
-            /// The blocks of the protocol: commands at times, at steps, or when a condition holds.
-            #[schema(json!({"type": "array", "items": reference("at"), "maxItems": MAX_BLOCKS}))]
-            at: Vec<Spanned<Table>>,
-            /// What ends a run before its duration.
-            #[schema(reference("stop"))]
-            stop: Table,
-            /// Measurements in addition to the table of results.
-            #[schema(reference("measure"))]
-            measure: Measure,
-        }
-    }
+/// The fields of a file.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct File {
+    /// The experiment's name.
+    pub name: Spanned<String>,
+    /// The seed from which the seeds of all runs are derived.
+    #[serde(default)]
+    pub seed: Option<Spanned<u64>>,
+    /// Runs at each point.
+    #[serde(default)]
+    pub replicates: Option<Spanned<u64>>,
+    /// The seeds of the runs at each point, instead of `replicates`.
+    #[serde(default)]
+    pub seeds: Option<Vec<Spanned<u64>>>,
+    /// The duration of a run, in time units.
+    pub duration: Spanned<f64>,
+    /// The spec that all runs share.
+    #[serde(default)]
+    pub spec: Table,
+    /// The CSV of the conditions, instead of `grid`.
+    #[serde(default)]
+    pub points: Option<Spanned<String>>,
+    /// The snapshot from which every run starts.
+    #[serde(default)]
+    pub start: Option<Spanned<String>>,
+    /// The CSV of the set-points of every run: its name, or its text.
+    #[serde(default)]
+    pub setpoints: Option<Spanned<String>>,
+    /// The grids of values that vary.
+    #[serde(default)]
+    pub grid: Vec<Table>,
+    /// The blocks of the protocol.
+    #[serde(default)]
+    pub at: Vec<Spanned<Table>>,
+    /// What ends a run before its duration.
+    #[serde(default)]
+    pub stop: Table,
+    /// Measurements in addition to the table of results.
+    #[serde(default)]
+    pub measure: Measure,
 }
 
-keys! {
-    /// Measurements in addition to the table of results.
-    #[derive(Default, Deserialize)]
-    pub struct Measure {
-        required {}
-        optional {
-            /// Measures whose means are columns of the table of results, such as `milling` or `msd(5)`.
-            #[schema(json!({
-                "type": "array", "items": reference("column"), "maxItems": MAX_COLUMNS, "uniqueItems": true
-            }))]
-            columns: Vec<Spanned<String>>,
-            /// The time from which these are measured, in time units; 0 if left out.
-            #[schema(json!({"type": "number", "minimum": 0}))]
-            from: Option<Spanned<f64>>,
-            /// Steps between two measurements of these; 1 if left out.
-            #[schema(whole(STEPS_BETWEEN))]
-            every: Option<Spanned<u64>>,
-            /// Steps between two entries of the order's time series; no series if left out.
-            #[schema(whole(STEPS_BETWEEN))]
-            order_every: Option<Spanned<u64>>,
-            /// Steps between two entries of the time series of `columns`; no series if left out.
-            #[schema(whole(STEPS_BETWEEN))]
-            series_every: Option<Spanned<u64>>,
-            /// Steps between two frames of the trajectories; no trajectories if left out.
-            #[schema(whole(STEPS_BETWEEN))]
-            record_every: Option<Spanned<u64>>,
-            /// Whether contacts are measured, in a table of their own; not with `[[at]]`.
-            #[schema(json!({"type": "boolean"}))]
-            touch: bool,
-        }
-    }
+/// Measurements in addition to the table of results.
+#[derive(Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Measure {
+    /// Measures whose means are columns of the table of results.
+    #[serde(default)]
+    pub columns: Vec<Spanned<String>>,
+    /// The time from which these are measured, in time units.
+    #[serde(default)]
+    pub from: Option<Spanned<f64>>,
+    /// Steps between two measurements of these.
+    #[serde(default)]
+    pub every: Option<Spanned<u64>>,
+    /// Steps between two entries of the order's time series.
+    #[serde(default)]
+    pub order_every: Option<Spanned<u64>>,
+    /// Steps between two entries of the time series of `columns`.
+    #[serde(default)]
+    pub series_every: Option<Spanned<u64>>,
+    /// Steps between two frames of the trajectories.
+    #[serde(default)]
+    pub record_every: Option<Spanned<u64>>,
+    /// Whether contacts are measured, in a table of their own.
+    #[serde(default)]
+    pub touch: bool,
 }
 
 /// Returns whether a character can be in the name of a variable.

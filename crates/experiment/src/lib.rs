@@ -16,7 +16,6 @@ mod file;
 mod files;
 mod folder;
 mod grid;
-mod keys;
 mod limits;
 mod merge;
 mod plan;

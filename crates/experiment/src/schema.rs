@@ -6,19 +6,24 @@
 //!
 //! The dialect is draft-07, which editors of TOML read.
 
+mod parts;
+
 use std::collections::BTreeSet;
 
 use jostle_measures::{Definition, definitions};
 use jostle_proto::contract;
+use jostle_proto::keys::NAME_RULE;
 use jostle_proto::verbs::{MAX_CHANGES, SwarmVerb};
 use serde_json::{Map, Value, json};
 
-use crate::file::{File, Measure};
 use crate::grid::{AXES, INFORMED, SHARES, taken};
-use crate::keys::{Schemas, described, has, list, reference, table, whole};
-use crate::limits::{MAX_INDIVIDUALS, REPLICATES};
+use crate::limits::{
+    MAX_BLOCKS, MAX_COLUMNS, MAX_INDIVIDUALS, MAX_RUNS, REPLICATES, SEEDS, STEPS_BETWEEN,
+};
 use crate::protocol::keys::{KEYS, Kind, STOP, TIMINGS, VERBS, dependent, named};
 use crate::start::FIXED;
+
+use parts::{Schemas, described, has, list, reference, table, whole};
 
 /// The name of the schema, beside those of the messages.
 pub const SCHEMA: &str = "experiment.file";
@@ -49,7 +54,7 @@ pub fn schema() -> Value {
     ] {
         definitions.insert(name.to_owned(), schema);
     }
-    let mut schema = File::schema();
+    let mut schema = of_keys(file_keys(), &["name", "duration"]);
     for (key, schema) in schema["properties"].as_object().into_iter().flatten() {
         // An editor shows the description of what a reference refers to.
         if let Some(definition) = definitions.get_mut(key)
@@ -109,7 +114,11 @@ impl Part {
         let mut schema = Map::new();
         for (key, value) in fields {
             let value = match (key.as_str(), value) {
-                ("$schema" | "$defs" | "title" | "format" | "x-unit" | "x-changed-by", _)
+                (
+                    "$schema" | "$defs" | "title" | "format" | "x-unit" | "x-changed-by"
+                    | "x-range" | "x-usual",
+                    _,
+                )
                 | ("default", Value::Null) => continue,
                 ("properties", Value::Object(properties)) => {
                     let properties = properties.iter();
@@ -378,9 +387,129 @@ fn without_ramp() -> Value {
     json!({"properties": {"ramp": false}, "additionalProperties": own, "items": own})
 }
 
+/// The keys of a file, each with what it is and its schema. A test compares their names with those of the
+/// parser.
+fn file_keys() -> Vec<(&'static str, &'static str, Value)> {
+    vec![
+        (
+            "name",
+            "The experiment's name: lowercase letters, digits, '-' and '_', the first a letter or digit.",
+            json!({"type": "string", "pattern": NAME_RULE}),
+        ),
+        (
+            "duration",
+            "The duration of a run, in time units: body sizes over free speed.",
+            json!({"type": "number", "exclusiveMinimum": 0}),
+        ),
+        (
+            "seed",
+            "The seed from which the seeds of all runs are derived; 0 if left out.",
+            whole(SEEDS),
+        ),
+        (
+            "replicates",
+            "Runs of each condition; 1 if left out. A `[[grid]]` may have its own.",
+            whole(REPLICATES),
+        ),
+        (
+            "seeds",
+            "The seeds of the runs of each condition, instead of `replicates`.",
+            json!({ "type": "array", "items": whole(SEEDS), "minItems": 1, "maxItems": MAX_RUNS, "uniqueItems": true }),
+        ),
+        (
+            "spec",
+            "What all runs share: the parameters of a swarm but `seed`.",
+            reference("spec"),
+        ),
+        (
+            "points",
+            "The CSV of the conditions, instead of `[[grid]]`: its name, relative to the folder of this file.",
+            json!({"type": "string"}),
+        ),
+        (
+            "start",
+            "The snapshot from which every run starts: its name, relative to the folder of this file.",
+            json!({"type": "string"}),
+        ),
+        (
+            "setpoints",
+            "The CSV of the set-points of every run: its name, relative to the folder of this file, or its text.",
+            json!({"type": "string"}),
+        ),
+        (
+            "grid",
+            "What varies: every combination of the values of a `[[grid]]` is a condition.",
+            list(&reference("grid")),
+        ),
+        (
+            "at",
+            "The blocks of the protocol: commands at times, at steps, or when a condition holds.",
+            json!({"type": "array", "items": reference("at"), "maxItems": MAX_BLOCKS}),
+        ),
+        (
+            "stop",
+            "What ends a run before its duration.",
+            reference("stop"),
+        ),
+        (
+            "measure",
+            "Measurements in addition to the table of results.",
+            reference("measure"),
+        ),
+    ]
+}
+
+/// The keys of `[measure]`.
+fn measure_keys() -> Vec<(&'static str, &'static str, Value)> {
+    vec![
+        (
+            "columns",
+            "Measures whose means are columns of the table of results, such as `milling` or `msd(5)`.",
+            json!({ "type": "array", "items": reference("column"), "maxItems": MAX_COLUMNS, "uniqueItems": true }),
+        ),
+        (
+            "from",
+            "The time from which these are measured, in time units; 0 if left out.",
+            json!({"type": "number", "minimum": 0}),
+        ),
+        (
+            "every",
+            "Steps between two measurements of these; 1 if left out.",
+            whole(STEPS_BETWEEN),
+        ),
+        (
+            "order_every",
+            "Steps between two entries of the order's time series; no series if left out.",
+            whole(STEPS_BETWEEN),
+        ),
+        (
+            "series_every",
+            "Steps between two entries of the time series of `columns`; no series if left out.",
+            whole(STEPS_BETWEEN),
+        ),
+        (
+            "record_every",
+            "Steps between two frames of the trajectories; no trajectories if left out.",
+            whole(STEPS_BETWEEN),
+        ),
+        (
+            "touch",
+            "Whether contacts are measured, in a table of their own; not with `[[at]]`.",
+            json!({"type": "boolean"}),
+        ),
+    ]
+}
+
+/// Returns the schema of a table with these keys and no others.
+fn of_keys(keys: Vec<(&str, &str, Value)>, required: &[&str]) -> Value {
+    let keys = keys.into_iter();
+    let properties = keys.map(|(key, doc, schema)| (key.to_owned(), described(doc, schema)));
+    table(&properties.collect(), required)
+}
+
 /// Returns the schema of `[measure]`.
 fn measure() -> Value {
-    let mut measure = Measure::schema();
+    let mut measure = of_keys(measure_keys(), &[]);
     measure["dependencies"] = json!({
         "series_every": {"required": ["columns"], "properties": {"columns": {"minItems": 1}}},
     });

@@ -68,9 +68,9 @@ fn argument(option: &'static str, parameter: &'static Parameter) -> Arg {
     let argument = Arg::new(option).long(option).help(help);
     match parameter.kind {
         ParameterKind::Integer => {
-            let least = parameter.minimum.map_or(0, |it| it as u64);
-            let most = parameter.maximum.map_or(LARGEST_WHOLE, |it| it as u64);
-            let whole = move |text: &str| values::whole_between(text, least, most);
+            let least = parameter.minimum.unwrap_or(0.0);
+            let most = parameter.maximum.unwrap_or(LARGEST_WHOLE as f64);
+            let whole = move |text: &str| values::whole_between(text, [least, most]);
             argument
                 .value_name("WHOLE")
                 .value_parser(ValueParser::new(whole))

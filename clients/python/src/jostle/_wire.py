@@ -55,6 +55,14 @@ OnTimeout = Literal["hold", "free", "pause"]
 - `pause`: The swarm pauses and replies to the waiting controllers.
 """
 
+OriginKind = Literal["fork", "restore", "play"]
+"""How a swarm was made from another one.
+
+- `fork`: By `fork`.
+- `restore`: By `restore`, from a snapshot.
+- `play`: By `replay`, from a recording.
+"""
+
 Phase = Literal["paused", "running", "faulted"]
 """The phase of a swarm.
 
@@ -89,6 +97,13 @@ Each may do what the one before may.
 - `controller`: Steer individuals: join swarms as a controller of one's own name, advance, put
   set-points. Also write notes into a swarm's journal.
 - `operator`: Everything.
+"""
+
+Scale = Literal["linear", "logarithmic"]
+"""How values are spread over a range.
+
+- `linear`: Evenly.
+- `logarithmic`: Evenly in their logarithms.
 """
 
 WaitingAction = Literal["pause", "commands", "event"]
@@ -437,6 +452,26 @@ class ExtraValue(msgspec.Struct, frozen=True, kw_only=True):
     value: float | None = None
 
 
+class Fault(HtmlStruct, frozen=True, kw_only=True):
+    """What went wrong in a swarm that has faulted.
+
+    `reason` says it in words.
+
+    Attributes:
+        kind: What it is: `crossed_bodies`; `not_solved`, if no solution of a step was exact enough;
+            `overturned`, if the attraction turned an individual too far in one step; `not_finite`,
+            if a position is no number; `other` if the step does not fail: a stored line is damaged,
+            a replay had another hash, or the daemon has a defect. Later versions may have more.
+        ids: The individuals that it is about; empty if it is about none in particular.
+        gap: The gap between the two bodies that cross, in the last good state, body sizes; None for
+            others.
+    """
+
+    kind: str
+    ids: list[int]
+    gap: float | None = None
+
+
 class Histogram(HtmlStruct, frozen=True, kw_only=True):
     """A histogram of a state.
 
@@ -643,6 +678,28 @@ class OrderSample(HtmlStruct, frozen=True, kw_only=True):
     measures: dict[str, float | None] | None = None
 
 
+class Origin(HtmlStruct, frozen=True, kw_only=True):
+    """What a swarm was made from.
+
+    Attributes:
+        kind: How it was made.
+        swarm: The swarm that was forked, saved in a snapshot or recorded; None if a snapshot has no
+            name that a swarm can have.
+        swarm_id: The number of that swarm in the store of this daemon; None if it may be of another
+            daemon.
+        step: Its step then.
+        seq: The number of its commands before; None for a replay.
+        state_hash: BLAKE3 of its state then, in hexadecimal; None for a replay.
+    """
+
+    kind: OriginKind
+    swarm: str | None = None
+    swarm_id: int | None = None
+    step: int
+    seq: int | None = None
+    state_hash: str | None = None
+
+
 class Parameter(HtmlStruct, frozen=True, kw_only=True):
     """A parameter of a swarm, with the data of a form or a slider.
 
@@ -654,6 +711,7 @@ class Parameter(HtmlStruct, frozen=True, kw_only=True):
         minimum: The smallest value; None if there is none.
         exclusive_minimum: The value must be above this; None if there is no such bound.
         maximum: The largest value at present; None if there is none.
+        usual: Its usual values; None if it has none, and of daemons of earlier versions.
         choices: The values of a choice, without their numbers; empty otherwise.
         nullable: Whether None is a value.
         default: The default; None if it must be given.
@@ -669,6 +727,7 @@ class Parameter(HtmlStruct, frozen=True, kw_only=True):
     minimum: float | None = None
     exclusive_minimum: float | None = None
     maximum: float | None = None
+    usual: Usual | None = None
     choices: list[Any]
     nullable: bool
     default: Any = None
@@ -1070,6 +1129,8 @@ class SwarmSummary(HtmlStruct, frozen=True, kw_only=True):
         rate: Time units per second of wall clock; None is as fast as possible.
         real_time_factor: The rate that was reached lately; None while it does not run.
         replay: Whether it is the playback of a recording.
+        swarm_id: As in its status.
+        origin: As in its status.
         contested_by: The other daemon that has a swarm of this name, if there is one; see
             `contested`.
     """
@@ -1085,7 +1146,25 @@ class SwarmSummary(HtmlStruct, frozen=True, kw_only=True):
     rate: float | None = None
     real_time_factor: float | None = None
     replay: bool
+    swarm_id: int | None = None
+    origin: Origin | None = None
     contested_by: str | None = None
+
+
+class Usual(HtmlStruct, frozen=True, kw_only=True):
+    """The usual values of a parameter, for a slider.
+
+    They are those of the paper where it varies one, else around its value; others are valid, too.
+
+    Attributes:
+        from_: The least.
+        to: The largest.
+        scale: How they are spread.
+    """
+
+    from_: float = msgspec.field(name="from")
+    to: float
+    scale: Scale
 
 
 class WaitingClient(HtmlStruct, frozen=True, kw_only=True):
@@ -1553,6 +1632,11 @@ class Status(Reply, frozen=True, kw_only=True):
 
     Attributes:
         reason: Why it is paused or faulted.
+        fault: What went wrong, if it has faulted; None otherwise.
+        swarm_id: The number of the swarm in the store of its daemon: another swarm that gets this
+            name later has another one. None for a replay.
+        origin: What it was made from; None if it was created from a spec, and for swarms made by
+            earlier versions.
         until_step: The step it will pause at; None if it has no end.
         rate: Time units per second of wall clock; None is as fast as possible.
         real_time_factor: The rate that it reached lately; None while it does not run.
@@ -1585,6 +1669,9 @@ class Status(Reply, frozen=True, kw_only=True):
     """
 
     reason: str | None = None
+    fault: Fault | None = None
+    swarm_id: int | None = None
+    origin: Origin | None = None
     until_step: int | None = None
     rate: float | None = None
     real_time_factor: float | None = None

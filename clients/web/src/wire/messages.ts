@@ -428,6 +428,16 @@ export interface ExtraValue {
   value: number | null;
 }
 
+/** What went wrong in a swarm that has faulted. `reason` says it in words. */
+export interface Fault {
+  /** The gap between the two bodies that cross, in the last good state, body sizes; `null` for others. */
+  gap: number | null;
+  /** The individuals that it is about; empty if it is about none in particular. */
+  ids: number[];
+  /** What it is: `crossed_bodies`; `not_solved`, if no solution of a step was exact enough; `overturned`, if the attraction turned an individual too far in one step; `not_finite`, if a position is no number; `other` if the step does not fail: a stored line is damaged, a replay had another hash, or the daemon has a defect. Later versions may have more. */
+  kind: string;
+}
+
 /** The name, version and limits of a daemon. */
 export interface Hello {
   /** Its data folder, by a number that the daemon drew when it began the folder's database; a restored backup has another one. A daemon with the same id has the replies to commands that were executed, so that a command can be sent again after a restart. Left out if the daemon could not store it. */
@@ -784,6 +794,25 @@ export interface OrderSample {
   time: number;
 }
 
+/** What a swarm was made from. */
+export interface Origin {
+  /** How it was made. */
+  kind: OriginKind;
+  /** The number of its commands before; `null` for a replay. */
+  seq: number | null;
+  /** BLAKE3 of its state then, in hexadecimal; `null` for a replay. */
+  state_hash: string | null;
+  /** Its step then. */
+  step: number;
+  /** The swarm that was forked, saved in a snapshot or recorded; `null` if a snapshot has no name that a swarm can have. */
+  swarm: string | null;
+  /** The number of that swarm in the store of this daemon; `null` if it may be of another daemon. */
+  swarm_id: number | null;
+}
+
+/** How a swarm was made from another one. */
+export type OriginKind = "fork" | "restore" | "play";
+
 /** A parameter of a swarm, with the data of a form or a slider. */
 export interface Parameter {
   /** The verbs that change it. */
@@ -810,6 +839,8 @@ export interface Parameter {
   nullable: boolean;
   /** Its unit; `1` if it has none. */
   unit: string;
+  /** Its usual values; `null` if it has none, and of daemons of earlier versions. */
+  usual?: Usual | null;
   /** The present value. */
   value: unknown;
 }
@@ -1137,6 +1168,9 @@ export interface RunUnderWay {
   share: number;
 }
 
+/** How values are spread over a range. */
+export type Scale = "linear" | "logarithmic";
+
 /** The reply to a command with an `at_step` that lies ahead. */
 export interface Scheduled {
   /** The step at which the command will be executed; an event then has its result. */
@@ -1412,6 +1446,8 @@ export interface Status {
   controllers?: number;
   /** The time step, body sizes over free speed. */
   dt: number;
+  /** What went wrong, if it has faulted; left out otherwise. */
+  fault?: Fault | null;
   /** The oldest stored checkpoint; `null` while it cannot be read. */
   history_from: HistoryFrom | null;
   /** Number of informed individuals. */
@@ -1420,6 +1456,8 @@ export interface Status {
   n: number;
   /** Order and drift. */
   order: Order;
+  /** What it was made from; left out if it was created from a spec, and for swarms made by earlier versions. */
+  origin?: Origin | null;
   /** The parameters that `set` can change. */
   parameters: ParameterValues;
   /** How many states a second it publishes at most while it runs: what `rate`, `dt` and `publish_every` ask for, or the daemon's `max_hz` if that is less; left out for a playback and in replies of earlier daemons. */
@@ -1438,6 +1476,8 @@ export interface Status {
   seed: number;
   /** BLAKE3 of the state, in hexadecimal; zeros for a replay, which has frames and no state. */
   state_hash: string;
+  /** The number of the swarm in the store of its daemon: another swarm that gets this name later has another one. Left out for a replay. */
+  swarm_id?: number | null;
   /** The step it will pause at; `null` if it has no end. */
   until_step: number | null;
   /** The fraction of the history that a running `verify` has replayed, 0 to 1; `null` if none is running. */
@@ -1551,6 +1591,8 @@ export interface SwarmSummary {
   n: number;
   /** The polar order parameter, 0 to 1. */
   order: number;
+  /** As in its status. */
+  origin?: Origin | null;
   /** Its phase. */
   phase: Phase;
   /** Time units per second of wall clock; `null` is as fast as possible. */
@@ -1565,6 +1607,8 @@ export interface SwarmSummary {
   step: number;
   /** Its name. */
   swarm: string;
+  /** As in its status. */
+  swarm_id?: number | null;
   /** `step · dt`, body sizes over free speed. */
   time: number;
 }
@@ -1573,6 +1617,16 @@ export interface SwarmSummary {
 export interface Swarms {
   /** The swarms, ordered by name. */
   swarms: SwarmSummary[];
+}
+
+/** The usual values of a parameter, for a slider. They are those of the paper where it varies one, else around its value; others are valid, too. */
+export interface Usual {
+  /** The least. */
+  from: number;
+  /** How they are spread. */
+  scale: Scale;
+  /** The largest. */
+  to: number;
 }
 
 /** The result of a replay of a swarm's history. */

@@ -1,6 +1,7 @@
 //! The schema agrees with the parser. [`compare`] is called for each file that a test of this crate gives
 //! the parser.
 
+use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
@@ -8,8 +9,9 @@ use std::sync::LazyLock;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use super::{VARIABLE, schema};
+use super::{VARIABLE, file_keys, measure_keys, schema};
 use crate::error::PlanError;
+use crate::file::File;
 use crate::files::Files;
 use crate::plan::Plan;
 
@@ -439,4 +441,19 @@ fn what_the_parser_accepts_of_files_with_random_changes_the_schema_accepts() {
         accepted > 200 && rejected > 200,
         "{accepted} accepted, {rejected} rejected"
     );
+}
+
+#[test]
+fn the_schema_has_the_keys_that_the_parser_reads() {
+    let read = |text: &str| -> BTreeSet<String> {
+        let error = toml::from_str::<File>(text).err().unwrap().to_string();
+        let (_, expected) = error.split_once("expected one of").unwrap();
+        let quoted = expected.split('`').skip(1).step_by(2);
+        quoted.map(str::to_owned).collect()
+    };
+    let names = |keys: Vec<(&str, &str, Value)>| -> BTreeSet<String> {
+        keys.into_iter().map(|(key, ..)| key.to_owned()).collect()
+    };
+    assert_eq!(read("unknown = 1"), names(file_keys()));
+    assert_eq!(read("[measure]\nunknown = 1"), names(measure_keys()));
 }

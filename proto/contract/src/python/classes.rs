@@ -86,8 +86,14 @@ pub fn declaration(field: &Field) -> String {
         default,
         ..
     } = field;
-    match default {
-        Some(default) => format!("    {name}: {kind} = {default}\n"),
-        None => format!("    {name}: {kind}\n"),
+    let attribute = field.attribute();
+    match (default, attribute == *name) {
+        (Some(default), true) => format!("    {name}: {kind} = {default}\n"),
+        (None, true) => format!("    {name}: {kind}\n"),
+        (default, false) => {
+            let default = default.iter().map(|it| format!("default={it}, "));
+            let default: String = default.collect();
+            format!("    {attribute}: {kind} = msgspec.field({default}name=\"{name}\")\n")
+        }
     }
 }

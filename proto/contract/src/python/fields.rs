@@ -16,7 +16,16 @@ pub struct Field {
     pub doc: String,
 }
 
+/// Fields whose names are keywords of Python.
+const KEYWORDS: [&str; 3] = ["from", "global", "return"];
+
 impl Field {
+    /// Its name in the class.
+    pub fn attribute(&self) -> String {
+        let is_keyword = KEYWORDS.contains(&self.name.as_str());
+        format!("{}{}", self.name, if is_keyword { "_" } else { "" })
+    }
+
     /// The same field, where it may be missing.
     pub fn optional(mut self) -> Self {
         if !(self.kind.ends_with("| None") || self.kind == "Any") {

@@ -54,8 +54,8 @@ pub fn paragraphs(description: &str, indent: usize) -> String {
 /// A line for each field, with what it means.
 pub fn attributes(fields: &[Field], indent: usize) -> String {
     let margin = " ".repeat(indent);
-    let lines = fields.iter().map(|Field { name, doc, .. }| {
-        let line = in_python(&format!("{name}: {doc}"));
+    let lines = fields.iter().map(|field| {
+        let line = in_python(&format!("{}: {}", field.attribute(), field.doc));
         format!("{margin}{}\n", wrap(&line, indent, indent + 4))
     });
     lines.collect()
