@@ -7,7 +7,7 @@ use std::time::Duration;
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use jostle_proto::verbs::OwnVerb;
-use jostle_proto::{NodeReply, OpenArgs, ReplayArgs, ReplayResult, Request, UploadArgs};
+use jostle_proto::{NodeReply, OpenArgs, ReplayArgs, ReplayResult, Request, UploadArgs, keys};
 
 use crate::api::context::{Context, Parsed, reject_preconditions};
 use crate::api::responder::Responder;
@@ -18,7 +18,7 @@ use crate::playback::{McapSource, ReplayError};
 use crate::swarm::command::Command;
 use crate::swarm::handle::{Outcome, ReplyTo};
 use crate::swarm::registry::SwarmRegistry;
-use crate::swarm::sender::Creation;
+use crate::swarm::sender::{Creation, Origin};
 
 /// The default timeout of opening a recording, which reads all of its index.
 const OPEN_TIMEOUT: Duration = Duration::from_secs(60);
@@ -123,8 +123,11 @@ fn play(
     responder: &Responder,
 ) {
     let frames = source.index().len();
+    // A file may have any text in place of the name, and the list of swarms is one message.
+    let origin = source.origin();
+    let swarm = origin.swarm.filter(|it| keys::is_name(it));
     let creation = Creation {
-        origin: Some(source.origin()),
+        origin: Some(Origin { swarm, ..origin }),
         ..creation
     };
     let answer = || {
