@@ -95,7 +95,7 @@ def faults(mutants: list[Mutant]) -> tuple[list[str], list[str]]:
     ages = {commit: _age(commit) for commit in {it["commit"] for it in ours.values()}}
     for commit, age in ages.items():
         if age is None:
-            found.append(f"verdicts of an unknown commit: {commit}")
+            found.append(f"verdicts of a commit that HEAD does not come from: {commit}")
         elif age > MAX_COMMITS:
             found.append(
                 f"verdicts {age} commits to the sources old, at most {MAX_COMMITS} are allowed: "
@@ -108,5 +108,11 @@ def faults(mutants: list[Mutant]) -> tuple[list[str], list[str]]:
 
 
 def _age(commit: str) -> int | None:
+    """Returns the commits since, of a commit from which this checkout comes.
+
+    An amended commit stays readable where it was made, and in no other clone.
+    """
+    if _git("merge-base", "--is-ancestor", commit, "HEAD") is None:
+        return None
     count = _git("rev-list", "--count", f"{commit}..HEAD", "--", *_SOURCES)
     return None if count is None else int(count)
