@@ -11,6 +11,7 @@ pub mod keys;
 
 pub mod asyncapi;
 mod attachment;
+mod axes;
 mod cell;
 pub mod claim;
 mod column;
@@ -38,6 +39,7 @@ mod visitor;
 mod walk;
 
 pub use attachment::{Attachment, unix_nanos};
+pub use axes::{AXES, Axis};
 pub use cell::{Cell, CellKind, WrongKind};
 pub use claim::{Claim, Claimant, Standing};
 pub use envelope::{MAX_LABEL_LENGTH, NodeReply, Reply, Request, is_plain};

@@ -6,7 +6,7 @@ use std::ops::Range;
 use jostle_measures::definitions;
 use jostle_physics::model::selection::share;
 use jostle_physics::simulation::ChangeError;
-use jostle_proto::Spec;
+use jostle_proto::{AXES, Axis, Spec};
 use jostle_results::{COLUMNS, FAULT, OCCASIONAL_COLUMNS};
 use toml::{Spanned, Value};
 
@@ -15,23 +15,6 @@ use crate::file::{Source, Table, in_words, is_of_name};
 use crate::limits::REPLICATES;
 use crate::protocol::Variables;
 use crate::start::{Base, FIXED};
-
-/// The axes that a `[[grid]]` may vary, in the order in which the names of runs contain them.
-pub const AXES: [&str; 13] = [
-    "pi1",
-    "pi2",
-    "pi3",
-    "pi4",
-    "n",
-    "informed",
-    "informed_fraction",
-    "contacts",
-    "dt",
-    "stepping",
-    "relinearise",
-    "attraction",
-    "noise",
-];
 
 /// What the axes are that are not fields of a spec.
 pub const INFORMED: [(&str, &str); 2] = [
@@ -51,12 +34,28 @@ pub const SHARES: [f64; 2] = [0.0, 1.0];
 
 /// One `[[grid]]`.
 pub struct Grid {
-    /// Its axes, in the order of [`AXES`] and then its variables by name, each with its values.
-    pub axes: Vec<(String, Vec<Spanned<Value>>)>,
+    /// Its axes, in the order of [`AXES`], and then its variables by name.
+    pub axes: Vec<Varied>,
     /// Runs at each of its points.
     pub replicates: u64,
     /// The span of its first key in the file.
     pub span: Range<usize>,
+}
+
+/// Where the name of a run has a varied value.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Place {
+    /// An axis, by its index in [`AXES`].
+    Axis(usize),
+    /// A variable: after the axes, by name.
+    Variable,
+}
+
+/// An axis or a variable of a grid.
+pub struct Varied {
+    name: String,
+    place: Place,
+    values: Vec<Spanned<Value>>,
 }
 
 /// One value from each axis of a grid, and `[spec]` with these values.
@@ -183,7 +182,7 @@ fn read_grid(
             grid.replicates = source.whole(key, Some(&number), 0, REPLICATES)?;
             continue;
         }
-        check_axis(source, key, &key_span, used)?;
+        let place = check_axis(source, key, &key_span, used)?;
         let values = match value.get_ref() {
             Value::Array(values) if values.is_empty() => {
                 return Err(source.reject(&value.span(), format!("{key} has no value")));
@@ -195,12 +194,30 @@ fn read_grid(
             _ => vec![value.clone()],
         };
         check_zeros(source, key, &values)?;
-        grid.add(source, key, values)?;
+        grid.add(source, (key, place), values)?;
     }
     grid.finished(source)
 }
 
-/// Checks the name of an axis or a variable.
+/// Returns the names of the axes, as a list in a message.
+pub fn axes() -> String {
+    let names: Vec<&str> = AXES.iter().map(|it| it.name.as_str()).collect();
+    names.join(", ")
+}
+
+/// Returns the place of a name.
+///
+/// No axis is used as `$name`. In a stored experiment a later axis of which the name is used so is
+/// therefore a variable of an earlier version.
+fn place(axes: &[Axis], source: Source<'_>, name: &str, used: &BTreeSet<String>) -> Place {
+    let index = axes.iter().position(|it| it.name == name);
+    match index.filter(|&it| !(axes[it].is_later && source.is_stored && used.contains(name))) {
+        Some(index) => Place::Axis(index),
+        None => Place::Variable,
+    }
+}
+
+/// Checks the name of an axis or a variable, and returns its place.
 ///
 /// # Errors
 ///
@@ -210,23 +227,24 @@ pub fn check_axis(
     key: &str,
     span: &Range<usize>,
     used: &BTreeSet<String>,
-) -> Result<(), PlanError> {
-    let reason = if AXES.contains(&key) {
-        return Ok(());
+) -> Result<Place, PlanError> {
+    let place = place(&AXES, source, key, used);
+    let reason = if place != Place::Variable {
+        return Ok(place);
     } else if !(key.starts_with(char::is_alphabetic) && key.chars().all(is_of_name)) {
         format!("invalid name {key:?} of a variable: use letters, digits and '_'")
     } else if !used.contains(key) {
-        let axes = AXES.join(", ");
+        let axes = axes();
         format!(
             "unknown axis {key:?}: use one of {axes}, replicates, or a variable that an [[at]] or \
              [stop] uses as \"${key}\""
         )
-    } else if taken().any(|name| name == key) && !(source.is_stored && LATER_TAKEN.contains(&key)) {
+    } else if taken().any(|name| name == key) && !(source.is_stored && is_later_taken(key)) {
         format!(
             "{key:?} is a column of the results, a measure or a field of [spec]: rename the variable"
         )
     } else {
-        return Ok(());
+        return Ok(place);
     };
     Err(source.reject(span, reason))
 }
@@ -257,6 +275,10 @@ fn check(source: Source<'_>, key: &str, value: &Spanned<Value>) -> Result<(), Pl
 /// Names that variables could have in earlier versions: columns of faults, of series and trajectories,
 /// and of the printed table.
 const LATER_TAKEN: [&str; 7] = [FAULT, "step", "id", "x", "y", "alpha", "runs"];
+
+fn is_later_taken(name: &str) -> bool {
+    LATER_TAKEN.contains(&name) || Axis::of(name).is_some_and(|it| it.is_later)
+}
 
 /// Returns the names that a variable must not have: those of fields, columns and measures.
 pub fn taken() -> impl Iterator<Item = String> {
@@ -301,7 +323,7 @@ fn number(value: &Value) -> Option<f64> {
 }
 
 impl Grid {
-    /// Adds the values of an axis, each of which is checked by itself.
+    /// Adds the values of an axis or a variable, each of which is checked by itself.
     ///
     /// # Errors
     ///
@@ -309,16 +331,21 @@ impl Grid {
     pub fn add(
         &mut self,
         source: Source<'_>,
-        axis: &str,
+        (name, place): (&str, Place),
         values: Vec<Spanned<Value>>,
     ) -> Result<(), PlanError> {
         for value in &values {
-            match AXES.contains(&axis) {
-                true => check(source, axis, value)?,
-                false => check_variable(source, axis, value)?,
+            match place {
+                Place::Axis(_) => check(source, name, value)?,
+                Place::Variable => check_variable(source, name, value)?,
             }
         }
-        self.axes.push((axis.to_owned(), values));
+        let name = name.to_owned();
+        self.axes.push(Varied {
+            name,
+            place,
+            values,
+        });
         Ok(())
     }
 
@@ -328,10 +355,7 @@ impl Grid {
     ///
     /// [`PlanError`] if two axes exclude each other.
     pub fn finished(mut self, source: Source<'_>) -> Result<Self, PlanError> {
-        self.axes.sort_by_key(|(axis, _)| {
-            let place = AXES.iter().position(|it| it == axis);
-            (place.unwrap_or(AXES.len()), axis.clone())
-        });
+        self.axes.sort_by_key(|it| (it.place, it.name.clone()));
         let both = ["informed", "informed_fraction"].map(|axis| self.has(axis));
         if both == [true, true] {
             let reason = "informed and informed_fraction exclude each other: leave out one of them";
@@ -342,18 +366,23 @@ impl Grid {
 
     /// Returns the span of the values of an axis, or that of the grid if it has none.
     pub fn span_of(&self, axis: &str) -> Range<usize> {
-        let values = self.axes.iter().find(|(it, _)| it == axis);
-        values.map_or(self.span.clone(), |(_, values)| values[0].span())
+        let found = self.axes.iter().find(|it| it.name == axis);
+        found.map_or(self.span.clone(), |it| it.values[0].span())
     }
 
     /// Returns whether the grid has values for `axis`.
     pub fn has(&self, axis: &str) -> bool {
-        self.axes.iter().any(|(it, _)| *it == axis)
+        self.axes.iter().any(|it| it.name == axis)
+    }
+
+    /// Returns its axes and variables.
+    pub fn names(&self) -> impl Iterator<Item = (Place, &str)> {
+        self.axes.iter().map(|it| (it.place, it.name.as_str()))
     }
 
     /// Returns the number of points; none if it exceeds a `u64`.
     pub fn size(&self) -> Option<u64> {
-        let mut lengths = self.axes.iter().map(|(_, values)| values.len() as u64);
+        let mut lengths = self.axes.iter().map(|it| it.values.len() as u64);
         lengths.try_fold(1u64, u64::checked_mul)
     }
 
@@ -369,20 +398,22 @@ impl Grid {
         mut index: usize,
     ) -> Result<Choice, PlanError> {
         let mut values = Vec::with_capacity(self.axes.len());
-        for (axis, listed) in self.axes.iter().rev() {
-            values.push((axis.clone(), listed[index % listed.len()].clone()));
+        for axis in self.axes.iter().rev() {
+            let listed = &axis.values;
+            values.push((axis, listed[index % listed.len()].clone()));
             index /= listed.len();
         }
         values.reverse();
         let (mut table, mut given) = (common.clone(), None);
         let mut variables = Variables::default();
         for (axis, value) in &values {
-            if !AXES.contains(&axis.as_str()) {
-                variables.0.push((axis.clone(), value.get_ref().clone()));
-            } else if axis.starts_with("informed") {
-                given = Some((axis.as_str(), value));
+            let name = axis.name.clone();
+            if axis.place == Place::Variable {
+                variables.0.push((name, value.get_ref().clone()));
+            } else if name.starts_with("informed") {
+                given = Some((axis.name.as_str(), value));
             } else {
-                table.insert(axis.clone(), value.get_ref().clone());
+                table.insert(name, value.get_ref().clone());
             }
         }
         if !table.contains_key("n") {
@@ -403,7 +434,7 @@ impl Grid {
             informed,
             variables,
             values: values
-                .map(|(axis, value)| (axis, value.into_inner()))
+                .map(|(axis, value)| (axis.name.clone(), value.into_inner()))
                 .collect(),
         })
     }
@@ -438,22 +469,19 @@ fn count_informed(spec: &Spec, axis: &str, value: &Value) -> Result<usize, Strin
 }
 
 impl Choice {
-    /// Returns its name, which lists the values of the axes in `varied`: `pi1=4 n=50`. The name
-    /// does not depend on the notation of a number, such as 4 or 4.0.
-    pub fn name(&self, varied: &[&str]) -> String {
+    /// Returns its name, which lists the values of the axes and variables in `varied`: `pi1=4 n=50`.
+    /// The name does not depend on the notation of a number, such as 4 or 4.0.
+    pub fn name(&self, varied: &BTreeSet<(Place, &str)>) -> String {
         let spec = toml::Table::try_from(&self.spec).unwrap_or_default();
         let own = |axis: &str| self.values.iter().find(|(it, _)| it == axis);
-        let entry = |axis: &&str| {
-            let value = match *axis {
-                // A choice can lack one of the two, or both.
-                "informed" | "informed_fraction" => &own(axis)?.1,
-                _ => match spec.get(*axis) {
-                    Some(value) => value,
-                    // A variable, which a grid can lack.
-                    None => &own(axis)?.1,
-                },
+        let entry = |(place, name): &(Place, &str)| {
+            let value = match place {
+                Place::Axis(_) => spec.get(*name),
+                Place::Variable => None,
             };
-            Some(format!("{axis}={}", show(value)))
+            // A grid can lack a variable, and how many are informed.
+            let value = value.or_else(|| Some(&own(name)?.1))?;
+            Some(format!("{name}={}", show(value)))
         };
         let entries: Vec<String> = varied.iter().filter_map(entry).collect();
         entries.join(" ")
@@ -470,5 +498,64 @@ fn show(value: &Value) -> String {
             others.fold(kind, |text, (_, value)| format!("{text}:{}", show(value)))
         }
         other => other.to_string(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![expect(clippy::unwrap_used, reason = "tests")]
+
+    use super::*;
+
+    const STORED: Source<'_> = Source {
+        toml: "",
+        points: None,
+        is_stored: true,
+    };
+
+    #[test]
+    fn a_variable_of_a_stored_experiment_stays_one_beside_a_later_axis_of_its_name() {
+        let axes = [("pi3", false), ("later", true)].map(|(name, is_later)| Axis {
+            name: name.to_owned(),
+            is_text: false,
+            is_later,
+        });
+        let both = BTreeSet::from(["pi3", "later"].map(str::to_owned));
+        let new = Source {
+            is_stored: false,
+            ..STORED
+        };
+        for (source, name, used, expected) in [
+            (STORED, "later", &both, Place::Variable),
+            (STORED, "later", &BTreeSet::new(), Place::Axis(1)),
+            (new, "later", &both, Place::Axis(1)),
+            (STORED, "pi3", &both, Place::Axis(0)),
+            (STORED, "other", &both, Place::Variable),
+        ] {
+            assert!(place(&axes, source, name, used) == expected, "{name}");
+        }
+    }
+
+    #[test]
+    fn a_variable_with_the_name_of_a_field_changes_no_spec_and_names_its_runs() {
+        let values = [0.25, 0.5].map(|it| Spanned::new(0..0, Value::Float(it)));
+        let mut grid = Grid {
+            axes: Vec::new(),
+            replicates: 1,
+            span: 0..0,
+        };
+        grid.add(STORED, ("noise", Place::Variable), values.into())
+            .unwrap();
+        let common = toml::Table::from_iter([("n".to_owned(), Value::Integer(3))]);
+        let choice = grid.choice(STORED, &common, 1).unwrap();
+        assert_eq!(choice.spec.noise, 0.0);
+        assert_eq!(choice.variables.number("noise"), Some(0.5));
+        assert_eq!(choice.name(&grid.names().collect()), "noise=0.5");
+        // Another grid of the file lacks it.
+        let lacking = Choice {
+            values: Vec::new(),
+            ..choice
+        };
+        assert_eq!(lacking.name(&grid.names().collect()), "");
     }
 }

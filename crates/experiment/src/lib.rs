@@ -44,7 +44,6 @@ pub use export::{
 };
 pub use files::{Files, FilesError, POINTS, SET_POINTS, START};
 pub use folder::{FinishedRuns, Folder, FolderError, MissingFiles, SeriesSource, unfinished};
-pub use grid::AXES;
 pub use jostle_physics::model::MODEL_VERSION;
 pub use limits::{
     MAX_BLOCKS, MAX_ENTRIES, MAX_INDIVIDUALS, MAX_RUNS, MAX_SET_POINTS, MAX_STEPS,

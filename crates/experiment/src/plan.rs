@@ -12,7 +12,7 @@ use toml::Spanned;
 use crate::error::PlanError;
 use crate::file::{File, Source};
 use crate::files::Files;
-use crate::grid::{self, AXES, Choice, Grid};
+use crate::grid::{self, Choice, Grid};
 use crate::limits::{
     MAX_BLOCKS_OF_PLAN, MAX_ENTRIES, MAX_INDIVIDUALS, MAX_RUNS, MAX_STEPS, MAX_TRAJECTORY_BYTES,
     REPLICATES, SEEDS, STEPS_BETWEEN,
@@ -117,7 +117,7 @@ impl Plan {
 
     /// Parses and checks an experiment's files.
     ///
-    /// Runs are ordered by grid. Within a grid the axes vary in the order of [`AXES`], the last one
+    /// Runs are ordered by grid. Within a grid the axes vary in the order of [`jostle_proto::AXES`], the last one
     /// fastest, each in the order of its listed values; replicates vary fastest of all. The name of
     /// a run contains every axis of any grid. Adding values to an axis therefore changes no name
     /// and no seed.
@@ -244,9 +244,7 @@ impl Plan {
             runs: Vec::new(),
             by_name: Vec::new(),
         };
-        let is_varied = |axis: &&str| grids.iter().any(|grid| grid.has(axis));
-        let axes = AXES.into_iter().chain(used.iter().map(String::as_str));
-        let varied: Vec<&str> = axes.filter(is_varied).collect();
+        let varied = grids.iter().flat_map(Grid::names).collect();
         let mut names = BTreeMap::new();
         for grid in &grids {
             for index in 0..count(grid.size().unwrap_or(0)) {

@@ -2,11 +2,12 @@
 
 use std::collections::BTreeSet;
 
+use jostle_proto::Axis;
 use toml::{Spanned, Value};
 
 use crate::error::PlanError;
 use crate::file::Source;
-use crate::grid::{AXES, Grid, check_axis};
+use crate::grid::{Grid, axes, check_axis};
 use crate::points::Points;
 
 /// The largest distance from 0 of whole numbers that a double represents.
@@ -25,6 +26,7 @@ pub fn grids(
 ) -> Result<Vec<Grid>, PlanError> {
     let header = points.header();
     let columns = header.len();
+    let mut places = Vec::with_capacity(columns);
     for (column, name) in header.iter().enumerate() {
         let span = points.span(column);
         if name.is_empty() {
@@ -35,19 +37,19 @@ pub fn grids(
             let reason = format!("duplicate column {name:?}: leave out one of them");
             return Err(source.reject(&span, reason));
         }
-        if !AXES.contains(&name.as_str()) && !used.contains(name) {
+        if Axis::of(name).is_none() && !used.contains(name) {
             let separated = match name.contains([';', '\t']) {
                 true => "separate columns by commas, and ",
                 false => "",
             };
-            let axes = AXES.join(", ");
+            let axes = axes();
             let reason = format!(
                 "unknown column {name:?}: {separated}use {axes}, or a variable that an [[at]] or \
                  [stop] uses as \"$name\""
             );
             return Err(source.reject(&span, reason));
         }
-        check_axis(source, name, &span, used)?;
+        places.push(check_axis(source, name, &span, used)?);
     }
     let rows = points.rows().iter().enumerate();
     rows.map(|(row, cells)| {
@@ -59,7 +61,8 @@ pub fn grids(
         for (column, text) in cells.iter().enumerate() {
             let span = points.span((row + 1) * columns + column);
             let value = value(text).map_err(|reason| source.reject(&span, reason))?;
-            grid.add(source, &header[column], vec![Spanned::new(span, value)])?;
+            let named = (header[column].as_str(), places[column]);
+            grid.add(source, named, vec![Spanned::new(span, value)])?;
         }
         grid.finished(source)
     })

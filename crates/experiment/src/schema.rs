@@ -11,12 +11,12 @@ mod parts;
 use std::collections::BTreeSet;
 
 use jostle_measures::{Definition, definitions};
-use jostle_proto::contract;
 use jostle_proto::keys::NAME_RULE;
 use jostle_proto::verbs::{MAX_CHANGES, SwarmVerb};
+use jostle_proto::{AXES, Axis, contract};
 use serde_json::{Map, Value, json};
 
-use crate::grid::{AXES, INFORMED, SHARES, taken};
+use crate::grid::{INFORMED, SHARES, taken};
 use crate::limits::{
     MAX_BLOCKS, MAX_COLUMNS, MAX_INDIVIDUALS, MAX_RUNS, REPLICATES, SEEDS, STEPS_BETWEEN,
 };
@@ -243,7 +243,7 @@ fn spec(definitions: &mut Schemas) -> Value {
 /// Returns the schema of a `[[grid]]`.
 fn grid(spec: &Value) -> Value {
     let mut properties = Schemas::new();
-    for axis in AXES {
+    for axis in AXES.iter().map(|it| it.name.as_str()) {
         let mut own = match axis {
             "informed" => json!({"type": "integer", "minimum": 0}),
             "informed_fraction" => {
@@ -261,7 +261,7 @@ fn grid(spec: &Value) -> Value {
         "replicates".to_owned(),
         described("Runs of each of its conditions.", whole(REPLICATES)),
     );
-    let names: BTreeSet<String> = taken().filter(|it| !AXES.contains(&it.as_str())).collect();
+    let names: BTreeSet<String> = taken().filter(|it| Axis::of(it).is_none()).collect();
     let mut grid = table(&properties, &[]);
     let doc =
         "A variable, which an [[at]] or [stop] uses as \"$name\": a number or a list of numbers.";

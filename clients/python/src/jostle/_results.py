@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ._extras import import_extra
-from ._wire import OccasionalColumns, ResultRow
+from ._wire import AXES, OccasionalColumns, ResultRow
 
 if TYPE_CHECKING:
     import pandas
@@ -21,11 +21,7 @@ NO_COLUMNS = OccasionalColumns(varied=[], extra=[], series=[])
 
 
 _AXES = {
-    "informed_fraction": float,
-    "stepping": str,
-    "relinearise": float,
-    "attraction": str,
-    "noise": float,
+    name: kind for name, kind in AXES.items() if name not in ResultRow.__struct_fields__
 }
 """Axes of a grid that are no fields of a row: their values are in the names of the runs."""
 

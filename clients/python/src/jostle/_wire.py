@@ -117,6 +117,23 @@ WaitingAction = Literal["pause", "commands", "event"]
 WIRE_VERSION = 1
 """The version of the contract."""
 
+AXES = {
+    "pi1": float,
+    "pi2": float,
+    "pi3": float,
+    "pi4": float,
+    "n": float,
+    "informed": float,
+    "informed_fraction": float,
+    "contacts": str,
+    "dt": float,
+    "stepping": str,
+    "relinearise": float,
+    "attraction": str,
+    "noise": float,
+}
+"""What a grid of an experiment varies, in the order in the names of runs."""
+
 
 class Spec(HtmlStruct, frozen=True, kw_only=True):
     """The spec of a swarm: equal specs give equal states, bit for bit.

@@ -1,10 +1,9 @@
 use super::*;
-use crate::grid::AXES;
 /// What each file is compared with that a test gives the parser.
 pub use crate::schema::tests::compare;
 use jostle_physics::model::ParametersError;
 use jostle_physics::simulation::ChangeError;
-use jostle_proto::LARGEST_WHOLE;
+use jostle_proto::{AXES, Axis, LARGEST_WHOLE};
 
 const HEAD: &str = "name = \"a\"\nduration = 10\n";
 
@@ -279,14 +278,14 @@ fn informed_fractions_round_half_up() {
 #[test]
 fn each_axis_of_a_grid_is_a_column_of_the_results() {
     let columns = jostle_proto::OccasionalColumns {
-        varied: AXES.map(str::to_owned).into(),
+        varied: AXES.iter().map(|it| it.name.clone()).collect(),
         extra: Vec::new(),
         series: Vec::new(),
     };
     let occasional = jostle_results::table::occasional(&columns);
-    for axis in AXES {
+    for Axis { name: axis, .. } in AXES.iter() {
         let mut always = jostle_results::COLUMNS.iter();
-        let is_always = always.any(|column| column.name == axis);
+        let is_always = always.any(|column| column.name == *axis);
         assert_ne!(is_always, occasional.iter().any(|it| it == axis), "{axis}");
     }
 }

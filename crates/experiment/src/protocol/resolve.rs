@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use jostle_conditions::{Condition, ConditionError, Problem};
 use jostle_physics::simulation::{Change, steps_in};
-use jostle_proto::verbs;
+use jostle_proto::{Axis, verbs};
 use toml::{Spanned, Value};
 
 use super::arguments::{check_ramps, to_change};
@@ -13,7 +13,6 @@ use super::keys::{Kind, STOP, TIMINGS, VERBS, dependent, named};
 use super::setting::Setting;
 use crate::error::PlanError;
 use crate::file::{Source, Table};
-use crate::grid::AXES;
 
 /// Returns the span of the first key of a block, or that of the block if it is empty.
 pub fn first_span(table: &Spanned<Table>) -> Range<usize> {
@@ -25,9 +24,7 @@ pub fn first_span(table: &Spanned<Table>) -> Range<usize> {
 
 /// Returns why an axis is no variable, and the remedy; none of another name.
 fn no_variable(name: &str) -> Option<String> {
-    if !AXES.contains(&name) {
-        return None;
-    }
+    Axis::of(name)?;
     let mut reason = format!(
         "\"${name}\" is no variable: {name} is an axis, which gives a parameter its values; give a \
          variable of another name the values in the [[grid]], such as my_{name} = [0.1, 0.2]"

@@ -1,41 +1,39 @@
 //! Columns of the axes of a grid that are no columns of every table. Their values are in the names of
 //! the runs, which rows of all versions have.
 
-use jostle_proto::OccasionalColumns;
+use jostle_proto::{AXES, Axis, OccasionalColumns};
 
-use crate::{Cell, ResultRow};
-
-/// These axes, in the order of the names of runs; whether their values are text.
-const AXES: [(&str, bool); 5] = [
-    ("informed_fraction", false),
-    ("stepping", true),
-    ("relinearise", false),
-    ("attraction", true),
-    ("noise", false),
-];
+use crate::{COLUMNS, Cell, ResultRow};
 
 /// Returns the names of the columns that only some experiments have: axes that vary, then the others.
 #[must_use]
 pub fn occasional(columns: &OccasionalColumns) -> Vec<String> {
     let axes = columns.varied.iter().filter(|name| is_axis(name));
-    axes.chain(&columns.extra).cloned().collect()
+    let extra = columns.extra.iter().filter(|name| !is_axis(name));
+    axes.chain(extra).cloned().collect()
 }
 
 /// Returns the names of these axes that `first` contains or that a run has in its name.
-pub fn of<'a>(runs: &'a [ResultRow], first: &'a [String]) -> impl Iterator<Item = &'a str> {
-    let names = AXES.into_iter().map(|(name, _)| name);
+pub fn of<'a>(runs: &'a [ResultRow], first: &'a [String]) -> impl Iterator<Item = &'static str> {
+    let names = AXES.iter().map(|it| it.name.as_str());
     names.filter(|name| {
-        first.iter().any(|it| it == name) || runs.iter().any(|run| value(run, name).is_some())
+        is_axis(name)
+            && (first.iter().any(|it| it == name)
+                || runs.iter().any(|run| value(run, name).is_some()))
     })
 }
 
 pub fn is_axis(name: &str) -> bool {
-    AXES.iter().any(|(axis, _)| *axis == name)
+    axis(name).is_some()
 }
 
 /// Whether a column that only some experiments have has text in it.
 pub fn is_text(name: &str) -> bool {
-    AXES.contains(&(name, true))
+    axis(name).is_some_and(|it| it.is_text)
+}
+
+fn axis(name: &str) -> Option<&'static Axis> {
+    Axis::of(name).filter(|_| COLUMNS.iter().all(|column| column.name != name))
 }
 
 /// Returns the value of an axis in the name of a run.

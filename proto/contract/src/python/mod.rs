@@ -12,8 +12,8 @@ mod types;
 use std::collections::{BTreeMap, BTreeSet};
 use std::io;
 
-use jostle_proto::WIRE_VERSION;
 use jostle_proto::contract::{definition, is_received, schemas};
+use jostle_proto::{AXES, WIRE_VERSION};
 use serde_json::Value;
 
 use classes::declaration;
@@ -71,6 +71,14 @@ impl<'a> Emitter<'a> {
         file.extend(words.into_iter().map(|it| self.words(it)));
         file +=
             &format!("\nWIRE_VERSION = {WIRE_VERSION}\n\"\"\"The version of the contract.\"\"\"\n");
+        let axes = AXES.iter().map(|it| {
+            let kind = if it.is_text { "str" } else { "float" };
+            format!("    \"{}\": {kind},\n", it.name)
+        });
+        file += &format!(
+            "\nAXES = {{\n{}}}\n\"\"\"What a grid of an experiment varies, in the order in the names of runs.\"\"\"\n",
+            axes.collect::<String>()
+        );
         file += &received.class("Spec", "Spec", "HtmlStruct", received.fields("Spec"));
         for name in structs {
             let (class, base) = class_of(name, "HtmlStruct");

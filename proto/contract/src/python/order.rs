@@ -19,7 +19,7 @@ impl<'a> Order<'a> {
     /// the order of the fixtures.
     ///
     /// # Errors
-    /// A fixture cannot be read.
+    /// A fixture cannot be read, or none has some field.
     pub fn of(definitions: &'a Value, file: &str) -> std::io::Result<Self> {
         let mut order = Order {
             definitions,
@@ -33,7 +33,27 @@ impl<'a> Order<'a> {
                 order.walk(&name, &definitions[&name], &text);
             }
         }
-        Ok(order)
+        let unknown = order.unknown();
+        match unknown.is_empty() {
+            true => Ok(order),
+            false => Err(std::io::Error::other(format!(
+                "no fixture has {}: `JOSTLE_RECORD=1 cargo test --release --test daemon recorded` first, \
+                 or add one to proto/fixtures",
+                unknown.join(", ")
+            ))),
+        }
+    }
+
+    /// The fields that no fixture has, of the types that some fixture has.
+    fn unknown(&self) -> Vec<String> {
+        let mut unknown = Vec::new();
+        for (name, known) in &self.fields {
+            let all = self.definitions[name]["properties"].as_object();
+            let all = all.into_iter().flatten().map(|(field, _)| field);
+            let missing = all.filter(|field| !known.contains(field));
+            unknown.extend(missing.map(|field| format!("{name}.{field}")));
+        }
+        unknown
     }
 
     /// The fields of a type.

@@ -107,3 +107,57 @@ pub fn overridden(definition: &str, name: &str) -> Option<&'static str> {
         .find(|(it, _)| *it == place)
         .map(|(_, kind)| *kind)
 }
+
+#[cfg(test)]
+mod tests {
+    #![expect(clippy::unwrap_used, reason = "tests")]
+
+    use std::collections::BTreeSet;
+
+    use jostle_proto::contract::{documents, messages};
+    use serde_json::Value;
+
+    use super::*;
+
+    /// The names of the properties of a type, of its variants, and of the `result` in them.
+    fn properties<'a>(schema: &'a Value, all: &'a Value) -> BTreeSet<&'a str> {
+        let own = schema["properties"].as_object().into_iter().flatten();
+        let mut names: BTreeSet<&str> = own.map(|(name, _)| name.as_str()).collect();
+        if let Some(place) = schema["properties"]["result"]["$ref"].as_str() {
+            names.extend(properties(&all[place.trim_start_matches("#/$defs/")], all));
+        }
+        for kind in ["oneOf", "anyOf"] {
+            let variants = schema[kind].as_array().into_iter().flatten();
+            names.extend(variants.flat_map(|it| properties(it, all)));
+        }
+        names
+    }
+
+    #[test]
+    fn each_row_names_a_message_a_type_or_a_field() {
+        let documents = documents().unwrap();
+        let known = |it: &str| {
+            let (name, field) = it.split_once('.').unwrap_or((it, ""));
+            documents
+                .values()
+                .map(|it| &it["$defs"])
+                .any(|all| match field {
+                    "" => all[name].is_object(),
+                    field => properties(&all[name], all).contains(field),
+                })
+        };
+        let mut rows: Vec<String> = Vec::new();
+        rows.extend(CLASSES.map(|(name, ..)| name.to_owned()));
+        rows.extend(TYPES.map(|(name, _)| name.to_owned()));
+        rows.extend(FIELDS.map(|(name, _)| name.to_owned()));
+        rows.extend(SKIPPED.map(|(name, _)| name.to_owned()));
+        for (name, fields) in LAST {
+            rows.extend(fields.split(' ').map(|field| format!("{name}.{field}")));
+        }
+        rows.retain(|it| !known(it));
+        assert_eq!(rows, Vec::<String>::new());
+        let messages = messages();
+        assert!(APART.iter().all(|it| messages.contains(it)));
+        assert!(!known("Event.nothing") && !known("Nothing") && known("Status.n"));
+    }
+}

@@ -3,6 +3,7 @@
 use std::fs;
 
 use jostle_contract::folder;
+use jostle_proto::AXES;
 use jostle_proto::contract::parameters;
 use jostle_proto::verbs::{NodeVerb, SwarmVerb};
 use serde_json::Value;
@@ -65,9 +66,9 @@ fn the_tables_of_parameters_have_their_defaults() {
         }
         axes.push(name);
     }
-    // The rest is no part of the physics, or is given by other keys of the file.
-    const NO_AXES: [&str; 4] = ["seed", "publish_every", "measures", "rate"];
-    let missing = parameters.iter().map(|it| it.name.as_str());
-    let missing = missing.filter(|it| !NO_AXES.contains(it) && !axes.iter().any(|axis| axis == it));
-    assert_eq!(missing.collect::<Vec<_>>(), Vec::<&str>::new());
+    let missing = AXES
+        .iter()
+        .map(|it| &it.name)
+        .filter(|it| !axes.contains(it));
+    assert_eq!(missing.collect::<Vec<_>>(), Vec::<&String>::new());
 }
