@@ -83,12 +83,7 @@ pub fn status(seen: &Frame, history_from: Option<proto::HistoryFrom>) -> proto::
         informed: informed(seen),
         seed: seen.seed,
         dt: seen.parameters.dt,
-        parameters: values(
-            seen.parameters,
-            seen.publish_every,
-            &seen.measures,
-            seen.max_idle_secs,
-        ),
+        parameters: present(seen),
         scheduled: seen.scheduled as u64,
         when: (!seen.conditions.is_empty()).then(|| {
             seen.conditions
@@ -186,13 +181,22 @@ pub fn replay(replay: &Replay) -> proto::Replay {
     }
 }
 
+/// Returns the present values of the parameters that commands change.
+pub fn present(seen: &Frame) -> proto::ParameterValues {
+    values(
+        seen.parameters,
+        seen.publish_every,
+        &seen.measures,
+        seen.max_idle_secs,
+    )
+}
+
 /// Returns the parameters with their current values and bounds.
 pub fn parameters(seen: &Frame, limits: Limits) -> proto::Parameters {
     let mut parameters = proto::contract::parameters();
     let now = seen.parameters;
     // All numbers are finite and all keys are strings, so this cannot fail.
-    let values = values(now, seen.publish_every, &seen.measures, seen.max_idle_secs);
-    let values = serde_json::to_value(values).expect("parameters are JSON");
+    let values = serde_json::to_value(present(seen)).expect("parameters are JSON");
     for parameter in &mut parameters {
         match parameter.name.as_str() {
             "n" => {

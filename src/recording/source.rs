@@ -75,7 +75,7 @@ impl Source {
     pub fn about(&self, status: &Status) -> About {
         let json = |Payload { bytes, .. }| String::from_utf8_lossy(&bytes).into_owned();
         let spec = Payload::json(&jostle_convert::spec::to_proto(&self.spec, self.now.seed));
-        let parameters = Payload::json(&convert::status(&self.now, None).parameters);
+        let parameters = Payload::json(&convert::present(&self.now));
         let about = [
             ("swarm", status.swarm.clone()),
             ("spec", json(spec)),
