@@ -107,7 +107,10 @@ export function swarmPage(name: string, session: Session): Page {
       phase.show(row.phase);
       setText(reason, row.reason ?? "");
     },
-    parameters: (all) => parameters.show(all, session.mayCommand && !replay),
+    parameters: (all) => {
+      parameters.show(all, session.mayCommand && !replay);
+      conditions.offer(all);
+    },
     event: (event) => {
       if (event.event.kind === "created") {
         replaceEvents();

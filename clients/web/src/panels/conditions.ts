@@ -4,14 +4,11 @@ import { button, el, setText } from "../ui/dom.ts";
 import { form, numberField, selectField, textField } from "../ui/field.ts";
 import type { Session } from "../ui/session.ts";
 import { command, get, RequestError } from "../wire/http.ts";
-import type { Status, WaitingCondition } from "../wire/messages.ts";
+import type { Parameter, Status, WaitingCondition } from "../wire/messages.ts";
 
 const ACTIONS = ["pause", "inform", "uninform", "set"] as const;
 
 type Action = (typeof ACTIONS)[number];
-
-/** The parameters that `set` changes to a number, and a usual value of each. */
-const SETTABLE = { pi2: "1", pi3: "2", pi4: "10", noise: "0.5" };
 
 /** The daemon's limit. */
 const MAX_LENGTH = 1000;
@@ -43,12 +40,14 @@ export class Conditions {
     value: "0",
     required: true,
   });
-  private readonly parameter = selectField("parameter", Object.keys(SETTABLE));
-  private readonly value = numberField({ label: "value", value: SETTABLE.pi2, required: true });
+  private readonly parameter = selectField("parameter", []);
+  private readonly value = numberField({ label: "value", value: "", required: true });
   private readonly details = el("div", { class: "row" });
   private readonly fields: HTMLFieldSetElement;
   private number = 0;
   private shown = "";
+  /** The parameters that `set` changes to a number, with their present values. */
+  private numbers = new Map<string, string>();
 
   constructor(
     private readonly swarm: string,
@@ -56,9 +55,7 @@ export class Conditions {
   ) {
     this.action.select.addEventListener("change", () => this.showDetails());
     const { select } = this.parameter;
-    select.addEventListener("change", () => {
-      this.value.input.value = SETTABLE[select.value as keyof typeof SETTABLE];
-    });
+    select.addEventListener("change", () => this.fillValue());
     this.condition.input.addEventListener("input", () => this.reject(""));
     this.fields = el(
       "fieldset",
@@ -92,6 +89,26 @@ export class Conditions {
     for (const it of this.waiting.querySelectorAll("button")) {
       it.disabled = !this.session.mayCommand;
     }
+  }
+
+  /** Offers the parameters that `set` changes to a number. */
+  offer(parameters: Parameter[]): void {
+    // Longer bodies need room, for which the panel of parameters has an option.
+    const numbers = parameters.filter(
+      (it) => it.kind === "number" && it.changed_by.includes("set") && it.name !== "pi1",
+    );
+    const { select } = this.parameter;
+    const names = numbers.map((it) => it.name);
+    const isNew = names.join() !== [...this.numbers.keys()].join();
+    this.numbers = new Map(numbers.map((it) => [it.name, String(it.value)]));
+    if (isNew) {
+      select.replaceChildren(...names.map((it) => new Option(it)));
+      this.fillValue();
+    }
+  }
+
+  private fillValue(): void {
+    this.value.input.value = this.numbers.get(this.parameter.select.value) ?? "";
   }
 
   /** Shows the conditions that wait now. */

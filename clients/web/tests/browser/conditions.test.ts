@@ -52,7 +52,14 @@ test("a condition informs, uninforms and sets", async () => {
   });
   await action.selectOption("set");
   await panel.getByLabel("parameter").selectOption("pi3");
-  assert.equal(await panel.getByLabel("value").inputValue(), "2");
+  assert.deepEqual(await panel.getByLabel("parameter").getByRole("option").allTextContents(), [
+    "pi2",
+    "pi3",
+    "pi4",
+    "noise",
+  ]);
+  // The present value.
+  assert.equal(await panel.getByLabel("value").inputValue(), "1");
   await panel.getByLabel("value").fill("1.75");
   await add(page, "drift > -2");
   await action.selectOption("uninform");
