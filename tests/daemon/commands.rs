@@ -4,8 +4,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use jostle_physics::model::selection::Selection;
 use jostle_physics::simulation::{Change, Simulation, Spec};
-use jostle_proto::ErrorCode;
-use serde_json::{Value, json};
+use jostle_proto::{ErrorCode, contract};
+use serde_json::{Map, Value, json};
 
 use crate::support::{Client, Daemon, NODE, PREFIX, read, until};
 
@@ -59,12 +59,16 @@ async fn a_created_swarm_is_paused_and_has_every_default() {
     assert_eq!(reply["result"]["created"], true);
     let spec = client.get("a", "spec").await;
     assert_eq!(spec["result"], reply["result"]["spec"]);
-    assert_eq!(
-        spec["result"],
-        json!({"n": 10, "pi1": 4.0, "pi2": 0.5, "pi3": 1.0, "pi4": 10.0, "dt": 0.02,
-            "contacts": "endpoints", "stepping": "position", "relinearise": 0, "seed": 0,
-            "start": {"kind": "disc"}, "attraction": {"kind": "all"}, "noise": 0.0, "publish_every": 5, "rate": 1.0})
-    );
+    // Those of the documentation: `proto/contract/tests/contract/docs.rs` compares them.
+    let parameters = contract::parameters().into_iter();
+    let defaults = parameters.map(|it| (it.name, it.default));
+    let mut expected: Map<String, Value> = defaults.filter(|(_, it)| !it.is_null()).collect();
+    expected.extend([
+        ("n".into(), json!(10)),
+        ("start".into(), json!({"kind": "disc"})),
+    ]);
+    assert!(expected.len() >= 15, "{expected:?}");
+    assert_eq!(spec["result"], Value::Object(expected));
     let status = client.get("a", "status").await;
     assert_eq!(status["result"]["reason"], "created");
     assert_eq!(

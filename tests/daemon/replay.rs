@@ -9,7 +9,7 @@ use jostle_proto::{Error, ErrorCode, State, keys};
 use jostle_results::recording::{self, About, Recorder};
 use serde_json::{Value, json};
 
-use crate::support::playback::{record, replay, state, upload_and_open, upload_piece};
+use crate::support::playback::{record, record_as, replay, state, upload_and_open, upload_piece};
 use crate::support::{Client, Daemon, PREFIX, QueryResult, until};
 
 async fn seek_error(client: &Client, args: &Value) -> Error {
@@ -422,5 +422,31 @@ async fn a_frame_that_changes_after_it_was_opened_is_not_shown() {
         (&json!("play"), &Value::Null)
     );
     assert!(status["result"].get("swarm_id").is_none(), "{status}");
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_playback_has_the_swarm_of_its_file_as_its_origin_if_that_is_a_name() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    let folder = tempfile::tempdir().unwrap();
+    let long = "a".repeat(1_000_000);
+    for (number, (text, expected)) in [
+        ("live", json!("live")),
+        ("my swarm/**", Value::Null),
+        (&long, Value::Null),
+    ]
+    .into_iter()
+    .enumerate()
+    {
+        let path = folder.path().join(format!("{number}.mcap"));
+        record_as(client, &path, text).await;
+        let name = format!("tape-{number}");
+        let file = fs::read(&path).unwrap();
+        upload_and_open(client, &name, &file).await.unwrap();
+        let status = client.get(&name, "status").await;
+        assert_eq!(status["result"]["origin"]["swarm"], expected, "{number}");
+        client.ok("live", "delete", json!({})).await;
+    }
     daemon.stop().await;
 }

@@ -15,6 +15,11 @@ use super::{Client, NODE, PREFIX, QueryResult};
 /// Records a swarm that takes five steps between frames, is informed, changes its shape and is reset
 /// once: 41 frames, then 11.
 pub async fn record(client: &Client, path: &Path) -> Vec<State> {
+    record_as(client, path, "live").await
+}
+
+/// As [`record`]; the file gives this text as the name of the swarm.
+pub async fn record_as(client: &Client, path: &Path, swarm: &str) -> Vec<State> {
     let spec = json!({"n": 12, "seed": 3, "rate": null});
     client.create("live", spec).await;
     let (spec, status) = (
@@ -22,7 +27,7 @@ pub async fn record(client: &Client, path: &Path) -> Vec<State> {
         client.get("live", "status").await,
     );
     let about = About::from([
-        ("swarm".to_owned(), "live".to_owned()),
+        ("swarm".to_owned(), swarm.to_owned()),
         ("spec".to_owned(), spec["result"].to_string()),
         ("rate".to_owned(), "20.0".to_owned()),
         (
