@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import math
 from datetime import UTC, datetime, timedelta, timezone
 from typing import Any
 
@@ -11,40 +12,31 @@ import numpy as np
 import jostle
 from recorder import EXPANDED, SNAPSHOT, Sent, fixture
 from rows import FILES, LONG, PLAN, TAPE, File, Row, call, cmd, node_cmd, node_get
-from rows_of_swarms import ATTRACTIONS
+from rows_of_swarms import ATTRACTIONS, CHOICES, PARAMETERS
 
 PLAYED = fixture("experiment.reply")["result"]["progress"]["name"]
 DEFAULTS: dict[str, Any] = {
+    **{it["name"]: it["default"] for it in PARAMETERS},
     "n": 4,
-    "pi1": 4.0,
-    "pi2": 0.5,
-    "pi3": 1.0,
-    "pi4": 10.0,
-    "dt": 0.02,
-    "contacts": "endpoints",
-    "stepping": "position",
-    "relinearise": 0,
-    "seed": 0,
     "start": {"kind": "disc"},
-    "attraction": {"kind": "all"},
-    "noise": 0.0,
-    "publish_every": 5,
-    "rate": 1.0,
 }
+
+
+def _other(index: int, parameter: dict[str, Any]) -> Any:
+    """A value in its range: not the default, and of a real number not that of another."""
+    if parameter["choices"]:
+        return parameter["choices"][-1]
+    least = parameter["minimum"] or parameter["exclusive_minimum"] or 0
+    most = parameter["maximum"] or math.inf
+    if parameter["kind"] == "integer":
+        return int(min(least + index + 1, most))
+    return least + min(most - least, 1) * (index + 1) / 64
+
+
 OTHERS: dict[str, Any] = {
+    **{it["name"]: _other(index, it) for index, it in enumerate(PARAMETERS)},
     "n": 3,
-    "pi1": 6.0,
-    "pi2": 0.75,
-    "pi3": 2.0,
-    "pi4": 8.0,
-    "dt": 0.01,
-    "contacts": "closest",
-    "stepping": "velocity",
-    "relinearise": 1,
-    "seed": 9,
     "attraction": {"kind": "voronoi"},
-    "noise": 0.125,
-    "publish_every": 2,
     "measures": ["drift", "milling"],
     "rate": None,
 }
@@ -66,17 +58,15 @@ CREATIONS = [
         {**OTHERS, "start": GIVEN},
     ),
     _create(
-        jostle.Spec(n=4, start=jostle.disc(9.5), contacts="clamped"),
-        {**DEFAULTS, "start": {"kind": "disc", "radius": 9.5}, "contacts": "clamped"},
+        jostle.Spec(n=4, start=jostle.disc(9.5)),
+        {**DEFAULTS, "start": {"kind": "disc", "radius": 9.5}},
     ),
+    *(_create(jostle.Spec(n=4, **it), {**DEFAULTS, **it}) for it in CHOICES),
     *(
         _create(jostle.Spec(n=4, attraction=it), {**DEFAULTS, "attraction": it})
         for it in ATTRACTIONS
     ),
-    *(
-        _create({"n": 4, **it}, {"n": 4, **it})
-        for it in ({"contacts": "endpoints"}, {"stepping": "position"}, {"rate": None})
-    ),
+    *(_create({"n": 4, **it}, {"n": 4, **it}) for it in (*CHOICES, {"rate": None})),
 ]
 
 _SNAPSHOT = base64.b64encode(SNAPSHOT).decode()

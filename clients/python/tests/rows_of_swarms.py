@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import math
 from typing import Any
 
 import numpy as np
 
+import contract
 import jostle
-from recorder import Sent
+from recorder import Sent, fixture
 from rows import AnyId, AtMost, File, Row, call, cmd, get, put
 
 HOUR: dict[str, Any] = {"timeout_secs": 3600.0}
@@ -32,21 +34,21 @@ ATTRACTIONS: list[dict[str, Any]] = [
 ]
 POSES = [(1.0, 2.0, 0.5), (-1.0, 0.0, 3.0)]
 WIRE_POSES = [{"x": 1.0, "y": 2.0, "alpha": 0.5}, {"x": -1.0, "y": 0.0, "alpha": 3.0}]
+PARAMETERS = fixture("parameters.reply")["result"]["parameters"]
+CHOICES: list[dict[str, Any]] = [
+    {it["name"]: choice} for it in PARAMETERS for choice in it["choices"] if isinstance(choice, str)
+]
+"""Every value of the parameters that are one of several words."""
+
+_SET = {it["name"] for it in PARAMETERS if "set" in it["changed_by"]}
+SET_CHOICES = [it for it in CHOICES if it.keys() <= _SET]
 ALL_SET: dict[str, Any] = {
-    "pi1": 6.0,
-    "pi2": 0.75,
-    "pi3": 2.0,
-    "pi4": 8.0,
-    "contacts": "closest",
-    "stepping": "velocity",
-    "relinearise": 1,
-    "attraction": {"kind": "voronoi"},
-    "noise": 0.125,
-    "publish_every": 2,
-    "measures": ["drift", "milling"],
-    "max_idle_secs": 60.0,
-    "make_room": True,
+    name: value
+    for message, path in contract.fixtures("json")
+    if message == "set.args"
+    for name, value in json.loads(path.read_text(encoding="utf-8")).items()
 }
+"""Every argument of `set`: the fixtures are complete, which a test of the contract checks."""
 
 
 def _changes() -> list[tuple[Any, dict[str, Any]]]:
@@ -59,14 +61,8 @@ def _changes() -> list[tuple[Any, dict[str, Any]]]:
             (jostle.Set(attraction=it), {"verb": "set", "args": {"attraction": it}})
             for it in ATTRACTIONS
         ),
-        *(
-            (jostle.Set(contacts=it), {"verb": "set", "args": {"contacts": it}})
-            for it in ("endpoints", "clamped")
-        ),
-        (
-            jostle.Set(stepping="position", noise=0.0),
-            {"verb": "set", "args": {"stepping": "position", "noise": 0.0}},
-        ),
+        *((jostle.Set(**it), {"verb": "set", "args": it}) for it in SET_CHOICES),
+        (jostle.Set(noise=0.0), {"verb": "set", "args": {"noise": 0.0}}),
         (
             jostle.Inform(anyone, 0.5),
             {"verb": "inform", "args": {"select": one, "direction": 0.5}},
@@ -356,8 +352,7 @@ COMMANDS = [
     _set(pi3=2.0),
     *(_set(**{name: value}) for name, value in ALL_SET.items() if name != "make_room"),
     *(_set(attraction=it) for it in ATTRACTIONS),
-    *(_set(contacts=it) for it in ("endpoints", "closest", "clamped")),
-    *(_set(stepping=it) for it in ("position", "velocity")),
+    *(_set(**it) for it in SET_CHOICES),
     _set(pi2=0.0, noise=0.0, relinearise=0),
     _set(pi1=6.0, make_room=True),
     _set(**ALL_SET),
