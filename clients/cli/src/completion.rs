@@ -13,6 +13,7 @@ use jostle_measures::Measure;
 use jostle_proto::keys::DEFAULT_PREFIX;
 use jostle_proto::{contract, keys};
 
+use crate::arguments::ASSIGNED;
 use crate::failure::Failure;
 use crate::output::{self, Output};
 use crate::values::{self, FIELDS, LAWS};
@@ -223,13 +224,12 @@ pub fn assignments(typed: &OsStr) -> Vec<CompletionCandidate> {
             .map(|value| value.add_prefix(format!("{field}=")))
             .collect();
     }
-    contract::parameters()
-        .into_iter()
-        .filter(|parameter| parameter.changed_by.iter().any(|verb| verb == "set"))
-        .map(|parameter| (format!("{}=", parameter.name), parameter.doc))
+    let fields = ASSIGNED.iter();
+    fields
+        .map(|(name, doc)| (format!("{name}="), doc))
         .filter(|(assignment, _)| assignment.starts_with(typed))
         .map(|(assignment, doc)| {
-            CompletionCandidate::new(assignment).help(Some(StyledStr::from(doc)))
+            CompletionCandidate::new(assignment).help(Some(StyledStr::from(doc.clone())))
         })
         .collect()
 }
@@ -323,6 +323,7 @@ mod tests {
         let of = |typed: &str| completed(&assignments(OsStr::new(typed)));
         assert_eq!(of("pi"), ["pi1=", "pi2=", "pi3=", "pi4="]);
         assert_eq!(of("pu"), ["publish_every="]);
+        assert_eq!(of("m"), ["max_idle_secs=", "measures="]);
         assert_eq!(of("d"), [""; 0], "`set` does not change dt");
         assert_eq!(of("pi1=6"), [""; 0]);
         let contacts = ["contacts=endpoints", "contacts=closest", "contacts=clamped"];

@@ -24,7 +24,7 @@ pub use self::experiment::*;
 pub use self::global::command;
 pub use self::help::{EXAMPLES, HelpArguments, TOPICS, topics};
 pub use self::inspect::*;
-pub use self::parameters::NumberArguments;
+pub use self::parameters::{ASSIGNED, NumberArguments};
 pub use self::parts::*;
 pub use self::recording::*;
 pub use self::replay::*;
@@ -153,6 +153,11 @@ pub enum Verb {
 mod tests {
     #![expect(clippy::unwrap_used, reason = "tests")]
 
+    use std::collections::BTreeSet;
+    use std::{env, fs};
+
+    use serde_json::{Map, Value};
+
     use super::*;
 
     /// Every verb with its arguments, an option of every verb only once.
@@ -195,9 +200,51 @@ mod tests {
 
     #[test]
     fn nothing_that_scripts_may_use_is_lost() {
-        let surface = surface();
-        let listed = include_str!("../../surface.txt");
-        assert_eq!(surface, listed.trim_end(), "now:\n{surface}");
+        const COMMAND: &str = "JOSTLE_RECORD=1 cargo test --release -p jostle-cli scripts";
+        let file = concat!(env!("CARGO_MANIFEST_DIR"), "/surface.txt");
+        let surface = format!("{}\n", surface());
+        if env::var_os("JOSTLE_RECORD").is_some() {
+            fs::write(file, &surface).unwrap();
+        }
+        let listed = fs::read_to_string(file).unwrap();
+        let lines = |text: &str| text.lines().map(str::to_owned).collect::<BTreeSet<_>>();
+        let (now, before) = (lines(&surface), lines(&listed));
+        let (new, lost): (Vec<_>, Vec<_>) = (
+            now.difference(&before).collect(),
+            before.difference(&now).collect(),
+        );
+        assert_eq!(
+            surface, listed,
+            "new: {new:?}, lost: {lost:?}; `{COMMAND}` writes {file}"
+        );
+    }
+
+    #[test]
+    fn the_help_of_set_names_each_field_that_an_assignment_can_have() {
+        let mut command = command();
+        let set = command.find_subcommand_mut("set").unwrap();
+        let help = set.render_long_help().to_string();
+        let (assignments, _) = help.split_once(", such as").unwrap();
+        let fixtures = concat!(env!("CARGO_MANIFEST_DIR"), "/../../proto/fixtures");
+        let files = fs::read_dir(fixtures)
+            .unwrap()
+            .map(|file| file.unwrap().path());
+        let of_set = files.filter(|file| {
+            let name = file.file_name().and_then(|name| name.to_str()).unwrap();
+            name.starts_with("set.args")
+        });
+        let mut fields = BTreeSet::new();
+        for file in of_set {
+            let args: Map<String, Value> =
+                serde_json::from_slice(&fs::read(file).unwrap()).unwrap();
+            fields.extend(args.into_iter().map(|(field, _)| field));
+        }
+        assert!(fields.remove("make_room"), "is an option");
+        assert!(fields.len() > 10, "{fields:?}");
+        let words: BTreeSet<&str> = assignments.split([' ', ',', '\n']).collect();
+        for field in fields {
+            assert!(words.contains(field.as_str()), "{field}: {assignments}");
+        }
     }
 
     fn read(line: &str) -> Result<Arguments, clap::Error> {

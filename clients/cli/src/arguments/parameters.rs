@@ -1,10 +1,11 @@
-//! The options of `create` for the parameters that are a plain number, from the contract.
+//! The options of `create` for the parameters that are a plain number, and what `set` changes, from the
+//! contract.
 
 use std::sync::LazyLock;
 
 use clap::builder::ValueParser;
 use clap::{Arg, ArgMatches, Args, Command, Error, FromArgMatches};
-use jostle_proto::contract::parameters;
+use jostle_proto::contract::{parameters, schema};
 use jostle_proto::{LARGEST_WHOLE, Parameter, ParameterKind};
 use serde_json::{Map, Value};
 
@@ -22,6 +23,29 @@ static NUMBERS: LazyLock<Vec<(String, Parameter)>> = LazyLock::new(|| {
     let plain = parameters().into_iter().filter(is_plain);
     plain.map(|it| (it.name.replace('_', "-"), it)).collect()
 });
+
+/// The fields that an assignment of `set` can name, in the order of a spec: each with what it is.
+pub static ASSIGNED: LazyLock<Vec<(String, String)>> = LazyLock::new(|| {
+    let schema = schema("set.args").unwrap_or_default().to_value();
+    let fields = schema["properties"].as_object().into_iter().flatten();
+    let fields = fields.filter(|(name, _)| *name != "make_room");
+    let doc = |field: &Value| field["description"].as_str().unwrap_or_default().to_owned();
+    let mut fields: Vec<_> = fields.map(|(name, it)| (name.clone(), doc(it))).collect();
+    let spec = parameters();
+    let place = |name: &str| spec.iter().position(|it| it.name == name);
+    fields.sort_by_key(|(name, _)| place(name).unwrap_or(spec.len()));
+    fields
+});
+
+/// The help of the assignments of `set`.
+pub fn help_of_assignments() -> String {
+    let names: Vec<&str> = ASSIGNED.iter().map(|(name, _)| name.as_str()).collect();
+    let (last, first) = names.split_last().unwrap_or((&"", &[]));
+    format!(
+        "{} or {last}, such as pi1=6, attraction=metric=3 or measures=drift,milling",
+        first.join(", ")
+    )
+}
 
 /// The given numbers, by the names of the parameters.
 #[derive(Clone, Debug, Default)]

@@ -6,6 +6,7 @@ use clap::{ArgGroup, Args, ValueEnum, ValueHint};
 use clap_complete::engine::ArgValueCompleter;
 use jostle_proto::verbs::{Pose, Region};
 
+use crate::arguments::parameters::help_of_assignments;
 use crate::arguments::{
     CommandArguments, NumberArguments, SenderArguments, SendingArguments, SwarmsArguments,
 };
@@ -141,9 +142,13 @@ pub struct ResetArguments {
 pub struct SetArguments {
     #[command(flatten)]
     pub command: CommandArguments,
-    /// pi1 to pi4, contacts, stepping, relinearise, attraction, noise, publish_every, measures or
-    /// max_idle_secs, such as pi1=6, attraction=metric=3 or measures=drift,milling
-    #[arg(required = true, value_name = "NAME=VALUE", value_parser = values::assignment, add = ArgValueCompleter::new(completion::assignments))]
+    #[arg(
+        required = true,
+        value_name = "NAME=VALUE",
+        help = help_of_assignments(),
+        value_parser = values::assignment,
+        add = ArgValueCompleter::new(completion::assignments)
+    )]
     pub assignments: Vec<Assignment>,
     /// With pi1: scale the positions by the least factor that avoids overlap
     #[arg(long)]
