@@ -14,7 +14,7 @@ use crate::support::{Canned, Ended, Running};
 pub struct Row {
     /// The command line. A positional argument has its name before it, as in `<name>demo`; `{}` is
     /// a folder with files.
-    pub line: &'static str,
+    pub line: String,
     /// The queries in order: a key without the prefix and, after a space, the arguments of a
     /// command. A query that is the same as the one before it is not repeated.
     pub sends: Vec<String>,
@@ -47,9 +47,9 @@ pub struct Added {
 }
 
 /// A row that expects only queries.
-pub fn row(line: &'static str, sends: &[&str]) -> Row {
+pub fn row(line: impl Into<String>, sends: &[&str]) -> Row {
     Row {
-        line,
+        line: line.into(),
         sends: sends.iter().map(|it| (*it).to_owned()).collect(),
         unnamed: &[],
         says: Vec::new(),

@@ -1,8 +1,85 @@
 //! The verbs that create and change swarms.
 
-use serde_json::json;
+use serde_json::{Map, Value, json};
 
 use crate::requests::row::{Row, row};
+use crate::support::canned;
+
+/// The parameters that are a plain number: the name of each, the name of its option, and a value in its
+/// range that is not the default and, of a real number, not that of another. `is_wanted` selects some.
+fn numbers(is_wanted: impl Fn(&Value) -> bool) -> Vec<(String, String, Value)> {
+    let reply = canned::read("parameters.reply");
+    let parameters = reply["result"]["parameters"].as_array().unwrap().iter();
+    let mut numbers = Vec::new();
+    for (it, distinct) in parameters.zip(1_u32..) {
+        let name = it["name"].as_str().unwrap();
+        let bounds = [&it["minimum"], &it["exclusive_minimum"]];
+        let least = bounds.into_iter().find_map(Value::as_f64).unwrap_or(0.0);
+        let span = it["maximum"].as_f64().unwrap_or(f64::INFINITY) - least;
+        let value = match it["kind"].as_str() {
+            Some("integer") => json!((least + span.min(f64::from(distinct))) as u64),
+            Some("number") => json!(least + span.min(1.0) * f64::from(distinct) / 64.0),
+            _ => continue,
+        };
+        if name != "n" && it["nullable"] == false && is_wanted(it) {
+            assert_ne!(value, it["default"], "{name}");
+            numbers.push((name.to_owned(), name.replace('_', "-"), value));
+        }
+    }
+    numbers
+}
+
+/// Every option of `create` at once.
+fn creating_with_everything() -> Row {
+    let numbers = numbers(|it| it["name"] != "relinearise");
+    let given = numbers
+        .iter()
+        .map(|(_, option, value)| format!("--{option} {value}"));
+    let given: Vec<String> = given.collect();
+    let mut spec = json!({
+        "n": 7, "contacts": "closest", "stepping": "velocity", "relinearise": 3,
+        "attraction": {"kind": "metric", "radius": 2.5}, "start": {"kind": "disc", "radius": 9.5},
+        "rate": 3.5,
+    });
+    for (name, _, value) in numbers {
+        spec[name] = value;
+    }
+    let args = json!({"name": "other", "exist_ok": true, "spec": spec});
+    row(
+        format!(
+            "create <name>other -n 7 {} --contacts closest --stepping velocity --relinearise=3 \
+             --attraction metric=2.5 --radius 9.5 --rate 3.5 --exist-ok",
+            given.join(" ")
+        ),
+        &[&format!("@node/test/cmd/create {args}")],
+    )
+}
+
+/// Every number that `set` changes at once.
+fn setting_everything() -> Row {
+    let of_set = |it: &Value| it["changed_by"].as_array().unwrap().contains(&json!("set"));
+    let numbers = numbers(of_set);
+    let given = numbers
+        .iter()
+        .map(|(_, option, value)| format!("{option}={value}"));
+    let given: Vec<String> = given.collect();
+    let mut args: Map<String, Value> = numbers
+        .into_iter()
+        .map(|(name, _, value)| (name, value))
+        .collect();
+    args.insert("make_room".to_owned(), json!(true));
+    args.insert(
+        "attraction".to_owned(),
+        json!({"kind": "topological", "neighbours": 7}),
+    );
+    row(
+        format!(
+            "set <name>demo {} attraction=topological=7 --make-room",
+            given.join(" ")
+        ),
+        &[&format!("demo/cmd/set {}", Value::Object(args))],
+    )
+}
 
 pub fn creating() -> Vec<Row> {
     vec![
@@ -11,18 +88,7 @@ pub fn creating() -> Vec<Row> {
             &[r#"@node/test/cmd/create {"name": "other", "spec": {"n": 3}, "exist_ok": false}"#],
         )
         .says("created school of 4 individuals"),
-        row(
-            "create <name>other -n 7 --pi1 1.5 --pi2 0.25 --pi3 2.5 --pi4 12.5 --dt 0.01 \
-             --contacts closest --stepping velocity --relinearise=3 --attraction metric=2.5 \
-             --noise 0.125 --seed 11 --radius 9.5 --publish-every 13 --rate 3.5 --exist-ok",
-            &[
-                r#"@node/test/cmd/create {"name": "other", "exist_ok": true, "spec": {
-                "n": 7, "pi1": 1.5, "pi2": 0.25, "pi3": 2.5, "pi4": 12.5, "dt": 0.01,
-                "contacts": "closest", "stepping": "velocity", "relinearise": 3,
-                "attraction": {"kind": "metric", "radius": 2.5}, "noise": 0.125, "seed": 11,
-                "start": {"kind": "disc", "radius": 9.5}, "publish_every": 13, "rate": 3.5}}"#,
-            ],
-        ),
+        creating_with_everything(),
         row(
             "create <name>other -n 2 --measures drift,milling --relinearise --accuracy 1e-6 --rate max",
             &[
@@ -104,13 +170,7 @@ pub fn steering() -> Vec<Row> {
             "set <name>demo <assignments>pi3=2",
             &[r#"demo/cmd/set {"pi3": 2}"#],
         ),
-        row(
-            "set <name>demo pi1=6.5 attraction=topological=7 publish-every=9 --make-room",
-            &[
-                r#"demo/cmd/set {"pi1": 6.5, "publish_every": 9, "make_room": true,
-                "attraction": {"kind": "topological", "neighbours": 7}}"#,
-            ],
-        ),
+        setting_everything(),
         row(
             "leave <name>demo <controller>ada",
             &[r#"demo/cmd/leave {"controller": "ada"}"#],
