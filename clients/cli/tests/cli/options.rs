@@ -1,7 +1,5 @@
 //! The options that verbs have in common: a verb offers those that have an effect on it.
 
-use std::collections::BTreeSet;
-use std::fs;
 use std::net::TcpListener;
 use std::path::Path;
 use std::sync::Arc;
@@ -12,67 +10,19 @@ use serde_json::Value;
 use tokio::sync::Semaphore;
 use tokio::task::JoinSet;
 
+use crate::requests::row::Row;
+use crate::requests::{bases, files, rows, surface, verb};
 use crate::support::{Daemon, Ended, Running};
 
-/// A command line for each verb and nested verb. `{}` is a folder.
-const LINES: [&str; 57] = [
-    "annotate demo note",
-    "audit",
-    "auth can pause",
+/// Command lines of verbs whose first row needs another state of the daemon, does not end by itself, or
+/// deletes what others need. `{}` is a folder.
+const LINES: [&str; 6] = [
     "auth link",
-    "auth whoami",
-    "batch demo {}/batch.json",
-    "claims {}/nothing",
-    "completions bash",
-    "controllers demo",
-    "create other --n 3 --exist-ok",
     "delete nothing",
-    "diff demo twin",
-    "doctor",
-    "events demo",
-    "experiment attach nothing",
-    "experiment cancel nothing",
-    "experiment delete nothing",
-    "experiment list",
-    "experiment pause nothing",
-    "experiment plan {}/order.toml",
-    "experiment play {}/order.toml",
-    "experiment results nothing",
-    "experiment resume nothing",
-    "experiment run {}/order.toml --detach",
-    "experiment status nothing",
     "plot snapshot demo -o {}/demo.svg",
-    "fork demo copy",
-    "inform demo --count 1 --direction 0",
-    "inject demo --count 1",
-    "journal demo",
-    "leave demo nothing",
-    "list",
-    "man",
-    "measures demo",
-    "nodes",
-    "parameters demo",
-    "pause demo",
-    "record --list",
-    "remove demo --count 1",
     "replay --recording nothing",
-    "reset demo",
-    "restore {}/demo.snapshot restored",
-    "results merge {}/nothing -o {}/merged",
     "run demo --until-step 1000000 --rate 1",
-    "schema step.args",
-    "seek demo --step 1",
-    "set demo pi3=1",
-    "snapshot demo -o {}/again.snapshot --force",
-    "spec demo",
-    "status demo",
-    "step demo",
-    "top -n 1 --interval 0.1",
-    "uninform demo --count 0",
-    "verify twin",
     "wait demo order>=0",
-    "watch demo --count 1",
-    "when demo --cancel",
 ];
 
 /// How many command lines run at once.
@@ -86,23 +36,27 @@ const NOT_REACHED: [(&str, &str); 3] = [
     ("auth link", "prefix"),
 ];
 
-/// The verbs without nested verbs, from the list of all that a script may use.
-fn verbs() -> Vec<&'static str> {
-    let surface = include_str!("../../surface.txt").lines();
-    let words = surface.filter(|line| !line.contains(['-', '<']) && !line.starts_with("jostle"));
-    let words: Vec<&str> = words.collect();
-    let has_verbs = |verb: &str| words.iter().any(|it| it.starts_with(&format!("{verb} ")));
-    words
-        .iter()
-        .copied()
-        .filter(|verb| !has_verbs(verb))
+/// A command line for each verb and nested verb: that of [`LINES`], or else of its first row.
+fn lines(folder: &Path) -> Vec<(String, String)> {
+    let rows: Vec<(String, Row)> = rows().into_iter().map(|row| (verb(&row), row)).collect();
+    let of_rows = bases().into_iter().chain(rows);
+    let of_rows: Vec<_> = of_rows
+        .map(|(verb, row)| (verb, row.typed(folder)))
+        .collect();
+    let line_of = |verb: &String| {
+        let is_of = |line: &&str| line.starts_with(&format!("{verb} "));
+        let own = LINES.into_iter().find(|line| is_of(line) || line == verb);
+        let first = of_rows.iter().find(|(it, _)| it == verb);
+        own.map(|line| line.replace("{}", folder.to_str().unwrap()))
+            .or_else(|| first.map(|(_, line)| line.clone()))
+    };
+    let verbs = surface().into_keys().filter(|verb| verb != "jostle");
+    verbs
+        .map(|verb| {
+            let line = line_of(&verb).unwrap_or_else(|| panic!("no row of {verb}"));
+            (verb, line)
+        })
         .collect()
-}
-
-/// The verb that a line begins with.
-fn verb(line: &str) -> &'static str {
-    let is_it = |verb: &&str| line == *verb || line.starts_with(&format!("{verb} "));
-    verbs().into_iter().find(is_it).expect(line)
 }
 
 async fn run(endpoint: &str, line: &str) -> Ended {
@@ -161,13 +115,6 @@ async fn check(endpoint: &str, mute: &str, line: &str, option: &str) {
     }
 }
 
-fn prepare(folder: &Path) {
-    let batch = r#"[{"verb": "set", "args": {"pi3": 1}}]"#;
-    fs::write(folder.join("batch.json"), batch).unwrap();
-    let order = "name = \"order\"\nduration = 1\nspec = { n = 3 }\n";
-    fs::write(folder.join("order.toml"), order).unwrap();
-}
-
 #[tokio::test(flavor = "multi_thread")]
 async fn an_unknown_host_a_silent_listener_and_no_listener_have_their_own_messages() {
     let ended = run("tcp/no-such-host.invalid:7447", "list").await;
@@ -185,28 +132,16 @@ async fn an_unknown_host_a_silent_listener_and_no_listener_have_their_own_messag
 
 #[tokio::test(flavor = "multi_thread")]
 async fn every_option_that_a_verb_offers_has_an_effect_on_it() {
-    let listed: BTreeSet<&str> = LINES.into_iter().map(verb).collect();
-    assert_eq!(
-        listed,
-        verbs().into_iter().collect(),
-        "each verb has a line"
-    );
     let daemon = Daemon::start().await;
-    let folder = tempfile::tempdir().unwrap();
-    prepare(folder.path());
+    let folder = files();
     for line in ["create demo --n 6", "create twin --n 6"] {
         daemon.said(line).await;
     }
-    let snapshot = folder.path().join("demo.snapshot");
-    daemon
-        .said(&format!("snapshot demo -o {}", snapshot.display()))
-        .await;
     let mute = mute();
     let permits = Arc::new(Semaphore::new(AT_ONCE));
     let mut checks = JoinSet::new();
-    for line in LINES {
-        let help = daemon.said(&format!("{} --help", verb(line))).await;
-        let line = line.replace("{}", folder.path().to_str().unwrap());
+    for (verb, line) in lines(folder.path()) {
+        let help = daemon.said(&format!("{verb} --help")).await;
         for option in [
             "endpoint",
             "credentials",
@@ -216,7 +151,7 @@ async fn every_option_that_a_verb_offers_has_an_effect_on_it() {
             "json",
         ] {
             if !help.contains(&format!("--{option}"))
-                || NOT_REACHED.contains(&(verb(&line), option))
+                || NOT_REACHED.contains(&(verb.as_str(), option))
             {
                 continue;
             }

@@ -1,7 +1,11 @@
 //! The options of commands: schedule, preconditions, sender, batches.
 
+use std::collections::BTreeSet;
+
+use jostle_proto::verbs::SwarmVerb;
 use serde_json::json;
 
+use crate::requests::{bases, files, surface};
 use crate::support::{Daemon, object};
 
 #[tokio::test(flavor = "multi_thread")]
@@ -41,28 +45,23 @@ async fn a_command_for_a_step_to_come_is_acknowledged_and_applies_there() {
 async fn what_is_expected_is_expected_of_every_change() {
     let daemon = Daemon::start().await;
     daemon.said("create demo --n 10").await;
-    for verb in [
-        "run demo",
-        "pause demo",
-        "step demo",
-        "reset demo",
-        "set demo pi3=2",
-        "annotate demo note",
-        "when demo --cancel",
-        "inform demo --ids 1 --direction 0",
-        "uninform demo --ids 1",
-        "inject demo --count 1",
-        "remove demo --ids 1",
-        "batch demo -",
-        "delete demo",
-    ] {
-        let stdin = r#"[{"verb": "set", "args": {"pi3": 2}}]"#;
+    let (folder, surface) = (files(), surface());
+    let mut checked = BTreeSet::new();
+    for (verb, row) in bases() {
+        if !surface[&verb].contains("--expect-step") {
+            continue;
+        }
         for expected in ["--expect-step 7", "--expect-epoch 7"] {
-            let line = format!("{verb} {expected}");
-            let ended = daemon.jostle_with(&line, stdin).await;
+            let line = format!("{} {expected}", row.typed(folder.path()));
+            let ended = daemon.jostle(&line).await;
             assert_eq!(ended.code, Some(4), "{line}: {ended:?}");
         }
+        checked.insert(verb);
     }
+    let of_contract = SwarmVerb::DEFINITIONS.iter().filter(|it| it.at_step);
+    let missing = of_contract.filter(|it| !checked.contains(it.name));
+    let missing: Vec<&str> = missing.map(|it| it.name).collect();
+    assert_eq!(missing, ["join"], "no command line sends it");
     let status = daemon.reply("status demo").await;
     assert_eq!(
         (&status["seq"], &status["phase"]),

@@ -1,6 +1,6 @@
 //! Each argument of each verb has an effect on the request or on the output.
 
-mod row;
+pub mod row;
 mod rows;
 
 use std::collections::{BTreeMap, BTreeSet};
