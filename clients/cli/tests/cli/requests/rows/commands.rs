@@ -17,7 +17,10 @@ fn numbers(is_wanted: impl Fn(&Value) -> bool) -> Vec<(String, String, Value)> {
         let least = bounds.into_iter().find_map(Value::as_f64).unwrap_or(0.0);
         let span = it["maximum"].as_f64().unwrap_or(f64::INFINITY) - least;
         let value = match it["kind"].as_str() {
-            Some("integer") => json!((least + span.min(f64::from(distinct))) as u64),
+            Some("integer") => {
+                let whole = (least + span.min(f64::from(distinct))).to_string();
+                json!(whole.parse::<u64>().unwrap())
+            }
             Some("number") => json!(least + span.min(1.0) * f64::from(distinct) / 64.0),
             _ => continue,
         };
