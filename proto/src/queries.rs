@@ -26,6 +26,10 @@ pub struct Status {
     /// versions.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub origin: Option<Origin>,
+    /// Whether `protect` protects it from `delete` and `reset`.
+    #[serde(default, skip_serializing_if = "is_false")]
+    #[schemars(extend("default" = false))]
+    pub protected: bool,
     /// The step it will pause at; `null` if it has no end.
     pub until_step: Option<u64>,
     /// Time units per second of wall clock; `null` is as fast as possible.
@@ -151,6 +155,14 @@ pub struct WaitingCondition {
     /// if it is evaluated.
     #[serde(default = "is_evaluated", skip_serializing_if = "Clone::clone")]
     pub evaluated: bool,
+}
+
+#[expect(
+    clippy::trivially_copy_pass_by_ref,
+    reason = "serde passes a reference"
+)]
+fn is_false(value: &bool) -> bool {
+    !value
 }
 
 /// Earlier versions did not say that a condition is not evaluated.
@@ -578,6 +590,10 @@ pub struct SwarmSummary {
     /// Whether it is the playback of a recording.
     #[serde(default)]
     pub replay: bool,
+    /// As in its status.
+    #[serde(default, skip_serializing_if = "is_false")]
+    #[schemars(extend("default" = false))]
+    pub protected: bool,
     /// As in its status.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub swarm_id: Option<u64>,

@@ -140,7 +140,7 @@ mod tests {
 
     /// Every verb of the contract, and the least role that may have it executed. `docs/security.md`
     /// has the same table.
-    const LEAST: [(&str, Role); 24] = [
+    const LEAST: [(&str, Role); 25] = [
         ("delete", Role::Operator),
         ("run", Role::Operator),
         ("pause", Role::Operator),
@@ -159,6 +159,7 @@ mod tests {
         ("annotate", Role::Controller),
         ("seek", Role::Operator),
         ("when", Role::Operator),
+        ("protect", Role::Operator),
         ("create", Role::Operator),
         ("restore", Role::Operator),
         ("discard", Role::Operator),

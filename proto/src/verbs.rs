@@ -25,8 +25,8 @@ pub use controllers::{
 };
 pub use swarms::{
     AnnotateArgs, CreateArgs, CreateResult, DeleteArgs, DiscardArgs, EmptyResult, ForkArgs,
-    MAX_NOTE_CHARS, PauseArgs, ResetArgs, ResetResult, RestoreArgs, Return, RunArgs, RunResult,
-    Scheduled, StepArgs, StepResult,
+    MAX_NOTE_CHARS, PauseArgs, ProtectArgs, ResetArgs, ResetResult, RestoreArgs, Return, RunArgs,
+    RunResult, Scheduled, StepArgs, StepResult,
 };
 pub use when::{WhenArgs, WhenResult};
 
@@ -201,6 +201,8 @@ verbs! {
         seek = Seek(SeekArgs) -> EmptyResult { at_step: false };
         /// Pauses the swarm, changes it or publishes an event once a condition holds.
         when = When(WhenArgs) -> WhenResult;
+        /// Protects the swarm from `delete` and `reset`, or ends that.
+        protect = Protect(ProtectArgs) -> EmptyResult;
     }
     node {
         /// Creates a swarm, paused.

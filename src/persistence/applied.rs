@@ -157,6 +157,7 @@ impl History {
             | Command::Watch(_)
             | Command::Unwatch(_)
             | Command::Annotate
+            | Command::Protect(_)
             | Command::Delete => {}
             command => match self.controllers.on(command) {
                 Ok(points) => {

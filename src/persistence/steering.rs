@@ -78,6 +78,7 @@ impl Steering {
             | Command::Change(_)
             | Command::Batch { .. }
             | Command::Annotate
+            | Command::Protect(_)
             | Command::Watch(_)
             | Command::Unwatch(_)
             | Command::Fired(_)

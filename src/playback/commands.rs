@@ -144,6 +144,7 @@ impl Player {
             | Command::Idle(_)
             | Command::Control { .. }
             | Command::Annotate
+            | Command::Protect(_)
             | Command::Watch(_)
             | Command::Unwatch(_)
             | Command::Fired(_)

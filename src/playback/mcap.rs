@@ -205,6 +205,7 @@ impl McapSource {
             | Command::Idle(_)
             | Command::Control { .. }
             | Command::Annotate
+            | Command::Protect(_)
             | Command::Watch(_)
             | Command::Unwatch(_)
             | Command::Delete => {}

@@ -327,6 +327,7 @@ impl Player {
             publish_every: self.spec.publish_every,
             measures: Vec::new(),
             max_idle_secs: None,
+            is_protected: false,
             seed: self.spec.seed,
             scheduled: 0,
             conditions: Vec::new(),
@@ -393,6 +394,7 @@ impl Player {
             real_time_factor: self.real_time_factor.filter(|_| self.phase.is_moving()),
             is_behind: false,
             is_replay: true,
+            is_protected: false,
         };
         *self.summary.lock() = Some(summary);
     }

@@ -37,6 +37,8 @@ pub struct Checkpoint {
     pub annotations: u64,
     /// The number of changes by commands of a protocol.
     pub protocol_draws: u64,
+    /// Whether it rejects `delete` and `reset`.
+    pub is_protected: bool,
     /// The number of the last event.
     pub events: u64,
     /// The number of journal lines that it includes.
@@ -59,6 +61,7 @@ impl Checkpoint {
             controllers: Vec::new(),
             annotations: 0,
             protocol_draws: 0,
+            is_protected: false,
             events: 0,
             lines: 0,
             is_last: false,
@@ -70,8 +73,8 @@ impl Checkpoint {
         self.simulation.seq + self.annotations
     }
 
-    /// The start of another swarm with the same state: paused, with a history of its own, and without the
-    /// conditions with an event, for which clients of the first one wait.
+    /// The start of another swarm with the same state: paused, with a history of its own, unprotected, and
+    /// without the conditions with an event, for which clients of the first one wait.
     #[must_use]
     pub fn for_another(mut self, phase: Phase) -> Self {
         let is_event = |action: &watch::Action| matches!(action, watch::Action::Event(_));

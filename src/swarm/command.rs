@@ -63,6 +63,8 @@ pub enum Command {
     },
     /// Write a note into the journal and the events. Its text is in the arguments of its sender.
     Annotate,
+    /// Reject `delete` and `reset` from now on, or accept them again.
+    Protect(bool),
     /// Execute an action once a condition holds.
     Watch(Box<Watch>),
     /// Remove waiting conditions.
@@ -94,6 +96,7 @@ impl Command {
             | Command::Idle(_)
             | Command::Control { .. }
             | Command::Annotate
+            | Command::Protect(_)
             | Command::Watch(_)
             | Command::Unwatch(_)
             | Command::Fired(_)
@@ -119,6 +122,7 @@ impl Command {
             | Command::Idle(_)
             | Command::Control { .. }
             | Command::Annotate
+            | Command::Protect(_)
             | Command::Unwatch(_)
             | Command::Delete => &[],
         }
@@ -127,7 +131,7 @@ impl Command {
     /// Whether a faulted swarm executes it.
     pub fn is_allowed_when_faulted(&self) -> bool {
         match self {
-            Command::Reset(_) | Command::Delete | Command::Annotate => true,
+            Command::Reset(_) | Command::Delete | Command::Annotate | Command::Protect(_) => true,
             Command::Run { .. }
             | Command::Pause
             | Command::Step(_)
@@ -150,7 +154,7 @@ impl Command {
     /// not depend on it.
     pub fn is_annotation(&self) -> bool {
         match self {
-            Command::Annotate | Command::Unwatch(Which::Event(_)) => true,
+            Command::Annotate | Command::Protect(_) | Command::Unwatch(Which::Event(_)) => true,
             Command::Watch(watch) | Command::Fired(watch) => {
                 matches!(watch.action, Action::Event(_))
             }
@@ -189,6 +193,7 @@ impl Command {
             | Command::Join(_)
             | Command::Leave(_)
             | Command::Annotate
+            | Command::Protect(_)
             | Command::Watch(_)
             | Command::Unwatch(_)
             | Command::Fired(_)

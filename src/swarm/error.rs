@@ -135,6 +135,12 @@ pub enum SwarmError {
     RunsFreely(String),
     #[error("controller {controller} is advancing to step {target} already: wait for that reply")]
     Advancing { controller: String, target: u64 },
+    /// A `delete` or `reset` of the swarm of this name, which is protected.
+    #[error(
+        "{0} is protected from delete and reset: `jostle protect --off {0}`, or `protect` with \"on\": false, \
+         ends that; then send this again"
+    )]
+    Protected(String),
     #[error("a later request of the same controller took the place of this one")]
     Superseded,
     /// The command was rejected before the daemon restarted; a replay does not execute it.

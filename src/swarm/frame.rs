@@ -63,6 +63,8 @@ pub struct Frame {
     pub exactness: Exactness,
     /// What went wrong, of a swarm that has faulted.
     pub fault: Option<Fault>,
+    /// Whether the swarm rejects `delete` and `reset`.
+    pub is_protected: bool,
     /// The rate.
     pub rate: Rate,
     /// The measured rate.
@@ -162,6 +164,8 @@ pub struct Summary {
     pub is_behind: bool,
     /// Whether it is a playback.
     pub is_replay: bool,
+    /// Whether it rejects `delete` and `reset`.
+    pub is_protected: bool,
 }
 
 /// An event of a swarm.

@@ -79,7 +79,7 @@ pub enum PhaseError {
     Running,
     #[error("the swarm is stepping already: wait for that reply, or pause it first")]
     Stepping,
-    /// A command other than `reset`, `delete` and `annotate` after a fault.
+    /// A command other than `reset`, `delete`, `annotate` and `protect` after a fault.
     #[error("the swarm has faulted and keeps its last good state: reset or delete it")]
     Faulted,
 }

@@ -234,6 +234,9 @@ async fn every_channel_of_the_document_is_served() {
             } else if verb != "delete" {
                 let reply = client.ok(&swarm, &verb, later).await;
                 check_reply("scheduled.reply", &reply);
+                if verb == "protect" {
+                    client.ok(&swarm, &verb, json!({"on": false})).await;
+                }
                 client.ok(&swarm, "delete", json!({})).await;
             }
         }

@@ -37,6 +37,7 @@ mod paged;
 mod pages;
 mod parts;
 mod process;
+mod protect;
 mod protocols;
 mod readers;
 mod recording;

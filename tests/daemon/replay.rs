@@ -254,6 +254,7 @@ async fn a_replay_rejects_what_would_change_it_and_a_swarm_to_be_sought_through(
         ("fork", json!({"name": "other"})),
         ("join", json!({"controller": "bob"})),
         ("annotate", json!({"text": "note"})),
+        ("protect", json!({"on": true})),
         ("when", json!({"condition": "order > 0.9", "pause": true})),
         ("pause", json!({"at_step": 100, "args": {}})),
     ] {

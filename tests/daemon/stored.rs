@@ -7,7 +7,7 @@ use std::time::Instant;
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
-use jostle_proto::keys;
+use jostle_proto::{ErrorCode, keys};
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
@@ -150,6 +150,29 @@ async fn swarms_their_history_and_their_replies_are_recovered() {
             assert_eq!(status["seq"], old["status"]["seq"], "{name} executed twice");
         }
         stop(process, client).await;
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn swarms_of_earlier_builds_are_unprotected_and_can_be_protected() {
+    for build in builds() {
+        let expected = expected(&build);
+        let (mut process, client, data) = start(&build).await;
+        let swarms = expected["swarms"].as_object().unwrap();
+        for name in swarms.keys() {
+            let status = client.get(name, "status").await;
+            assert_eq!(status["result"]["protected"], Value::Null, "{name}");
+            client.ok(name, "protect", json!({"on": true})).await;
+        }
+        process.kill();
+        let process = DaemonProcess::start(&mut daemon(data.path())).unwrap();
+        let client = Client::open(&process.endpoint).await;
+        for name in swarms.keys() {
+            let status = client.get(name, "status").await;
+            assert_eq!(status["result"]["protected"], true, "{name}");
+            let (code, _) = client.err(name, "delete", json!({})).await;
+            assert_eq!(code, ErrorCode::IncorrectState, "{name}");
+        }
     }
 }
 

@@ -29,6 +29,8 @@ pub struct ReferenceModel {
     simulation: Simulation,
     /// The number of annotations so far, which does not count in the seed of a draw.
     annotations: u64,
+    /// Whether it rejects `reset`.
+    is_protected: bool,
     moving: Movement,
     waiting: BTreeMap<u64, Vec<(u64, Vec<Change>, RequestName)>>,
     /// The last line that was executed.
@@ -67,6 +69,7 @@ impl ReferenceModel {
             name: name.to_owned(),
             simulation: Simulation::new(&spec).unwrap(),
             annotations: 0,
+            is_protected: false,
             moving: Movement::No,
             waiting: BTreeMap::new(),
             line: 0,
@@ -202,7 +205,11 @@ impl ReferenceModel {
                 },
                 None,
             ) if until < step => None,
+            (Command::Reset(_), None) if self.is_protected => None,
             (command, None) if command.is_annotation() => {
+                if let Command::Protect(on) = command {
+                    self.is_protected = on;
+                }
                 self.annotations += 1;
                 Some(self.seq())
             }
@@ -317,6 +324,8 @@ impl ReferenceModel {
         };
         assert_eq!(phase, expected, "{name}: {status}");
         assert_eq!(self.seq(), seq, "{name}: {status}");
+        let is_protected = status["result"]["protected"] == true;
+        assert_eq!(is_protected, self.is_protected, "{name}: {status}");
         let hash = &status["result"]["state_hash"];
         assert_eq!(*hash, self.hash(), "{name} at step {step}, {moving:?}");
         // The next crash may roll the swarm back to here again.

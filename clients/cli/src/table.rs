@@ -129,6 +129,7 @@ pub fn status(reply: &Reply<Status>) -> String {
         fault: _,
         swarm_id: _,
         origin,
+        protected,
         until_step,
         rate,
         real_time_factor,
@@ -205,6 +206,9 @@ pub fn status(reply: &Reply<Status>) -> String {
         let (position, duration) = (format::time(replay.position), format::time(replay.duration));
         let text = format!("of {of}: frame {frame} of {frames}, {position} of {duration}");
         lines.insert(1, ("replay", text));
+    }
+    if *protected {
+        lines.push(("protected", "from delete and reset".to_owned()));
     }
     if let Some(share) = verifying {
         lines.push(("verifying", format::percent(*share)));

@@ -34,6 +34,7 @@ TAKEN: dict[str, tuple[str, ...]] = {
     "Swarm.remove": _ALL,
     "Swarm.batch": _ALL,
     "Swarm.annotate": _ALL,
+    "Swarm.protect": _ALL,
     "Swarm.when": _ALL,
     "Swarm.delete": _ALL,
     "Swarm.join": _EXPECTING,

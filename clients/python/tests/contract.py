@@ -35,6 +35,7 @@ READ: dict[str, type[Any]] = {
     "advance.reply": jostle.Advanced,
     "attachment": jostle.Attachment,
     "annotate.reply": jostle.Reply,
+    "protect.reply": jostle.Reply,
     "when.reply": jostle.WhenResult,
     "batch.reply": jostle.BatchResult,
     "controllers.reply": ControllerList,

@@ -319,6 +319,8 @@ COMMANDS = [
         ],
     ),
     Row("Swarm.annotate", call("ready"), [cmd("annotate", {"text": "ready"})]),
+    Row("Swarm.protect", call(), [cmd("protect", {"on": True})]),
+    Row("Swarm.protect", call(on=False), [cmd("protect", {"on": False})]),
     Row("Swarm.step", call(), [cmd("step", {"steps": 1}, **HOUR)]),
     Row("Swarm.step", call(np.int64(50)), [cmd("step", {"steps": 50}, **HOUR)]),
     Row(

@@ -70,6 +70,7 @@ def test_every_command_can_be_scheduled(create: Create) -> None:
         swarm.at(5).remove(one),
         swarm.at(5).batch([jostle.Set(pi3=3.0)]),
         swarm.at(5).annotate("note"),
+        swarm.at(5).protect(on=False),
         swarm.at(5).when("order > 1", pause=True),
         swarm.at(5).step(3),
         swarm.at(5).step(3, state=True),

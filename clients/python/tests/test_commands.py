@@ -141,6 +141,26 @@ def test_a_note_is_in_journal_and_events_and_changes_nothing(create: Create) -> 
     assert swarm.status().seq == reply.seq
 
 
+def test_a_protected_swarm_is_neither_deleted_nor_reset(create: Create) -> None:
+    swarm = create(n=5)
+    before = swarm.status()
+    assert not before.protected
+    reply = swarm.protect()
+    assert (reply.seq, reply.step, reply.phase) == (before.seq + 1, 0, "paused")
+    after = swarm.status()
+    assert (after.protected, after.state_hash) == (True, before.state_hash)
+    for rejected in (swarm.delete, swarm.reset, swarm.at(7).delete, swarm.at(7).reset):
+        with pytest.raises(jostle.IncorrectState, match=f"`jostle protect --off {swarm.name}`"):
+            rejected()
+    with pytest.raises(jostle.InvalidArgument) as caught:
+        swarm.protect(on=2)  # type: ignore[arg-type]
+    assert caught.value.details["field"] == "on"
+    swarm.step(3)
+    swarm.protect(on=False)
+    assert not swarm.status().protected
+    assert swarm.reset().step == 0
+
+
 def test_a_condition_pauses_or_changes_the_swarm_once(create: Create) -> None:
     swarm = create(n=5)
     assert swarm.status().when is None

@@ -39,6 +39,7 @@ ENDED: dict[str, Ended] = {
     "Swarm.remove": Ended(call(_ANYONE)),
     "Swarm.batch": Ended(call([jostle.Set(pi3=2.0)])),
     "Swarm.annotate": Ended(call("ready")),
+    "Swarm.protect": Ended(call()),
     "Swarm.when": Ended(call(cancel=True)),
     "Swarm.delete": Ended(call()),
     "Swarm.join": Ended(call("bob")),

@@ -69,6 +69,12 @@ test("every kind of event has a text", () => {
   noted.event.verb = "annotate";
   noted.event.args = json<object>("annotate.args.json");
   assert.equal(describe(noted), "note: camera 2 replaced · by ada@lab");
+  const kept = json<SwarmEvent>("event.command.json");
+  kept.event.verb = "protect";
+  kept.event.args = json<object>("protect.args.json");
+  assert.equal(describe(kept), "protected from delete and reset · by ada@lab");
+  kept.event.args = { on: false };
+  assert.equal(describe(kept), "no longer protected · by ada@lab");
 });
 
 test("every parameter has a range as text", () => {

@@ -81,6 +81,7 @@ pub fn to_proto(swarm: &str, checkpoint: &Checkpoint, doing: SnapshotPhase) -> p
         seq: *seq,
         annotations: 0,
         protocol_draws: 0,
+        protected: false,
         state_hash: hexadecimal(&state.hash()),
         doing,
         rate: spec.rate,

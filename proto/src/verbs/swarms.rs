@@ -171,6 +171,15 @@ pub struct AnnotateArgs {
 /// The longest text of `annotate`, in characters.
 pub const MAX_NOTE_CHARS: usize = 1000;
 
+/// Protects a swarm from `delete` and `reset`, which it then rejects with `incorrect_state`, or ends that.
+/// In every phase. It changes neither the state nor the random draws of later commands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ProtectArgs {
+    /// Whether the swarm is protected from now on.
+    pub on: bool,
+}
+
 /// Restarts a swarm from its spec, at step 0 of a new epoch, paused.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]

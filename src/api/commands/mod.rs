@@ -56,7 +56,8 @@ impl Context {
                 | SwarmVerb::Advance
                 | SwarmVerb::Leave
                 | SwarmVerb::Annotate
-                | SwarmVerb::When,
+                | SwarmVerb::When
+                | SwarmVerb::Protect,
             )
             // It has a better error after the payload's.
             | None => self.swarm_command(swarm, verb, incoming, &responder),

@@ -10,8 +10,8 @@ use jostle_convert::{WireError, change};
 use jostle_physics::simulation::Change;
 use jostle_proto::contract::selectors::QueryParameter;
 use jostle_proto::verbs::{
-    AdvanceArgs, AnnotateArgs, DeleteArgs, LeaveArgs, OwnVerb, PauseArgs, ResetArgs, Return,
-    StepArgs, SwarmVerb,
+    AdvanceArgs, AnnotateArgs, DeleteArgs, LeaveArgs, OwnVerb, PauseArgs, ProtectArgs, ResetArgs,
+    Return, StepArgs, SwarmVerb,
 };
 use jostle_proto::{MAX_LABEL_LENGTH, Request, is_plain, keys};
 use unicode_width::UnicodeWidthStr as _;
@@ -108,6 +108,10 @@ fn parse(verb: SwarmVerb, request: &Request) -> Result<(Command, bool), CommandE
             Command::Annotate
         }
         SwarmVerb::When => swarm::when(request.args()?)?,
+        SwarmVerb::Protect => {
+            let ProtectArgs { on } = request.args()?;
+            Command::Protect(on)
+        }
         // The registry forks, and a playback seeks: a swarm executes neither.
         SwarmVerb::Fork | SwarmVerb::Seek => return Err(unknown_verb(verb.name())),
     };

@@ -49,6 +49,7 @@ impl WireCode for SwarmError {
             | SwarmError::NoConditions
             | SwarmError::NotRecorded
             | SwarmError::NotHeld(_)
+            | SwarmError::Protected(_)
             | SwarmError::RunsFreely(_) => ErrorCode::IncorrectState,
             SwarmError::Conflict { .. }
             | SwarmError::Past { .. }

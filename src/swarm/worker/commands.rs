@@ -173,6 +173,7 @@ impl Worker {
             _ => None,
         };
         let outcome = match command {
+            Command::Delete | Command::Reset(_) if self.is_protected => Err(self.protected()),
             Command::Delete => match self.delete(&sender) {
                 Ok(reply) => return Some(End::Deleted(DeferredReply::new(reply_to, Ok(reply)))),
                 Err(error) => Err(error),
@@ -192,6 +193,10 @@ impl Worker {
             }
             Command::Batch { changes, draws } => self.change(&changes, draws).map(Outcome::Batch),
             Command::Annotate => Ok(Outcome::Done),
+            Command::Protect(on) => {
+                self.is_protected = on;
+                Ok(Outcome::Done)
+            }
             Command::Watch(watch) => self.watch(*watch, sender.clone()),
             Command::Unwatch(which) => self.unwatch(&which),
             Command::Fired(watch) => self.fire(&watch),
@@ -449,6 +454,10 @@ impl Worker {
         self.waiters.reject_all(Some(stamp.step));
         self.reject_waits(&SwarmError::Gone);
         Ok((stamp, Outcome::Done))
+    }
+
+    pub(super) fn protected(&self) -> SwarmError {
+        SwarmError::Protected(self.output.name.clone())
     }
 
     /// Enters the phase that follows from `input`, if it is another one.

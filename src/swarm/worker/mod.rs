@@ -78,6 +78,8 @@ pub struct Worker {
     annotations: u64,
     /// The number of changes by commands of a protocol.
     protocol_draws: u64,
+    /// Whether it rejects `delete` and `reset`.
+    is_protected: bool,
     events: u64,
     pending: Option<Pending>,
     waiters: Waiters,
@@ -184,6 +186,7 @@ impl Worker {
             frame_due: now,
             annotations: checkpoint.annotations,
             protocol_draws: checkpoint.protocol_draws,
+            is_protected: checkpoint.is_protected,
             events: checkpoint.events,
             pending: checkpoint.pending.map(|(from, sender)| Pending {
                 reply_to: reply_for(&sender),
@@ -284,6 +287,7 @@ impl Worker {
             controllers: self.controllers.states(),
             annotations: self.annotations,
             protocol_draws: self.protocol_draws,
+            is_protected: self.is_protected,
             events: self.events,
             lines: self.journal.lines(),
             is_last: false,

@@ -70,6 +70,7 @@ impl Worker {
             measures: simulation.measures.clone(),
             max_idle_secs: simulation.max_idle_secs,
             seed: simulation.state.seed,
+            is_protected: self.is_protected,
             scheduled: self.schedule.count(),
             conditions: self.watches.statuses(
                 simulation.state.configuration.n(),
@@ -180,6 +181,7 @@ impl Worker {
             real_time_factor: self.real_time_factor(),
             is_behind: self.is_behind(),
             is_replay: false,
+            is_protected: self.is_protected,
         };
         *self.summary.lock() = Some(summary);
         let is_measured = !self.simulation.measures.is_empty();

@@ -25,6 +25,10 @@ impl Worker {
             phase::next(&self.phase, PhaseInput::Change)?;
         }
         match &command {
+            // Now, while its client waits; if the swarm is protected at that step, it is rejected there.
+            Command::Reset(_) | Command::Delete if self.is_protected => {
+                return Err(self.protected());
+            }
             Command::Change(change) => self.simulation.check(change)?,
             Command::Batch { changes, .. } => self.check_changes(changes)?,
             Command::Watch(watch) => self.check_watch(watch)?,

@@ -241,7 +241,8 @@ fn is_short(verb: SwarmVerb) -> bool {
         | SwarmVerb::Advance
         | SwarmVerb::Leave
         | SwarmVerb::Annotate
-        | SwarmVerb::When => true,
+        | SwarmVerb::When
+        | SwarmVerb::Protect => true,
     }
 }
 

@@ -18,7 +18,7 @@ use zenoh::{Session, Wait};
 
 /// The most leases of one session. zenoh retains a few hundred bytes of each session until its runtime
 /// is closed, so the sessions should be few.
-const MAX_LEASES: usize = 3_000;
+const MAX_LEASES: usize = 2_500;
 
 /// The most keys that may be declared with one lease: those of a swarm's three queryables, and one for
 /// each verb. The publishers of a swarm have four keys, a subscription to it three.

@@ -120,6 +120,7 @@ impl Request {
             "annotate" => json!({"text": "note"}),
             "seek" => json!({"fraction": 1.0}),
             "when" => json!({"condition": "order > 1", "pause": true}),
+            "protect" => json!({"on": true}),
             _ => panic!("{verb} has no request here"),
         };
         match verb {

@@ -21,7 +21,7 @@ const EVERYBODY: [&str; 3] = ["yes", "yes", "yes"];
 
 /// Every request, and whether a viewer, a controller and an operator may send it; `own`
 /// is for controllers named after the person alone.
-pub const TABLE: [(&str, [&str; 3]); 53] = [
+pub const TABLE: [(&str, [&str; 3]); 54] = [
     ("{swarm}/cmd/delete", NOBODY_BUT_OPERATORS),
     ("{swarm}/cmd/run", NOBODY_BUT_OPERATORS),
     ("{swarm}/cmd/pause", NOBODY_BUT_OPERATORS),
@@ -40,6 +40,7 @@ pub const TABLE: [(&str, [&str; 3]); 53] = [
     ("{swarm}/cmd/annotate", CONTROLLERS_TOO),
     ("{swarm}/cmd/seek", NOBODY_BUT_OPERATORS),
     ("{swarm}/cmd/when", NOBODY_BUT_OPERATORS),
+    ("{swarm}/cmd/protect", NOBODY_BUT_OPERATORS),
     ("@node/{node}/cmd/create", NOBODY_BUT_OPERATORS),
     ("@node/{node}/cmd/restore", NOBODY_BUT_OPERATORS),
     ("@node/{node}/cmd/discard", NOBODY_BUT_OPERATORS),

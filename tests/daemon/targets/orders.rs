@@ -155,7 +155,7 @@ fn is_in_range(message: &CommandMessage, timeout: Duration) {
             assert!((1..=1000).contains(&text.chars().count()), "{text:?}");
             assert!(!text.chars().any(char::is_control), "{text:?}");
         }
-        Command::Pause | Command::Delete | Command::Unwatch(_) => {}
+        Command::Pause | Command::Protect(_) | Command::Delete | Command::Unwatch(_) => {}
     }
 }
 

@@ -124,6 +124,7 @@ fn order(input: &Input) -> Command {
         Input::When(effect) => Command::Watch(Box::new(watch(*effect))),
         Input::Cancel => Command::Unwatch(Which::All),
         Input::Reset => Command::Reset(None),
+        Input::Protect(on) => Command::Protect(*on),
         Input::Delete => Command::Delete,
     }
 }
@@ -198,6 +199,7 @@ fn next(bytes: &mut Bytes, model: &Model) -> (Input, When) {
             _ => Effect::Stop,
         }),
         10 if bytes.one_in_eight() => Input::Cancel,
+        10 if bytes.below(2) == 1 => Input::Protect(bytes.below(4) < 3),
         10 => Input::When(Effect::Pause),
         _ if bytes.one_in_eight() => Input::Delete,
         _ => Input::Change(step(bytes)),
@@ -413,6 +415,7 @@ fn matches_model((stamp, frame): &(Stamp, Arc<Frame>), model: &Model) {
     } = *model;
     assert_eq!(real, (phase, epoch, step, seq, n), "{model:?}");
     assert_eq!(frame.scheduled, model.waiting.len(), "{model:?}");
+    assert_eq!(frame.is_protected, model.is_protected, "{model:?}");
 }
 
 /// Whether the journal and the events of a swarm agree with the model.

@@ -264,6 +264,9 @@ impl Sender {
                 None,
                 json!({"condition": "msd(0.5) >= 0 and order > 1 for 1000", "event": "mine"}),
             ),
+            5 if self.count.is_multiple_of(3) => {
+                ("protect", None, json!({"on": rng.below(3) == 0}))
+            }
             5 => (
                 "annotate",
                 None,

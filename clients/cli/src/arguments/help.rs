@@ -32,10 +32,10 @@ pub const TOPICS: [Topic; 4] = [
 
 Draws depend on the seed and the seq of the command: a replay draws the same individuals.
 
-`list`, `top`, `run`, `pause` and `delete` take patterns of names, quoted for the shell: `*`
-matches any text, `?` one character, `[abc]` one of these characters; and --where, such as
---where 'n >= 200 and phase = running'. The last three list what these match and ask for
-confirmation; without a terminal they require --yes.
+`list`, `top`, `run`, `pause`, `protect` and `delete` take patterns of names, quoted for the
+shell: `*` matches any text, `?` one character, `[abc]` one of these characters; and --where,
+such as --where 'n >= 200 and phase = running'. The last four list what these match and ask for
+confirmation; without a terminal they require --yes. `delete` leaves protected swarms.
 
 Examples:
   jostle inform school --fraction 10% --degrees 90
@@ -141,7 +141,7 @@ pub fn topics() -> String {
 }
 
 /// One example of each verb.
-pub const EXAMPLES: [(&str, &str); 58] = [
+pub const EXAMPLES: [(&str, &str); 59] = [
     ("create", "create school --n 50 --seed 1"),
     ("list", "list"),
     ("status", "status school"),
@@ -172,6 +172,7 @@ pub const EXAMPLES: [(&str, &str); 58] = [
     ("annotate", "annotate school 'camera 2 replaced'"),
     ("when", "when school 'order>0.9' pause"),
     ("wait", "wait school 'drift>0.9' --timeout 60"),
+    ("protect", "protect school"),
     ("delete", "delete 'test-*' --yes"),
     ("fork", "fork school other --at-step 5000"),
     ("diff", "diff school other"),

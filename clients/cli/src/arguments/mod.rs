@@ -114,6 +114,8 @@ pub enum Verb {
     When(WhenArguments),
     /// Waits until a condition holds in a swarm; without --timeout it waits as long as it takes
     Wait(WaitArguments),
+    /// Protects swarms from `delete` and `reset`, or ends that
+    Protect(ProtectArguments),
     /// Deletes swarms
     Delete(SwarmsArguments),
     /// Creates a paused copy of a swarm, at its current or an earlier step

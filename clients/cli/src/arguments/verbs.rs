@@ -236,6 +236,15 @@ pub struct AnnotateArguments {
 }
 
 #[derive(Debug, Args)]
+pub struct ProtectArguments {
+    #[command(flatten)]
+    pub swarms: SwarmsArguments,
+    /// End the protection
+    #[arg(long)]
+    pub off: bool,
+}
+
+#[derive(Debug, Args)]
 #[command(
     group = ArgGroup::new("effect").args(["action", "commands", "cancel"]),
     override_usage = "jostle when [OPTIONS] <NAME> <CONDITION> <ACTION|--commands <FILE>>\n       \

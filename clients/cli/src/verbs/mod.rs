@@ -150,6 +150,7 @@ async fn interruptible(context: &Context, verb: Verb, timeout: Option<f64>) -> R
         Verb::Leave(arguments) => steer::leave(context, &arguments).await,
         Verb::Annotate(arguments) => steer::annotate(context, &arguments).await,
         Verb::When(arguments) => when::when(context, &arguments).await,
+        Verb::Protect(arguments) => steer::protect(context, &arguments).await,
         Verb::Delete(arguments) => delete::delete(context, &arguments).await,
         Verb::Inform(arguments) => individuals::inform(context, &arguments).await,
         Verb::Uninform(arguments) => individuals::uninform(context, &arguments).await,

@@ -1,18 +1,18 @@
-//! `pause`, `step`, `reset`, `set`, `leave` and `annotate`: commands to a whole swarm.
+//! `pause`, `step`, `reset`, `set`, `leave`, `annotate` and `protect`: commands to a whole swarm.
 
 use std::time::Duration;
 
 use jostle_client::{Client, Payload};
 use jostle_proto::verbs::{
-    AnnotateArgs, LeaveArgs, PauseArgs, ResetArgs, ResetResult, Return, SetResult, StepArgs,
-    StepResult,
+    AnnotateArgs, EmptyResult, LeaveArgs, PauseArgs, ProtectArgs, ResetArgs, ResetResult, Return,
+    SetResult, StepArgs, StepResult,
 };
 use jostle_proto::{Error, ErrorCode, Metrics, NodeReply, Parameter, Reply, State, contract};
 use serde_json::{Map, Value};
 
 use crate::arguments::{
-    AnnotateArguments, CommandArguments, LeaveArguments, ResetArguments, SetArguments,
-    StepArguments, SwarmsArguments,
+    AnnotateArguments, CommandArguments, LeaveArguments, ProtectArguments, ResetArguments,
+    SetArguments, StepArguments, SwarmsArguments,
 };
 use crate::context::Context;
 use crate::failure::Failure;
@@ -189,6 +189,22 @@ pub async fn annotate(context: &Context, arguments: &AnnotateArguments) -> Resul
     };
     let describe = |reply: &Reply<_>| format!("{} has the note (seq {})", reply.swarm, reply.seq);
     context.execute(&arguments.command, &args, describe).await
+}
+
+pub async fn protect(context: &Context, arguments: &ProtectArguments) -> Result<(), Failure> {
+    let ProtectArguments { swarms, off } = arguments;
+    let verb = if *off { "unprotect" } else { "protect" };
+    let chosen = which::chosen(context, verb, swarms).await?;
+    let (sending, args) = (&swarms.sending, ProtectArgs { on: !off });
+    let describe = |reply: &Reply<EmptyResult>| {
+        let no_longer = if *off { "no longer " } else { "" };
+        format!(
+            "{} is {no_longer}protected from delete and reset (seq {})",
+            reply.swarm, reply.seq
+        )
+    };
+    let protect = async |swarm: &str| context.send(swarm, sending, &args, describe).await;
+    which::each(context.output, verb, &chosen, protect).await
 }
 
 /// A suggestion for a field that no swarm has; for the others the daemon's error has a remedy.

@@ -91,9 +91,16 @@ pub async fn chosen(
     let has_pattern = |names: &Names| matches!(names, Names::Matching(_));
     if !arguments.yes && (arguments.condition.is_some() || arguments.names.iter().any(has_pattern))
     {
-        confirm(context.output, verb, &swarms).await?;
+        confirm(context, verb, &swarms).await?;
     }
     Ok(swarms)
+}
+
+/// The names of the protected swarms, which `delete` leaves.
+async fn protected(client: &Client) -> Result<Vec<String>, Failure> {
+    let there = summaries(client).await?.into_iter();
+    let protected = there.filter(|it| it.protected);
+    Ok(protected.map(|it| it.swarm).collect())
 }
 
 async fn resolve(client: &Client, arguments: &SwarmsArguments) -> Result<Vec<String>, Failure> {
@@ -152,10 +159,10 @@ async fn resolve(client: &Client, arguments: &SwarmsArguments) -> Result<Vec<Str
 }
 
 /// Lists the swarms and asks for confirmation on a terminal.
-async fn confirm(output: Output, verb: &str, swarms: &[String]) -> Result<(), Failure> {
+async fn confirm(context: &Context, verb: &str, swarms: &[String]) -> Result<(), Failure> {
     let count = format::count(swarms.len() as u64, "swarm");
     let list = swarms.join(", ");
-    if output.json || !io::stdin().is_terminal() || !io::stderr().is_terminal() {
+    if context.output.json || !io::stdin().is_terminal() || !io::stderr().is_terminal() {
         return Err(Failure::argument(
             "--yes",
             format!(
@@ -164,7 +171,15 @@ async fn confirm(output: Output, verb: &str, swarms: &[String]) -> Result<(), Fa
             ),
         ));
     }
-    let question = format!("{}\n{verb} {count}? [y/N] ", swarms.join("\n"));
+    let protected = match verb {
+        "delete" => protected(&context.client).await?,
+        _ => Vec::new(),
+    };
+    let lines = swarms.iter().map(|swarm| match protected.contains(swarm) {
+        true => format!("{swarm} (protected: is not deleted)\n"),
+        false => format!("{swarm}\n"),
+    });
+    let question = format!("{}{verb} {count}? [y/N] ", lines.collect::<String>());
     // Reads on a separate thread, for which the runtime does not wait at its shutdown.
     let answer = tokio::task::spawn_blocking(move || {
         let mut stderr = io::stderr().lock();
@@ -188,6 +203,8 @@ fn participle(verb: &str) -> &'static str {
     match verb {
         "delete" => "deleted",
         "pause" => "paused",
+        "protect" => "protected",
+        "unprotect" => "unprotected",
         _ => "run",
     }
 }

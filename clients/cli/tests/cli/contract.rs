@@ -20,7 +20,8 @@ const NO_SUBCOMMAND: [(&str, &str); 3] = [
 ];
 
 /// Fields without an argument of their name: which argument has them, or why there is none.
-const OTHERS: [(&str, &str, &str); 26] = [
+const OTHERS: [(&str, &str, &str); 27] = [
+    ("protect", "on", "--off"),
     ("run", "until_time", "--until 20"),
     ("step", "return", "--state"),
     ("inform", "select", "--count, --ids and others"),

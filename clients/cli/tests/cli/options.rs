@@ -15,11 +15,12 @@ use crate::requests::{bases, files, rows, surface, verb};
 use crate::support::{Daemon, Ended, Running};
 
 /// Command lines of verbs whose first row needs another state of the daemon or of the folder, does not end
-/// by itself, or deletes what others need. `{}` is a folder, which all have in common.
-const LINES: [&str; 7] = [
+/// by itself, or deletes or protects what others need. `{}` is a folder, which all have in common.
+const LINES: [&str; 8] = [
     "auth link",
     "delete nothing",
     "plot snapshot demo -o {}/demo.svg",
+    "protect demo --off",
     "replay --recording nothing",
     "run demo --until-step 1000000 --rate 1",
     "snapshot demo -o {}/again.snapshot --force",

@@ -107,17 +107,21 @@ async fn on_a_terminal_delete_lists_the_matches_of_a_pattern_and_requires_confir
     for name in ["test-1", "test-2", "demo"] {
         daemon.said(&format!("create {name} --n 3")).await;
     }
+    daemon.said("create test-3 --n 3").await;
+    daemon.said("protect test-3").await;
     let swarms = async || object(&daemon.jostle("--json list").await)["result"]["swarms"].clone();
     for (answer, code, left) in [
-        ("n\r", "130", 3),
-        ("\r", "130", 3),
-        ("\x04", "130", 3),
-        ("y\r", "0", 1),
+        ("n\r", "130", 4),
+        ("\r", "130", 4),
+        ("\x04", "130", 4),
+        ("y\r", "4", 2),
     ] {
         let mut terminal = Terminal::begin(&daemon.endpoint, "delete test-*");
-        terminal.until_seen("delete 2 swarms? [y/N]").await;
+        terminal.until_seen("delete 3 swarms? [y/N]").await;
         let seen = terminal.seen();
         assert!(seen.contains("test-1") && seen.contains("test-2"), "{seen}");
+        assert_eq!(seen.matches("(protected: is not deleted)").count(), 1);
+        assert!(seen.contains("test-3 (protected"), "{seen}");
         assert!(!seen.contains("demo"), "{seen}");
         terminal.press(answer);
         assert_eq!(terminal.code().await, code, "{answer:?}");

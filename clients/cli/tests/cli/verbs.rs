@@ -426,6 +426,36 @@ async fn each_swarm_that_is_not_deleted_is_named_with_its_reason() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn protected_swarms_stay_and_are_shown() {
+    let daemon = Daemon::start().await;
+    for name in ["a-1", "a-2", "a-3"] {
+        daemon.said(&format!("create {name} --n 3")).await;
+    }
+    let said = daemon.said("protect a-2 a-3").await;
+    let line = "a-2 is protected from delete and reset (seq 1)";
+    assert_eq!(said, format!("{line}\n{}", line.replace("a-2", "a-3")));
+    let list = daemon.said("list").await;
+    assert_eq!(list.matches("protected, created").count(), 2, "{list}");
+    let status = daemon.said("status a-2").await;
+    assert!(status.contains("protected"), "{status}");
+    assert!(!daemon.said("status a-1").await.contains("protected"));
+    let ended = daemon.jostle("reset a-2").await;
+    ended.assert_stderr(4, "`jostle protect --off a-2`");
+    let ended = daemon.jostle("delete a-2 --node test").await;
+    ended.assert_stderr(4, "`jostle protect --off a-2`");
+
+    let ended = daemon.jostle("delete a-* --yes").await;
+    ended.assert_stderr(4, "a-2 was not deleted: ");
+    assert!(ended.stderr.contains("a-3 was not deleted"), "{ended:?}");
+    assert_eq!(names(&daemon).await, ["a-2", "a-3"]);
+    let ended = daemon.jostle("protect --off a-*").await;
+    assert_eq!(ended.code, Some(2), "{ended:?}");
+    daemon.said("protect --off a-* --yes").await;
+    daemon.said("delete a-* --yes").await;
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn files_of_other_programs_are_read_or_get_a_remedy() {
     let daemon = Daemon::start().await;
     let folder = tempfile::tempdir().unwrap();

@@ -98,6 +98,7 @@ class AtStep:
     remove = _scheduled(Commands.remove)
     batch = _scheduled(Commands.batch)
     annotate = _scheduled(Commands.annotate)
+    protect = _scheduled(Commands.protect)
     when = _scheduled(Commands.when)
     delete = _scheduled(Commands.delete)
 

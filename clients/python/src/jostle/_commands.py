@@ -289,6 +289,7 @@ class Commands(SetCommand, Queries):
 
         Raises:
             InvalidArgument: The seed is out of range.
+            IncorrectState: The swarm is protected; see `protect`.
         """
         return self._command("reset", _given(seed=seed), ResetResult, options)
 
@@ -478,6 +479,26 @@ class Commands(SetCommand, Queries):
         """
         return self._command("annotate", {"text": text}, Reply, options)
 
+    def protect(self, *, on: bool = True, **options: Unpack[Options]) -> Reply:
+        """Protects the swarm from `delete` and `reset`, or ends that, in every phase.
+
+            swarm.protect()
+            swarm.protect(on=False)
+
+        While it is protected, `delete` and `reset` raise `IncorrectState`, whoever sends them; all
+        else works as before. `Status.protected` and `SwarmSummary.protected` say it. A fork, and a
+        swarm restored from a snapshot, begin unprotected. The state and the random draws of later
+        commands do not change.
+
+        Args:
+            on: Whether it is protected from now on.
+            options: See `Options`.
+
+        Raises:
+            IncorrectState: The swarm is a playback.
+        """
+        return self._command("protect", {"on": on}, Reply, options)
+
     def when(
         self,
         condition: str | None = None,
@@ -555,6 +576,7 @@ class Commands(SetCommand, Queries):
 
         Raises:
             Contested: Several daemons have a swarm of this name; see `Client.discard`.
+            IncorrectState: The swarm is protected; see `protect`.
         """
         return self._command("delete", {}, Reply, options)
 

@@ -74,8 +74,8 @@ class Swarm(Commands):
 
         Returns:
             An object with the methods `run`, `pause`, `step`, `reset`, `set`, `inform`,
-            `uninform`, `inject`, `remove`, `batch`, `annotate`, `when` and `delete`, each of which
-            returns a `Scheduled`.
+            `uninform`, `inject`, `remove`, `batch`, `annotate`, `protect`, `when` and `delete`,
+            each of which returns a `Scheduled`.
 
         Raises:
             InvalidArgument: It is not a whole number.

@@ -1146,6 +1146,7 @@ class SwarmSummary(HtmlStruct, frozen=True, kw_only=True):
         rate: Time units per second of wall clock; None is as fast as possible.
         real_time_factor: The rate that was reached lately; None while it does not run.
         replay: Whether it is the playback of a recording.
+        protected: As in its status.
         swarm_id: As in its status.
         origin: As in its status.
         contested_by: The other daemon that has a swarm of this name, if there is one; see
@@ -1163,6 +1164,7 @@ class SwarmSummary(HtmlStruct, frozen=True, kw_only=True):
     rate: float | None = None
     real_time_factor: float | None = None
     replay: bool
+    protected: bool = False
     swarm_id: int | None = None
     origin: Origin | None = None
     contested_by: str | None = None
@@ -1654,6 +1656,7 @@ class Status(Reply, frozen=True, kw_only=True):
             name later has another one. None for a replay.
         origin: What it was made from; None if it was created from a spec, and for swarms made by
             earlier versions.
+        protected: Whether `protect` protects it from `delete` and `reset`.
         until_step: The step it will pause at; None if it has no end.
         rate: Time units per second of wall clock; None is as fast as possible.
         real_time_factor: The rate that it reached lately; None while it does not run.
@@ -1689,6 +1692,7 @@ class Status(Reply, frozen=True, kw_only=True):
     fault: Fault | None = None
     swarm_id: int | None = None
     origin: Origin | None = None
+    protected: bool = False
     until_step: int | None = None
     rate: float | None = None
     real_time_factor: float | None = None

@@ -260,6 +260,7 @@ class AtStep(_Wrapper[jostle.AtStep]):
     remove = _awaited(jostle.AtStep.remove)
     batch = _awaited(jostle.AtStep.batch)
     annotate = _awaited(jostle.AtStep.annotate)
+    protect = _awaited(jostle.AtStep.protect)
     when = _awaited(jostle.AtStep.when)
     delete = _awaited(jostle.AtStep.delete)
 
@@ -302,6 +303,7 @@ class Swarm(_Context[jostle.Swarm]):
     remove = _awaited(jostle.Swarm.remove)
     batch = _awaited(jostle.Swarm.batch)
     annotate = _awaited(jostle.Swarm.annotate)
+    protect = _awaited(jostle.Swarm.protect)
     when = _awaited(jostle.Swarm.when)
     delete = _awaited(jostle.Swarm.delete)
     seek = _awaited(jostle.Swarm.seek)

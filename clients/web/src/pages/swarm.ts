@@ -23,6 +23,7 @@ function panel(title: string, kind: string, open: boolean, child: HTMLElement): 
 export function swarmPage(name: string, session: Session): Page {
   const phase = new PhaseChip();
   const reason = el("span", { class: "soft reason" });
+  const kept = el("span", { class: "soft kept", hidden: true }, "protected");
   const numbers = new Numbers();
   const charts = new Charts(name);
   const parameters = new Parameters(name);
@@ -106,6 +107,7 @@ export function swarmPage(name: string, session: Session): Page {
       }
       phase.show(row.phase);
       setText(reason, row.reason ?? "");
+      kept.hidden = !(row.protected ?? false);
     },
     parameters: (all) => {
       parameters.show(all, session.mayCommand && !replay);
@@ -137,7 +139,7 @@ export function swarmPage(name: string, session: Session): Page {
   const element = el(
     "div",
     { class: "page swarm-page" },
-    el("header", { class: "page-head" }, el("h1", {}, name), phase.element, reason),
+    el("header", { class: "page-head" }, el("h1", {}, name), phase.element, reason, kept),
     el("div", { class: "seen" }, watch.element, playback.element, numbers.element, charts.element),
     el(
       "aside",

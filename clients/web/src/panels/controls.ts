@@ -1,4 +1,4 @@
-/** Run, pause, step, rate, inject, fork, reset, delete, annotate. */
+/** Run, pause, step, rate, inject, fork, protect, reset, delete, annotate. */
 import { announce, announceError, attempt, checkMayCommand } from "../ui/announce.ts";
 import { confirmDialog } from "../ui/dialog.ts";
 import { button, el, setText } from "../ui/dom.ts";
@@ -31,6 +31,7 @@ export class Controls {
   private told: { phase: Phase; step: number; until: number } | null = null;
   private stepShown = 0;
   private isReplay = false;
+  private isProtected = false;
   private readonly rateFollows: Followed;
   /** The steps that were asked for and not replied to. */
   private stepsDue = 0;
@@ -51,6 +52,14 @@ export class Controls {
   private readonly notes: HTMLFieldSetElement;
   private readonly note: HTMLElement;
   private readonly stepButton = el("button", {}, "Step");
+  private readonly resets = button("Reset …", () => this.reset());
+  private readonly deletes = button("Delete …", () => this.delete(), "danger");
+  private readonly protects = button("Protect", () => this.protect());
+  private readonly protection = el(
+    "p",
+    { class: "soft protection", hidden: true },
+    "Protected from Reset and Delete.",
+  );
   private readonly changing: HTMLElement[];
 
   constructor(
@@ -62,8 +71,6 @@ export class Controls {
     this.note = tokenNote(session);
     const count = countField("individuals to inject");
     const fork = nameField("name of the fork", `${swarm.slice(0, 58)}-fork`);
-    const remove = button("Delete …", () => this.delete(), "danger");
-    const reset = button("Reset …", () => this.reset());
     const inject = () =>
       attempt(
         () => command(swarm, "inject", { count: count.input.valueAsNumber }),
@@ -89,7 +96,8 @@ export class Controls {
       rateForm,
       rowForm(() => this.step(), this.steps.label, this.stepButton),
       ...this.changing,
-      el("p", { class: "buttons" }, reset, remove),
+      this.protection,
+      el("p", { class: "buttons" }, this.resets, this.deletes, this.protects),
     );
     this.notes = el(
       "fieldset",
@@ -102,7 +110,9 @@ export class Controls {
   }
 
   /** Enables what the phase permits; nothing if there is no such swarm. */
-  show(row: Pick<SwarmSummary, "phase" | "step" | "rate" | "replay"> | undefined): void {
+  show(
+    row: Pick<SwarmSummary, "phase" | "step" | "rate" | "replay" | "protected"> | undefined,
+  ): void {
     this.there = row !== undefined;
     if (!row) {
       this.forget();
@@ -112,10 +122,12 @@ export class Controls {
       part.hidden = row?.replay ?? false;
     }
     this.notes.hidden = row?.replay ?? false;
+    this.protects.hidden = row?.replay ?? false;
     if (row) {
       this.showRate(row.rate);
       this.stepShown = row.step;
       this.isReplay = row.replay ?? false;
+      this.showProtection(row.protected ?? false);
       const { told } = this;
       // At a later step the list is newer than the reply.
       if (
@@ -152,6 +164,17 @@ export class Controls {
     setText(this.runs, phase === "running" ? "❚❚ Pause" : "▶ Run");
     this.runs.disabled = phase === "faulted";
     this.stepButton.disabled = phase !== "paused";
+  }
+
+  /** A protected swarm rejects both commands: the page does not ask for a confirmation in vain. */
+  private showProtection(isProtected: boolean): void {
+    this.isProtected = isProtected;
+    this.protection.hidden = !isProtected;
+    setText(this.protects, isProtected ? "End protection" : "Protect");
+    for (const it of [this.resets, this.deletes]) {
+      it.disabled = isProtected;
+      it.title = isProtected ? "protected: end the protection first" : "";
+    }
   }
 
   /** Disables everything in a tab without permission, and shows how to get it. */
@@ -208,6 +231,13 @@ export class Controls {
     if (await attempt(() => command(this.swarm, "fork", { name }), `forked as ${name}`)) {
       location.hash = `#/swarm/${name}`;
     }
+  }
+
+  private async protect(): Promise<void> {
+    const on = !this.isProtected;
+    const done = on ? "protected from Reset and Delete" : "no longer protected";
+    // The list shows it, as soon as it has changed.
+    await attempt(() => command(this.swarm, "protect", { on }), done);
   }
 
   private async reset(): Promise<void> {

@@ -22,6 +22,10 @@ export function describe({ event, phase }: SwarmEvent): string {
       if (event.verb === "annotate") {
         return `note: ${String((event.args as { text?: unknown } | null)?.text)}${by}`;
       }
+      if (event.verb === "protect") {
+        const { on } = (event.args ?? {}) as { on?: unknown };
+        return `${on === true ? "protected from delete and reset" : "no longer protected"}${by}`;
+      }
       return `${field("verb")} ${args(event.args)}${by}`;
     case "created":
       return ["", "create"].includes(field("verb"))

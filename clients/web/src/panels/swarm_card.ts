@@ -54,6 +54,7 @@ export class SwarmCard {
     const facts = [
       row.contested_by ? `contested by daemon ${row.contested_by}` : "",
       row.replay ? "playback" : "",
+      row.protected ? "protected" : "",
       `n ${row.n}`,
       `informed ${row.informed}`,
       `time ${time(row.time)}`,

@@ -1275,6 +1275,8 @@ export interface Snapshot {
   past?: PastFrame[];
   /** A `step` that is being executed. */
   pending?: Pending | null;
+  /** Whether it is protected from `delete` and `reset`; a swarm that is restored from this is not. */
+  protected?: boolean;
   /** The number of changes by commands of a protocol, which numbers their random draws. */
   protocol_draws?: number;
   /** Time units per second of wall clock; `null` is as fast as possible. */
@@ -1460,6 +1462,8 @@ export interface Status {
   origin?: Origin | null;
   /** The parameters that `set` can change. */
   parameters: ParameterValues;
+  /** Whether `protect` protects it from `delete` and `reset`. */
+  protected?: boolean;
   /** How many states a second it publishes at most while it runs: what `rate`, `dt` and `publish_every` ask for, or the daemon's `max_hz` if that is less; left out for a playback and in replies of earlier daemons. */
   published_hz?: number | null;
   /** Time units per second of wall clock; `null` is as fast as possible. */
@@ -1595,6 +1599,8 @@ export interface SwarmSummary {
   origin?: Origin | null;
   /** Its phase. */
   phase: Phase;
+  /** As in its status. */
+  protected?: boolean;
   /** Time units per second of wall clock; `null` is as fast as possible. */
   rate: number | null;
   /** The rate that was reached lately; `null` while it does not run. */

@@ -249,6 +249,12 @@ export interface Pose {
   y: number;
 }
 
+/** Protects a swarm from `delete` and `reset`, which it then rejects with `incorrect_state`, or ends that. In every phase. It changes neither the state nor the random draws of later commands. */
+export interface ProtectArgs {
+  /** Whether the swarm is protected from now on. */
+  on: boolean;
+}
+
 /** A command to a recording; sent to a node. */
 export type RecordArgs = {
   begin: BeginRecordingArgs;

@@ -61,6 +61,46 @@ test("the fork of a swarm with the longest name has a name that is accepted", as
   await site.daemon.command(fork, "delete");
 });
 
+test("a protected swarm is shown as such, and neither deleted nor reset", async () => {
+  await site.daemon.create("dear", { n: 3 });
+  const tab = await site.openTabAt("/swarm/dear");
+  tab.allowsError(/^409 POST \/api\/cmd\/dear\/delete$/);
+  // A thumbnail may be requested while its swarm is deleted.
+  tab.allowsError(/^404 GET \/api\/get\/dear\//);
+  const { page } = tab;
+  const press = (name: string) => page.getByRole("button", { name, exact: true });
+  const shown = page.locator(".page-head").getByText("protected", { exact: true });
+  const isEnabled = () => Promise.all(["Reset …", "Delete …"].map((it) => press(it).isEnabled()));
+  await until("its size", async () => (await number(page, "n").textContent()) === "3");
+  assert.equal(await shown.isVisible(), false);
+  assert.deepEqual(await isEnabled(), [true, true]);
+
+  // A dialog that was open before: the daemon rejects the command.
+  await press("Delete …").click();
+  await site.daemon.command("dear", "protect", { on: true });
+  await shown.waitFor();
+  await page.locator("dialog button.danger").click();
+  await page.getByText("jostle protect --off dear").first().waitFor();
+  assert(await site.row("dear"));
+  assert.deepEqual(await isEnabled(), [false, false]);
+  await page.getByText("Protected from Reset and Delete.").waitFor();
+  await page.locator(".events li", { hasText: "protected from delete and reset" }).waitFor();
+  await page.goto(page.url().replace(/#.*/, "#/"));
+  await page.locator(".swarm-card[data-swarm=dear] .facts", { hasText: "protected" }).waitFor();
+  await page.goto(page.url().replace(/#.*/, "#/swarm/dear"));
+
+  await press("End protection").click();
+  await shown.waitFor({ state: "hidden" });
+  assert.deepEqual(await isEnabled(), [true, true]);
+  await press("Protect").click();
+  await shown.waitFor();
+  await press("End protection").click();
+  await press("Protect").waitFor();
+  await press("Delete …").click();
+  await page.locator("dialog button.danger").click();
+  await until("the deletion", async () => !(await site.row("dear")));
+});
+
 for (const verb of ["Delete", "Reset"]) {
   test(`${verb} … spares another swarm of the same name`, async () => {
     await site.daemon.create("brief", { n: 12 });

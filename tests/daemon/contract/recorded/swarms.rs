@@ -65,6 +65,7 @@ async fn crowd(recorder: &RecordingClient<'_>) {
         .cmd("when.reply.holds", "crowd", "when", holds)
         .await;
     recorder.get("snapshot.reply", "crowd", "snapshot").await;
+    protected(recorder).await;
     let snapshot = snapshot_of(recorder, "crowd").await;
     let snapshot = STANDARD.encode(to_cbor(&snapshot));
     let restore = json!({"name": "shoal", "snapshot": snapshot});
@@ -101,6 +102,29 @@ async fn crowd(recorder: &RecordingClient<'_>) {
     recorder
         .cmd("error.incorrect_state", "crowd", "step", step)
         .await;
+}
+
+/// A fork of the crowd that is protected, while it is.
+async fn protected(recorder: &RecordingClient<'_>) {
+    recorder
+        .cmd("", "crowd", "fork", json!({"name": "kept"}))
+        .await;
+    let protect = args("protect.args");
+    recorder
+        .cmd("protect.reply", "kept", "protect", protect)
+        .await;
+    recorder
+        .get("status.reply.protected", "kept", "status")
+        .await;
+    recorder
+        .get("snapshot.reply.protected", "kept", "snapshot")
+        .await;
+    recorder
+        .node_get("node.swarms.reply.protected", "swarms")
+        .await;
+    let off = json!({"on": false});
+    recorder.cmd("", "kept", "protect", off).await;
+    recorder.cmd("", "kept", "delete", json!({})).await;
 }
 
 async fn snapshot_of(recorder: &RecordingClient<'_>, swarm: &str) -> Snapshot {

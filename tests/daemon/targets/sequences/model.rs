@@ -58,6 +58,8 @@ pub enum Input {
     When(Effect),
     /// Remove all conditions.
     Cancel,
+    /// Reject `Reset` and `Delete`, or accept them again.
+    Protect(bool),
     Reset,
     Delete,
 }
@@ -98,6 +100,7 @@ pub struct Model {
     pub journal: Vec<(u64, u64, u64)>,
     pub rejected_later: usize,
     pub scheduled: usize,
+    pub is_protected: bool,
     pub deleted: bool,
 }
 
@@ -120,6 +123,7 @@ impl Model {
             journal: Vec::new(),
             rejected_later: 0,
             scheduled: 0,
+            is_protected: false,
             deleted: false,
         }
     }
@@ -134,7 +138,7 @@ impl Model {
         match when.at_step {
             Some(at_step) if at_step < self.step => rejected("Late"),
             Some(at_step) if at_step > self.step => {
-                if let Some(name) = cannot_wait(input) {
+                if let Some(name) = self.protection(input).or_else(|| cannot_wait(input)) {
                     return rejected(&name);
                 }
                 self.arrived += 1;
@@ -158,6 +162,9 @@ impl Model {
 
     /// Executes a command, or returns the error that rejects it.
     fn execute(&mut self, input: &Input) -> Result<(), String> {
+        if let Some(name) = self.protection(input) {
+            return Err(name);
+        }
         let at = self.step;
         let applied = match input {
             Input::Step(steps) => match self.phase {
@@ -212,6 +219,10 @@ impl Model {
                 self.conditions.clear();
                 1
             }
+            Input::Protect(on) => {
+                self.is_protected = *on;
+                1
+            }
             Input::Reset => {
                 self.conditions.clear();
                 self.answer_pending();
@@ -235,6 +246,12 @@ impl Model {
             self.journal.push((self.seq, self.epoch, at));
         }
         Ok(())
+    }
+
+    /// The error of a command that the protection rejects.
+    fn protection(&self, input: &Input) -> Option<String> {
+        let ends = matches!(input, Input::Reset | Input::Delete);
+        (self.is_protected && ends).then(|| "Protected".into())
     }
 
     /// Steps until the swarm is paused or waits.

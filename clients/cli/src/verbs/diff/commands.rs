@@ -59,7 +59,7 @@ impl History {
             // A condition that only publishes an event counts as one.
             let is_condition = ["when", "fired"].contains(&command.verb.as_str());
             let is_event = is_condition && command.args.get("event").is_some();
-            if command.verb == "annotate" || is_event {
+            if ["annotate", "protect"].contains(&command.verb.as_str()) || is_event {
                 annotations += 1;
                 return None;
             }

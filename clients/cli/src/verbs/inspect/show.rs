@@ -60,12 +60,14 @@ pub async fn list(context: &Context, filter: &FilterArguments) -> Result<(), Fai
 
 /// Why a swarm is in its phase, in one line.
 fn reason(summary: &SwarmSummary) -> String {
-    let reason = summary.reason.as_deref().map(format::printable);
-    match (reason, summary.replay) {
-        (Some(reason), true) => format!("replay, {reason}"),
-        (None, true) => "replay".into(),
-        (reason, false) => format::or_none(reason),
-    }
+    let is = |name: &str, holds: bool| holds.then(|| name.to_owned());
+    let parts = [
+        is("replay", summary.replay),
+        is("protected", summary.protected),
+        summary.reason.as_deref().map(format::printable),
+    ];
+    let parts: Vec<String> = parts.into_iter().flatten().collect();
+    format::or_none((!parts.is_empty()).then(|| parts.join(", ")))
 }
 
 pub async fn status(context: &Context, swarm: &str) -> Result<(), Failure> {

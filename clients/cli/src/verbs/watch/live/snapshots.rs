@@ -60,6 +60,7 @@ fn summary(swarm: &str, phase: Phase, n: u64) -> SwarmSummary {
         rate: Some(1.0),
         real_time_factor: (phase == Phase::Running).then_some(0.98),
         replay: false,
+        protected: false,
         swarm_id: None,
         origin: None,
         contested_by: None,

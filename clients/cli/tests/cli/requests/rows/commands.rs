@@ -235,6 +235,24 @@ pub fn steering() -> Vec<Row> {
             "seek <name>demo --fraction 25%",
             &[r#"demo/cmd/seek {"fraction": 0.25}"#],
         ),
+        row("protect <names>demo", &[r#"demo/cmd/protect {"on": true}"#])
+            .says("kept is protected from delete and reset"),
+        row(
+            "protect <names>demo --off",
+            &[r#"demo/cmd/protect {"on": false}"#],
+        )
+        .says("kept is no longer protected"),
+        row(
+            "protect <names>test-* --yes",
+            &[
+                r#"test-1/cmd/protect {"on": true}"#,
+                r#"test-2/cmd/protect {"on": true}"#,
+            ],
+        ),
+        row(
+            "protect --where n<3 -y",
+            &["@node/test/get/swarms", r#"pair/cmd/protect {"on": true}"#],
+        ),
         row("delete <names>demo", &["demo/cmd/delete {}"]).says("deleted school"),
         row(
             "delete <names>demo twin",
