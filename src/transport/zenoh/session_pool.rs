@@ -16,15 +16,13 @@ use tracing::debug;
 use zenoh::internal::runtime::DynamicRuntime;
 use zenoh::{Session, Wait};
 
-/// The most leases of one session. zenoh retains a few hundred bytes of each session until its runtime
-/// is closed, so the sessions should be few.
-const MAX_LEASES: usize = 2_500;
+/// The most leases of one session, which has 16 bits for the numbers of its keys. zenoh retains a few
+/// hundred bytes of each session until its runtime is closed, so the sessions should be few.
+const MAX_LEASES: usize = (u16::MAX as usize - 1) / MAX_KEYS;
 
 /// The most keys that may be declared with one lease: those of a swarm's three queryables, and one for
 /// each verb. The publishers of a swarm have four keys, a subscription to it three.
 const MAX_KEYS: usize = 3 + SWARM_VERBS.len();
-
-const _: () = assert!(MAX_LEASES * MAX_KEYS < u16::MAX as usize);
 
 /// The sessions. Clones share them.
 #[derive(Clone)]
