@@ -20,9 +20,7 @@ NO_COLUMNS = OccasionalColumns(varied=[], extra=[], series=[])
 """Those of a daemon of an earlier version, which does not name them."""
 
 
-_AXES = {
-    name: kind for name, kind in AXES.items() if name not in ResultRow.__struct_fields__
-}
+_AXES = {name: kind for name, kind in AXES.items() if name not in ResultRow.__struct_fields__}
 """Axes of a grid that are no fields of a row: their values are in the names of the runs."""
 
 
