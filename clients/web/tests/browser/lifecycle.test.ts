@@ -189,6 +189,8 @@ test("no events of a deleted swarm are requested", async () => {
 test("a swarm is shown as contested while another daemon claims its name", async () => {
   await site.daemon.create("held", { n: 12 });
   const tab = await site.openTab();
+  // Events and thumbnails may be requested while the swarm is deleted.
+  tab.allowsError(/^404 GET \/api\/get\/held\//);
   let rival: string | null = "lab-2";
   // Forwards the daemon's messages, with `contested_by` set as if another daemon held the name.
   await tab.page.routeWebSocket(/.*/, (socket) => {
