@@ -485,7 +485,7 @@ class Commands(SetCommand, Queries):
             swarm.protect()
             swarm.protect(on=False)
 
-        While it is protected, `delete` and `reset` raise `IncorrectState`, whoever sends them; all
+        While it is protected, `delete` and `reset` of every client raise `IncorrectState`; all
         else works as before. `Status.protected` and `SwarmSummary.protected` say it. A fork, and a
         swarm restored from a snapshot, begin unprotected. The state and the random draws of later
         commands do not change.

@@ -101,3 +101,26 @@ impl<'a> Order<'a> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+
+    #[test]
+    fn a_field_that_no_fixture_has_is_named() {
+        let definitions = json!({
+            "Seen": {"properties": {"a": {}, "b": {}}},
+            "Unseen": {"properties": {"c": {}}},
+        });
+        let mut order = Order {
+            definitions: &definitions,
+            fields: BTreeMap::new(),
+        };
+        order.walk("Seen", &definitions["Seen"], r#"{"a": 1}"#);
+        assert_eq!(order.unknown(), ["Seen.b"]);
+        order.walk("Seen", &definitions["Seen"], r#"{"b": 2}"#);
+        assert!(order.unknown().is_empty());
+    }
+}
