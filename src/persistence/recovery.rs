@@ -83,8 +83,13 @@ pub fn recover(
                     let _ = replayed.send(());
                 })
             };
-            let on_recovered: registry::OnRecovered =
-                Box::new(move |handle, now| on_recovered(handle, now, &resets));
+            let on_recovered: registry::OnRecovered = Box::new(move |handle, now| {
+                // A reset begins an epoch, and so does the recovery. A last one that was rejected has
+                // no outcome if a crash followed.
+                let mut resets = resets;
+                resets.retain(|(epoch, _)| epoch + 1 < now.stamp.epoch);
+                on_recovered(handle, now, &resets)
+            });
             Ok(registry.recover(
                 &swarm,
                 ((spec, creation), store.swarm_id(&swarm).ok()),

@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 use std::path::Path;
 
-use jostle_proto::{RecordedAt, RecordingGap, State};
+use jostle_proto::{RecordedAt, RecordingGap, State, keys};
 use jostle_results::recording::{self, About};
 use serde_json::{Value, json};
 
@@ -11,7 +11,7 @@ use crate::support::daemon_process::{DaemonProcess, log};
 use crate::support::recording::{
     assert_holds, folder_of, has, ok, recording_status, start_daemon, stop,
 };
-use crate::support::{Client, until};
+use crate::support::{Client, PREFIX, until};
 
 /// The first part ends after this time, the others after a minute.
 const ONE_SHORT_PART: &str = "recording-part=1*return(100)->off";
@@ -266,6 +266,36 @@ async fn a_reset_that_was_scheduled_counts_at_the_step_at_which_it_was_executed(
     // 11 to 20, and 0 to 6.
     assert_eq!(stopped["missed"], 10 + 7, "{stopped}");
     assert_eq!(stopped["gap"]["until"]["step"], 7);
+    drop(process);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_reset_that_a_protected_swarm_rejects_counts_nothing() {
+    let data = tempfile::tempdir().unwrap();
+    let data = data.path();
+    // After `protect`, the next line is durable without its outcome.
+    let points = format!("{ONE_SHORT_PART};swarm-durable=1*off->return");
+    let (mut process, client) = start_daemon(data, &points).await;
+    create(&client).await;
+    begin(
+        &client,
+        json!({"swarm": "school", "recording": "take", "every": 1}),
+    )
+    .await;
+    steps(&client, 10).await;
+    has(&client, "take", "parts", 1).await;
+    client.ok("school", "protect", json!({"on": true})).await;
+    steps(&client, 10).await;
+    let reset = keys::cmd(PREFIX, "school", "reset");
+    assert!(client.query_all(&reset, Some(b"{}")).await.is_empty());
+    assert_eq!(process.end(), None);
+    let (process, client) = start_daemon(data, "").await;
+    until_resumed(data, 1).await;
+    assert_eq!(client.get("school", "status").await["step"], 20);
+    let stopped = stop(&client, "take").await;
+    // 11 to 19: 20 is the state at which it resumes.
+    assert_eq!(stopped["missed"], 9, "{stopped}");
+    assert_eq!(stopped["gap"]["until"]["step"], 20);
     drop(process);
 }
 
