@@ -195,10 +195,13 @@ fn read<T: DeserializeOwned>(text: &str) -> Result<T, RequestError> {
         // Clients do not know the Rust types.
         let problem = match problem.split_once("expected ") {
             Some((given, "f64")) => format!("{given}expected a number"),
-            Some((given, "u64" | "u32")) => format!("{given}expected a whole number"),
-            Some((given, kind)) if kind.starts_with("struct ") => {
+            Some((given, "u64" | "u32" | "u8")) => format!("{given}expected a whole number"),
+            Some((given, kind))
+                if kind.starts_with("struct ") || kind.starts_with("internally tagged enum ") =>
+            {
                 format!("{given}expected an object with named fields")
             }
+            Some((_, "newtype variant" | "struct variant")) => "has no value".to_owned(),
             // A field beside the tag and the content of a variant.
             Some((_, known)) if problem.starts_with("invalid value: string") && is_field(known) => {
                 format!("unknown field, expected {known}")
@@ -302,7 +305,7 @@ mod tests {
     #![expect(clippy::unwrap_used, reason = "tests")]
 
     use super::*;
-    use crate::verbs::{BatchArgs, CreateArgs, InjectArgs, RunArgs, StepArgs};
+    use crate::verbs::{BatchArgs, CreateArgs, InformArgs, InjectArgs, RunArgs, SetArgs, StepArgs};
 
     #[test]
     fn arguments_alone_and_arguments_in_an_envelope_read_the_same() {
@@ -362,6 +365,33 @@ mod tests {
         assert!(!other.starts_with("unknown field"), "{other}");
         let text = error(r#"{"verb": "inform", "args": {"select": "all", "direction": 1}}"#);
         assert!(!text.starts_with("unknown field"), "{text}");
+    }
+
+    #[test]
+    fn a_problem_names_no_type_of_the_program() {
+        let problem = |verb: &str, args: &str| {
+            let request = Request::from_json(args.as_bytes()).unwrap();
+            match verb {
+                "set" => request.args::<SetArgs>().unwrap_err().problem,
+                _ => request.args::<InformArgs>().unwrap_err().problem,
+            }
+        };
+        for (verb, args) in [
+            ("set", r#"{"relinearise": -1}"#),
+            ("set", r#"{"relinearise": 256}"#),
+            ("set", r#"{"relinearise": 1.0}"#),
+            ("set", r#"{"publish_every": "often"}"#),
+            ("set", r#"{"attraction": "all"}"#),
+            ("set", r#"{"attraction": 3}"#),
+            ("inform", r#"{"select": "informed", "direction": 0}"#),
+            ("inform", r#"{"select": {"count": "all"}, "direction": 0}"#),
+            ("inform", r#"{"select": {"within": 3}, "direction": 0}"#),
+        ] {
+            let text = problem(verb, args);
+            for word in ["u8", "u32", "u64", "f64", "enum", "struct", "newtype"] {
+                assert!(!text.contains(word), "{args}: {text}");
+            }
+        }
     }
 
     #[test]

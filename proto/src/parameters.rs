@@ -139,7 +139,7 @@ macro_rules! parameters {
 
 parameters! {
     fixed {
-        /// The number of individuals: 1 to the daemon's limit; in a spec that at the start.
+        /// The number of individuals: 1 to the daemon's limit; in a spec the number at the start.
         #[schemars(
             range(min = 1),
             extend(
@@ -230,8 +230,7 @@ parameters! {
         #[schemars(extend("x-unit" = "1", "x-changed-by" = ["set"]))]
         #[reply(deserialize_with = "lenient")]
         attraction: Attraction,
-        /// Intensity of white noise on the turning rate, squared radians per time unit: 0 to
-        /// 10⁶.
+        /// Intensity of white noise on the turning rate (squared angle over time): 0 to 10⁶.
         #[serde(default)]
         #[schemars(
             range(min = 0.0, max = 1e6),

@@ -47,6 +47,9 @@ pub struct Definition {
     pub role: Role,
     /// Whether `at_step` can schedule it.
     pub at_step: bool,
+    /// Whether it is an annotation whatever its arguments: it changes no state, and the number that keys
+    /// random draws does not count it.
+    pub is_annotation: bool,
     /// The place of the name of the swarm that it creates, in its arguments: a JSON pointer.
     pub creates: Option<&'static str>,
 }
@@ -67,6 +70,7 @@ impl Definition {
             reply,
             role: Role::Operator,
             at_step: true,
+            is_annotation: false,
             creates: None,
         }
     }
@@ -196,13 +200,15 @@ verbs! {
         /// Removes a controller.
         leave = Leave(LeaveArgs) -> EmptyResult { role: Role::Controller };
         /// Writes a note into the journal and the events; the state is unchanged.
-        annotate = Annotate(AnnotateArgs) -> EmptyResult { role: Role::Controller };
+        annotate = Annotate(AnnotateArgs) -> EmptyResult {
+            role: Role::Controller, is_annotation: true
+        };
         /// Moves a playback to another frame.
         seek = Seek(SeekArgs) -> EmptyResult { at_step: false };
         /// Pauses the swarm, changes it or publishes an event once a condition holds.
         when = When(WhenArgs) -> WhenResult;
         /// Protects the swarm from `delete` and `reset`, or ends that.
-        protect = Protect(ProtectArgs) -> EmptyResult;
+        protect = Protect(ProtectArgs) -> EmptyResult { is_annotation: true };
     }
     node {
         /// Creates a swarm, paused.
@@ -234,6 +240,13 @@ impl Role {
         let known = of_swarms.or_else(|| NodeVerb::of(verb).map(NodeVerb::definition));
         known.map_or(Role::Operator, |it| it.role)
     }
+}
+
+/// The names of the verbs that a controller may send.
+pub fn of_controllers() -> impl Iterator<Item = &'static str> {
+    let definitions = SwarmVerb::DEFINITIONS.iter().chain(NodeVerb::DEFINITIONS);
+    let of_them = definitions.filter(|it| it.role <= Role::Controller);
+    of_them.map(|it| it.name)
 }
 
 /// Calls `visitor` with the type of the message of this name, if it is of a verb.

@@ -248,7 +248,7 @@ pub(super) fn page_of_journal<'a>(
 fn whole(field: &'static str, value: &str) -> Result<u64, CommandError> {
     value.parse().map_err(|_| CommandError::Unreadable {
         field,
-        expected: "a whole number in its range",
+        expected: "a whole number, 0 or more",
     })
 }
 

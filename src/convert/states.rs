@@ -218,6 +218,10 @@ pub fn parameters(seen: &Frame, limits: Limits) -> proto::Parameters {
                 }
             }
         }
+        if let (Some(usual), Some(maximum)) = (&mut parameter.usual, parameter.maximum) {
+            usual.to = usual.to.min(maximum);
+            usual.from = usual.from.min(usual.to);
+        }
     }
     proto::Parameters { parameters }
 }

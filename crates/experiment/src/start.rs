@@ -132,7 +132,8 @@ impl Base {
             reason: "created".to_owned(),
         };
         Ok(to_cbor(
-            &snapshot::to_proto("run", &checkpoint, doing).sealed(),
+            // It is of no swarm.
+            &snapshot::to_proto("", &checkpoint, doing).sealed(),
         ))
     }
 }

@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 
 use jostle_proto::asyncapi::{self, Examples};
 use jostle_proto::contract::{self, CHANNELS, ChannelKind, Visitor};
+use jostle_proto::verbs::of_controllers;
 use jostle_proto::{Arguments, Request};
 use schemars::JsonSchema;
 use serde::Serialize;
@@ -44,7 +45,15 @@ pub fn files() -> io::Result<BTreeMap<PathBuf, String>> {
             ),
         };
         let page = Path::new("../clients/web/src/wire");
-        files.insert(page.join(types), typescript::types(&document, title));
+        let mut text = typescript::types(&document, title);
+        if types == "requests.ts" {
+            let verbs: Vec<&str> = of_controllers().collect();
+            let verbs = serde_json::to_string(&verbs)?.replace("\",\"", "\", \"");
+            text += &format!(
+                "\n/** The commands that a controller may send. */\nexport const OF_CONTROLLERS = {verbs};\n"
+            );
+        }
+        files.insert(page.join(types), text);
         let text = serde_json::to_string_pretty(&document)? + "\n";
         files.insert(Path::new("schema").join(name), text);
     }

@@ -8,13 +8,15 @@
 use std::fs;
 
 fn main() -> std::io::Result<()> {
+    // Nothing is removed if a file cannot be made.
+    let files = jostle_contract::files()?;
     let folder = jostle_contract::folder();
     let schemas = folder.join("schema");
     fs::create_dir_all(&schemas)?;
     for stale in fs::read_dir(&schemas)? {
         fs::remove_file(stale?.path())?;
     }
-    for (path, text) in jostle_contract::files()? {
+    for (path, text) in files {
         fs::write(folder.join(path), text)?;
     }
     Ok(())

@@ -160,11 +160,14 @@ pub const VERIFY: &[QueryParameter] = &[parameter(
     ", 60 by default: the replay ends after this time, and the reply is `deadline_exceeded`",
 )];
 
+/// What `replicates` of `get/experiment` can be.
+pub const REPLICATES: &str = "a whole number from 1 to 100000";
+
 /// Of `get/experiment`.
 pub const EXPORT: &[QueryParameter] = &[
     parameter(
         "replicates",
-        WHOLE,
+        REPLICATES,
         ": the file has so many runs, with other seeds than the swarm",
     ),
     text(

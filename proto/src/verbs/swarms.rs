@@ -164,7 +164,11 @@ pub struct StepResult {
 #[serde(deny_unknown_fields)]
 pub struct AnnotateArgs {
     /// The note: 1 to 1000 characters in one line, without control characters.
-    #[schemars(length(min = 1, max = MAX_NOTE_CHARS), regex(pattern = PLAIN_TEXT_RULE))]
+    #[schemars(
+        length(min = 1, max = MAX_NOTE_CHARS),
+        regex(pattern = PLAIN_TEXT_RULE),
+        extend("x-range" = "1 to 1000 characters in one line, without control characters")
+    )]
     pub text: String,
 }
 

@@ -46,7 +46,7 @@ pub(super) fn options(incoming: &Incoming) -> Result<ExportOptions, CommandError
                 let number = number.filter(|number| (1..=MAX_RUNS).contains(number));
                 options.replicates = Some(number.ok_or(CommandError::Unreadable {
                     field: "replicates",
-                    expected: "a whole number from 1 to 100000",
+                    expected: selectors::REPLICATES,
                 })?);
             }
             _ if is_file_name(value) => options.setpoints = Some(value.to_owned()),

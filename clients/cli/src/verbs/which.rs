@@ -179,7 +179,9 @@ async fn confirm(context: &Context, verb: &str, swarms: &[String]) -> Result<(),
         true => format!("{swarm} (protected: is not deleted)\n"),
         false => format!("{swarm}\n"),
     });
-    let question = format!("{}{verb} {count}? [y/N] ", lines.collect::<String>());
+    let left = swarms.iter().filter(|it| !protected.contains(it)).count();
+    let left = format::count(left as u64, "swarm");
+    let question = format!("{}{verb} {left}? [y/N] ", lines.collect::<String>());
     // Reads on a separate thread, for which the runtime does not wait at its shutdown.
     let answer = tokio::task::spawn_blocking(move || {
         let mut stderr = io::stderr().lock();

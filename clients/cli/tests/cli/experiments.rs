@@ -128,6 +128,11 @@ async fn a_run_from_a_snapshot_is_played() {
         let status = object(&daemon.jostle("--json status live").await);
         let hash = status["result"]["state_hash"].as_str().unwrap();
         assert!(row.contains(hash), "{hash}\n{row}");
+        let origin = &status["result"]["origin"];
+        assert_eq!(
+            (&origin["kind"], &origin["swarm"], &origin["step"]),
+            (&json!("restore"), &json!(null), &json!(0)),
+        );
         daemon.said("delete live --yes").await;
     }
     assert_eq!(table.lines().count(), 3);

@@ -169,6 +169,9 @@ async fn verbs_that_follow_print_once_that_the_daemon_is_gone() {
         daemon.reply("status demo").await["result"]["until_step"].is_u64()
     })
     .await;
+    // The command line has the reply to `run` before another one has begun and ended.
+    daemon.said("status demo").await;
+    daemon.said("status demo").await;
 
     link.cut();
     let gone = "the daemon is gone; waiting for it to come back, Ctrl-C ends";

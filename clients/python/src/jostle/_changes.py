@@ -34,8 +34,8 @@ class Set(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
             faster from some thousand individuals on; others are `voronoi`, `metric` with a `radius`
             in body sizes, `topological` with a number of `neighbours`, and `power` with an
             `exponent`.
-        noise: Intensity of white noise on the turning rate, squared radians per time unit: 0 to
-            10⁶. In free speed / body size.
+        noise: Intensity of white noise on the turning rate (squared angle over time): 0 to 10⁶. In
+            free speed / body size.
         publish_every: Number of steps between two published states: 1 or more.
         measures: The measures in each published order, such as `milling`, at most 16 that need no
             earlier state; none if empty.

@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 
 from ._errors import invalid
-from ._wire import Role, WhoAmI
+from ._wire import OF_CONTROLLERS, Role, WhoAmI
 
 _FILE = "credentials.json"
 
@@ -62,10 +62,6 @@ def zenoh_auth(credentials: Credentials, folder: Path) -> dict[str, Any]:
     }
 
 
-# The verbs that a controller may send.
-_OF_CONTROLLERS = ("join", "advance", "leave", "annotate")
-
-
 # The queries that require an operator, and the verbs that they are rejected for.
 _QUERIES_OF_OPERATORS = {"recording": "record", "audit": "audit"}
 
@@ -79,7 +75,7 @@ def restricted_verb(selector: str) -> str | None:
 
 def denial_reason(who: WhoAmI, verb: str) -> str:
     """The message for a verb that requires another role, with the daemon's words."""
-    takes = "a controller" if verb in _OF_CONTROLLERS else "an operator"
+    takes = "a controller" if verb in OF_CONTROLLERS else "an operator"
     if who.person is None or who.role is None:
         identity = "the request has no token of a known person"
     else:

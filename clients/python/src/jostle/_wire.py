@@ -134,6 +134,9 @@ AXES = {
 }
 """What a grid of an experiment varies, in the order in the names of runs."""
 
+OF_CONTROLLERS = ("join", "advance", "leave", "annotate")
+"""The commands that a controller may send."""
+
 
 class Spec(HtmlStruct, frozen=True, kw_only=True):
     """The spec of a swarm: equal specs give equal states, bit for bit.
@@ -143,7 +146,7 @@ class Spec(HtmlStruct, frozen=True, kw_only=True):
     Table 1 of the paper defines π1 to π4. Only `n` is required.
 
     Attributes:
-        n: The number of individuals: 1 to the daemon's limit; in a spec that at the start.
+        n: The number of individuals: 1 to the daemon's limit; in a spec the number at the start.
         pi1: Length over width of a body: 1 (a disc) to 32.
         pi2: Weight of individuals that are informed without a weight: 0 to 10⁶.
         pi3: Body size over turning radius: above 0, to 10⁶.
@@ -162,8 +165,8 @@ class Spec(HtmlStruct, frozen=True, kw_only=True):
             faster from some thousand individuals on; others are `voronoi`, `metric` with a `radius`
             in body sizes, `topological` with a number of `neighbours`, and `power` with an
             `exponent`.
-        noise: Intensity of white noise on the turning rate, squared radians per time unit: 0 to
-            10⁶. In free speed / body size.
+        noise: Intensity of white noise on the turning rate (squared angle over time): 0 to 10⁶. In
+            free speed / body size.
         publish_every: Number of steps between two published states: 1 or more.
         measures: The measures in each published order, such as `milling`, at most 16 that need no
             earlier state; no measures if None.
@@ -771,8 +774,7 @@ class ParameterValues(HtmlStruct, frozen=True, kw_only=True):
             faster from some thousand individuals on; others are `voronoi`, `metric` with a `radius`
             in body sizes, `topological` with a number of `neighbours`, and `power` with an
             `exponent`.
-        noise: Intensity of white noise on the turning rate, squared radians per time unit: 0 to
-            10⁶.
+        noise: Intensity of white noise on the turning rate (squared angle over time): 0 to 10⁶.
         publish_every: Number of steps between two published states: 1 or more.
         measures: The measures in each published order; None without any.
         max_idle_secs: Seconds that the swarm waits for a controller in lock-step that sends

@@ -181,7 +181,7 @@ export class Controls {
   allow(): void {
     this.note.hidden = this.session.mayCommand;
     this.fields.disabled = !this.session.mayCommand || !this.there;
-    this.notes.disabled = !this.session.mayAnnotate || !this.there;
+    this.notes.disabled = !this.session.may("annotate") || !this.there;
   }
 
   async toggle(): Promise<void> {

@@ -3,6 +3,7 @@ import { hello, RequestError } from "../wire/http.ts";
 import { Live } from "../wire/live.ts";
 import type { SwarmSummary } from "../wire/messages.ts";
 import type { Hello } from "../wire/page.ts";
+import { OF_CONTROLLERS } from "../wire/requests.ts";
 import { currentToken, keepToken } from "../wire/token.ts";
 import { callAll } from "./dom.ts";
 
@@ -48,9 +49,10 @@ export class Session {
     return this.hello?.may_command ?? false;
   }
 
-  /** Whether this tab may send `annotate`; controllers may. */
-  get mayAnnotate(): boolean {
-    return this.mayCommand || this.hello?.role === "controller";
+  /** Whether this tab may send a command. */
+  may(verb: string): boolean {
+    const { mayCommand, hello } = this;
+    return mayCommand || (hello?.role === "controller" && OF_CONTROLLERS.includes(verb));
   }
 
   /** Whether this tab may watch; true until `hello` replies otherwise. */

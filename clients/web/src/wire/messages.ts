@@ -858,7 +858,7 @@ export interface ParameterValues {
   max_idle_secs?: number | null;
   /** The measures in each published order; left out without any. */
   measures?: string[] | null;
-  /** Intensity of white noise on the turning rate, squared radians per time unit: 0 to 10⁶. */
+  /** Intensity of white noise on the turning rate (squared angle over time): 0 to 10⁶. */
   noise: number;
   /** Length over width of a body: 1 (a disc) to 32. */
   pi1: number;
@@ -1361,9 +1361,9 @@ export interface Spec {
   dt?: number;
   /** The measures in each published order, such as `milling`, at most 16 that need no earlier state; no measures if left out. */
   measures?: string[] | null;
-  /** The number of individuals: 1 to the daemon's limit; in a spec that at the start. */
+  /** The number of individuals: 1 to the daemon's limit; in a spec the number at the start. */
   n: number;
-  /** Intensity of white noise on the turning rate, squared radians per time unit: 0 to 10⁶. */
+  /** Intensity of white noise on the turning rate (squared angle over time): 0 to 10⁶. */
   noise?: number;
   /** Length over width of a body: 1 (a disc) to 32. */
   pi1?: number;

@@ -375,7 +375,7 @@ export interface SetArgs {
   max_idle_secs?: number | null;
   /** The measures in each published order, such as `milling`, at most 16 that need no earlier state; none if empty. */
   measures?: string[] | null;
-  /** Intensity of white noise on the turning rate, squared radians per time unit: 0 to 10⁶. */
+  /** Intensity of white noise on the turning rate (squared angle over time): 0 to 10⁶. */
   noise?: number | null;
   /** Length over width of a body: 1 (a disc) to 32. */
   pi1?: number | null;
@@ -417,9 +417,9 @@ export interface Spec {
   dt?: number;
   /** The measures in each published order, such as `milling`, at most 16 that need no earlier state; no measures if left out. */
   measures?: string[] | null;
-  /** The number of individuals: 1 to the daemon's limit; in a spec that at the start. */
+  /** The number of individuals: 1 to the daemon's limit; in a spec the number at the start. */
   n: number;
-  /** Intensity of white noise on the turning rate, squared radians per time unit: 0 to 10⁶. */
+  /** Intensity of white noise on the turning rate (squared angle over time): 0 to 10⁶. */
   noise?: number;
   /** Length over width of a body: 1 (a disc) to 32. */
   pi1?: number;
@@ -524,3 +524,6 @@ export interface WhenArgs {
   /** The command is part of a protocol. With `commands`: as `protocol` of `batch`. With `pause`: the condition ends the protocol: the commands of this step are not executed, and the scheduled commands and the other conditions, except those with `event`, are removed. */
   protocol?: boolean;
 }
+
+/** The commands that a controller may send. */
+export const OF_CONTROLLERS = ["join", "advance", "leave", "annotate"];

@@ -287,6 +287,43 @@ fn the_parser_and_the_schema_reject_the_same_files_but_those_in_the_list() {
     }
 }
 
+#[test]
+fn the_schema_has_the_longest_lists_that_the_parser_reads() {
+    let set = |count| {
+        format!(
+            "{{ time = 0, set = [{}] }}",
+            ["{ pi3 = 2 }"].repeat(count).join(", ")
+        )
+    };
+    let blocks = |count| ["{ time = 0, set = { pi3 = 2 } }"].repeat(count).join(", ");
+    let columns = |count: usize| {
+        let columns: Vec<String> = (1..=count)
+            .map(|it| format!("'clusters.count(0.{it:03})'"))
+            .collect();
+        columns.join(", ")
+    };
+    let lists: [(&str, &dyn Fn(usize) -> String, usize); 3] = [
+        ("at", &set, 256),
+        ("at", &blocks, 1000),
+        ("measure.columns", &columns, 100),
+    ];
+    for (key, list, limit) in lists {
+        for (count, is_accepted) in [(limit, true), (limit + 1, false)] {
+            let list = list(count);
+            let file = format!("name = 'a'\nduration = 1\nspec = {{ n = 3 }}\n{key} = [{list}]\n");
+            let parsed = Plan::parse(&file).map_err(|error| error.to_string());
+            assert_eq!(
+                parsed.is_ok(),
+                is_accepted,
+                "{key}: {count} {:?}",
+                parsed.err()
+            );
+            let checked = validated(&toml::from_str(&file).unwrap());
+            assert_eq!(checked.is_ok(), is_accepted, "{key}: {count}");
+        }
+    }
+}
+
 /// Returns the text of each experiment in the repository.
 fn repository() -> Vec<(PathBuf, String)> {
     let root = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../.."));

@@ -6,7 +6,7 @@ use thiserror::Error;
 
 pub use super::body::Pose;
 use super::body::{Body, pose};
-use super::parameters::{check_coordinate, check_finite, check_weight};
+use super::parameters::{LARGEST_NUMBER, check_coordinate, check_finite, check_preference};
 use super::random::{Purpose, Stream};
 use super::start::draw_in_disc;
 use super::{CELL, Configuration, Parameters, ParametersError};
@@ -231,8 +231,7 @@ pub fn check_region(region: Region) -> Result<(), InjectionError> {
 
 /// Checks a region's radius.
 pub(super) fn check_radius(field: &'static str, radius: f64) -> Result<(), ParametersError> {
-    check_coordinate(field, radius)?;
-    if radius > 0.0 {
+    if radius > 0.0 && radius <= LARGEST_NUMBER {
         return Ok(());
     }
     Err(ParametersError::OutOfRange {
@@ -254,7 +253,7 @@ fn check(
     if !u32::try_from(count).is_ok_and(|count| (1..=largest).contains(&count)) {
         return Err(InjectionError::Count { count, largest });
     }
-    check_weight("weight", weight)?;
+    check_preference(weight)?;
     check_coordinate("direction", direction)?;
     parameters.check(configuration.largest_weight().max(weight))?;
     Ok(())
@@ -274,7 +273,7 @@ fn relative(
     let relative = configuration.relative(absolute);
     for axis in 0..2 {
         if check_coordinate(fields[axis], relative[axis]).is_err() {
-            let range = "1e6 body sizes of the group's origin";
+            let range = "the numbers within 1e6 body sizes of the group's origin";
             return Err(ParametersError::OutOfRange {
                 field: fields[axis],
                 value: absolute[axis],

@@ -322,6 +322,20 @@ pub fn check_weight(field: &'static str, value: f64) -> Result<(), ParametersErr
     })
 }
 
+/// Checks the weight of a direction that an individual gets. Without a direction the weight is 0.
+///
+/// # Errors
+///
+/// [`ParametersError::OutOfRange`], outside `[0, 1e6]` or not a number. Its range begins above 0, since
+/// no individual is informed with weight 0.
+pub fn check_preference(weight: f64) -> Result<(), ParametersError> {
+    check_weight("weight", weight).map_err(|_| ParametersError::OutOfRange {
+        field: "weight",
+        value: weight,
+        range: "(0, 1e6]",
+    })
+}
+
 /// Checks a number that is a share.
 ///
 /// # Errors

@@ -7,7 +7,7 @@ mod steer;
 
 use crate::model::body::gaps;
 use crate::model::configuration::Configuration;
-use crate::model::parameters::{ContactRule, Parameters, check_coordinate, check_weight};
+use crate::model::parameters::{ContactRule, Parameters, check_coordinate, check_preference};
 use crate::model::selection::{Candidates, Selection, select};
 use crate::model::{State, injection, reshape, start};
 use crate::observables::{self, Definitions, Order, RunningMeans};
@@ -489,7 +489,7 @@ impl Simulation {
         let parameters = &self.state.parameters;
         let weight = weight.unwrap_or(parameters.pi2);
         check_coordinate("direction", direction)?;
-        check_weight("weight", weight)?;
+        check_preference(weight)?;
         let largest = self.state.configuration.largest_weight().max(weight);
         parameters.check(largest)?;
         Ok((weight, direction))

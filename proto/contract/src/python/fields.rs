@@ -153,3 +153,35 @@ impl<'a> Emitter<'a> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    #![expect(clippy::unwrap_used, reason = "tests")]
+
+    use jostle_proto::contract::documents;
+    use serde_json::json;
+
+    use super::*;
+
+    #[test]
+    fn a_later_parameter_has_its_default_in_the_replies_of_earlier_daemons() {
+        let documents = documents().unwrap();
+        let emitter = Emitter::of(&documents, "sent.json").unwrap();
+        let number = json!({"type": "number", "default": 1.0});
+        let declared = |definition: &str, schema: &Value, is_required: bool| {
+            let field = emitter.field(definition, "later", schema, is_required);
+            (field.kind, field.default)
+        };
+        let of = |kind: &str, default: Option<&str>| (kind.to_owned(), default.map(str::to_owned));
+        // A reply has each parameter, and the schema requires it.
+        let later = declared("ParameterValues", &number, true);
+        assert_eq!(later, of("float", Some("1.0")));
+        let first = json!({"type": "number"});
+        assert_eq!(declared("ParameterValues", &first, true), of("float", None));
+        // Of other types what a schema requires is in each message.
+        assert_eq!(declared("Status", &number, true), of("float", None));
+        assert_eq!(declared("Status", &number, false), of("float", Some("1.0")));
+        let absent = of("float | None", Some("None"));
+        assert_eq!(declared("Status", &first, false), absent);
+    }
+}

@@ -13,6 +13,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::io;
 
 use jostle_proto::contract::{definition, is_received, schemas};
+use jostle_proto::verbs::of_controllers;
 use jostle_proto::{AXES, WIRE_VERSION};
 use serde_json::Value;
 
@@ -78,6 +79,11 @@ impl<'a> Emitter<'a> {
         file += &format!(
             "\nAXES = {{\n{}}}\n\"\"\"What a grid of an experiment varies, in the order in the names of runs.\"\"\"\n",
             axes.collect::<String>()
+        );
+        let of_controllers: Vec<String> = of_controllers().map(|it| format!("\"{it}\"")).collect();
+        file += &format!(
+            "\nOF_CONTROLLERS = ({})\n\"\"\"The commands that a controller may send.\"\"\"\n",
+            of_controllers.join(", ")
         );
         file += &received.class("Spec", "Spec", "HtmlStruct", received.fields("Spec"));
         for name in structs {

@@ -1,5 +1,6 @@
 //! The command histories of two swarms: the first commands that differ.
 
+use jostle_proto::verbs::definition;
 use serde::Serialize;
 use serde_json::Value;
 
@@ -59,7 +60,8 @@ impl History {
             // A condition that only publishes an event counts as one.
             let is_condition = ["when", "fired"].contains(&command.verb.as_str());
             let is_event = is_condition && command.args.get("event").is_some();
-            if ["annotate", "protect"].contains(&command.verb.as_str()) || is_event {
+            let is_annotation = definition(&command.verb).is_some_and(|it| it.is_annotation);
+            if is_annotation || is_event {
                 annotations += 1;
                 return None;
             }
@@ -190,13 +192,14 @@ mod tests {
     #[test]
     fn an_annotation_does_not_diverge_and_changes_no_draw() {
         let count = json!({"select": {"count": 3}, "direction": 0.0});
-        let note = json!({"text": "lights off"});
-        let one = history(
-            0,
-            &[(1, 0, "annotate", note), (2, 5, "inform", count.clone())],
-        );
-        let other = history(0, &[(1, 5, "inform", count)]);
-        assert_eq!(diverge(&one, &other), (0, None));
+        for (verb, args) in [
+            ("annotate", json!({"text": "lights off"})),
+            ("protect", json!({"on": true})),
+        ] {
+            let one = history(0, &[(1, 0, verb, args), (2, 5, "inform", count.clone())]);
+            let other = history(0, &[(1, 5, "inform", count.clone())]);
+            assert_eq!(diverge(&one, &other), (0, None), "{verb}");
+        }
     }
 
     #[test]
