@@ -15,6 +15,7 @@ use crate::support::playback;
 use crate::support::{Daemon, NODE, PREFIX, until};
 
 mod bounds;
+mod facts;
 mod prepare;
 mod recorded;
 

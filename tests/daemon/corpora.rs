@@ -1,8 +1,12 @@
 //! Every file of `fuzz/corpus`, complete and truncated, as input of its target.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
+use jostle_proto::keys;
+
 use crate::support::programs::ROOT;
+use crate::targets::orders::{CREATE, FIRST_BYTES};
 
 fn fuzz() -> PathBuf {
     Path::new(ROOT).join("fuzz")
@@ -53,6 +57,17 @@ targets!(
     snapshots,
     states
 );
+
+#[test]
+fn the_corpus_of_orders_has_every_verb_a_spec_and_an_unknown_verb() {
+    let files = std::fs::read_dir(fuzz().join("corpus/orders")).unwrap();
+    let files = files.map(|file| std::fs::read(file.unwrap().path()).unwrap());
+    let firsts: BTreeSet<u8> = files.map(|file| file[0] % FIRST_BYTES).collect();
+    let verbs = (0..).zip(keys::SWARM_VERBS);
+    let missing = verbs.filter(|(first, _)| !firsts.contains(first));
+    assert_eq!(missing.collect::<Vec<_>>(), []);
+    assert!(firsts.contains(&CREATE) && firsts.contains(&(FIRST_BYTES - 1)));
+}
 
 #[test]
 fn every_corpus_has_its_target() {

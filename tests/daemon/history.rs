@@ -128,7 +128,7 @@ async fn executing_a_journal_again_leads_to_the_same_hash() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn every_parameter_has_a_value_range_unit_and_whether_it_may_change() {
-    let daemon = Daemon::with(&[("max_individuals", "77")]).await;
+    let daemon = Daemon::with(&[("max_individuals", "60")]).await;
     let client = &daemon.client;
     client
         .create("a", json!({"n": 5, "pi1": 3, "seed": 8}))
@@ -150,7 +150,27 @@ async fn every_parameter_has_a_value_range_unit_and_whether_it_may_change() {
         let found = parameters.parameters.iter().find(|it| it.name == name);
         found.unwrap().clone()
     };
-    assert_eq!(find(&before, "n").maximum, Some(77.0));
+    assert_eq!(find(&before, "n").maximum, Some(60.0));
+
+    // The usual values are valid, also where the limit of the daemon or of the swarm is below the paper's.
+    client.create("long", json!({"n": 5, "pi1": 32})).await;
+    let reply = client.get("long", "parameters").await["result"].take();
+    let of_long: Parameters = serde_json::from_value(reply).unwrap();
+    let mut clipped = Vec::new();
+    for parameter in before.parameters.iter().chain(&of_long.parameters) {
+        let Some(usual) = parameter.usual else {
+            continue;
+        };
+        let within = parameter.minimum.unwrap_or(0.0)..=parameter.maximum.unwrap();
+        let is_valid = within.contains(&usual.from) && within.contains(&usual.to);
+        assert!(is_valid && usual.from < usual.to, "{parameter:?}");
+        if usual.to == *within.end() {
+            clipped.push(&*parameter.name);
+        }
+    }
+    for name in ["n", "dt"] {
+        assert!(clipped.contains(&name), "{clipped:?}");
+    }
 
     // Live parameters change, others do not.
     let set = json!({"pi1": 6, "make_room": true, "pi2": 0.25, "publish_every": 7});

@@ -21,6 +21,7 @@ mod crash;
 mod experiment;
 mod experiment_space;
 mod experiments;
+mod faulted;
 mod harness;
 mod health;
 mod history;

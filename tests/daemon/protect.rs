@@ -237,6 +237,37 @@ async fn a_fork_and_a_restored_swarm_begin_unprotected() {
     daemon.stop().await;
 }
 
+#[tokio::test(flavor = "multi_thread")]
+async fn a_copy_has_the_scheduled_protections_of_its_original() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    client.create("a", json!({"n": 10, "seed": 3})).await;
+    client.ok("a", "step", json!({"steps": 5})).await;
+    let at = |step: u64, args: Value| json!({"at_step": step, "args": args});
+    client.ok("a", "protect", at(8, on())).await;
+    client.ok("a", "delete", at(10, json!({}))).await;
+    client.ok("a", "fork", json!({"name": "now"})).await;
+    let snapshot = snapshot(client, "a").await;
+    restore(client, &snapshot, "restored").await;
+    client.ok("a", "step", json!({"steps": 7})).await;
+    client
+        .ok("a", "fork", json!({"name": "before", "step": 7}))
+        .await;
+    client.ok("a", "protect", off()).await;
+    for (name, step) in [("now", 5), ("restored", 5), ("before", 7)] {
+        let status = client.get(name, "status").await;
+        assert_eq!(status["step"], step, "{name}");
+        assert_eq!(status["result"]["scheduled"], 2, "{name}");
+        assert!(!is_protected(client, name).await, "{name}");
+        // Its `delete` at step 10 is rejected, too.
+        client.ok(name, "step", json!({"steps": 12 - step})).await;
+        assert!(is_protected(client, name).await, "{name}");
+        assert_is_kept(client, name).await;
+    }
+    assert!(!is_protected(client, "a").await);
+    daemon.stop().await;
+}
+
 /// The fields of a stored state, in the order in which they are stored.
 async fn stored_fields(client: &Client, swarm: &str) -> Vec<String> {
     let snapshot = jostle_proto::to_cbor(&snapshot(client, swarm).await);

@@ -10,6 +10,7 @@ use jostle_results::recording::{self, About, Recorder};
 use serde_json::{Value, json};
 
 use crate::support::playback::{record, record_as, replay, state, upload_and_open, upload_piece};
+use crate::support::recording::{ok, stop};
 use crate::support::{Client, Daemon, PREFIX, QueryResult, until};
 
 async fn seek_error(client: &Client, args: &Value) -> Error {
@@ -248,11 +249,18 @@ async fn a_replay_rejects_what_would_change_it_and_a_swarm_to_be_sought_through(
     for (verb, args) in [
         ("set", json!({"pi1": 5})),
         ("inform", json!({"select": {"ids": [1]}, "direction": 0})),
+        ("uninform", json!({"select": {"ids": [1]}})),
         ("inject", json!({"count": 1})),
         ("remove", json!({"select": {"ids": [1]}})),
+        (
+            "batch",
+            json!({"commands": [{"verb": "set", "args": {"pi1": 5}}]}),
+        ),
         ("reset", json!({"seed": 5})),
         ("fork", json!({"name": "other"})),
         ("join", json!({"controller": "bob"})),
+        ("advance", json!({"controller": "bob", "steps": 1})),
+        ("leave", json!({"controller": "bob"})),
         ("annotate", json!({"text": "note"})),
         ("protect", json!({"on": true})),
         ("when", json!({"condition": "order > 0.9", "pause": true})),
@@ -423,6 +431,38 @@ async fn a_frame_that_changes_after_it_was_opened_is_not_shown() {
         (&json!("play"), &Value::Null)
     );
     assert!(status["result"].get("swarm_id").is_none(), "{status}");
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_origin_of_a_playback_is_the_first_state_of_its_file() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    client.create("live", json!({"n": 3})).await;
+    client.ok("live", "step", json!({"steps": 7})).await;
+    let args = json!({"swarm": "live", "recording": "take", "every": 1});
+    ok(client, json!({"begin": args})).await;
+    client.ok("live", "step", json!({"steps": 4})).await;
+    stop(client, "take").await;
+    let open = json!({"open": {"name": "tape", "recording": "take"}});
+    replay(client, open).await.unwrap();
+    let expected = json!({
+        "kind": "play", "swarm": "live", "swarm_id": null, "step": 7, "seq": null, "state_hash": null,
+    });
+    // Wherever it is.
+    for to in [
+        json!({"fraction": 0}),
+        json!({"step": 9}),
+        json!({"fraction": 1}),
+    ] {
+        client.ok("tape", "seek", to).await;
+        let status = client.get("tape", "status").await;
+        assert_eq!(status["result"]["origin"], expected);
+        let listed = client.node("swarms").await["swarms"].take();
+        let mut rows = listed.as_array().unwrap().iter();
+        let row = rows.find(|row| row["swarm"] == "tape").unwrap();
+        assert_eq!(row["origin"], expected);
+    }
     daemon.stop().await;
 }
 

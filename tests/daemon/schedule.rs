@@ -156,6 +156,42 @@ async fn a_scheduled_command_that_fails_at_its_step_is_an_event() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn an_event_of_a_rejected_command_has_the_range_of_the_reply() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    client.create("a", json!({"n": 3})).await;
+    let number = "a number from -1e6 to 1e6";
+    let pose = json!({"at": [{"x": 50, "y": 0, "alpha": 1e7}]});
+    let batch = json!({"commands": [{"verb": "inject", "args": pose}]});
+    for (verb, args, field, range) in [
+        (
+            "inject",
+            json!({"count": 1, "within": {"x": 0, "y": 0, "radius": -1}}),
+            "within.radius",
+            "a number above 0, at most 1e6",
+        ),
+        ("inject", pose, "at[0].alpha", number),
+        ("batch", batch, "commands[0].args.at[0].alpha", number),
+    ] {
+        let now = client.cmd("a", verb, args.clone()).await.unwrap_err();
+        let step = client.get("a", "status").await["step"].as_u64().unwrap();
+        // Individuals are placed at the step, so their places are checked there.
+        client.ok("a", verb, at(step + 1, args)).await;
+        client.ok("a", "step", json!({})).await;
+        let rejected = events(client, "a").await.pop().unwrap();
+        let EventKind::Refused { error, .. } = rejected.event else {
+            panic!("{verb}: {rejected:?}");
+        };
+        for error in [&now, &error] {
+            assert_eq!(error.details["field"], field, "{error:?}");
+            assert_eq!(error.details["range"], range, "{error:?}");
+        }
+        assert_eq!(error.message, now.message);
+    }
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_reset_rejects_all_that_waits() {
     let daemon = Daemon::start().await;
     let client = &daemon.client;
@@ -208,6 +244,25 @@ async fn a_faulted_swarm_accepts_no_scheduled_command_but_reset() {
         .await;
     assert_eq!(code, ErrorCode::IncorrectState);
     client.ok("a", "reset", at(step, json!({}))).await;
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_faulted_swarm_schedules_no_command_that_it_executes_at_once() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    crate::commands::fault(client, "a").await;
+    let step = client.get("a", "status").await["step"].as_u64().unwrap();
+    for (verb, args) in [
+        ("annotate", json!({"text": "here"})),
+        ("protect", json!({"on": true})),
+    ] {
+        // It takes no step, so it would never be executed.
+        let (code, message) = client.err("a", verb, at(step + 5, args.clone())).await;
+        assert_eq!(code, ErrorCode::IncorrectState, "{verb}: {message}");
+        client.ok("a", verb, args).await;
+    }
+    assert_eq!(client.get("a", "status").await["result"]["scheduled"], 0);
     daemon.stop().await;
 }
 

@@ -1,6 +1,6 @@
 //! The bounds in the schemas are those that the daemon enforces.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 use jostle_proto::contract::schemas;
 use jostle_proto::{Error, ErrorCode, keys};
@@ -126,6 +126,40 @@ fn is_about(error: &Error, field: &str) -> bool {
         && [Some(field), column.map(|(column, _)| column), change].contains(&named)
 }
 
+/// An interval that the text of an error names, such as `(0, 1e6]`.
+#[derive(Debug)]
+struct Interval {
+    least: f64,
+    most: f64,
+    has_least: bool,
+    has_most: bool,
+}
+
+impl Interval {
+    fn of(text: &str) -> Option<Self> {
+        let (_, range) = text.split_once(" is outside ")?;
+        let has_least = match range.chars().next()? {
+            '[' => true,
+            '(' => false,
+            _ => return None,
+        };
+        let end = range.find([']', ')'])?;
+        let (least, most) = range[1..end].split_once(", ")?;
+        Some(Interval {
+            least: least.parse().ok()?,
+            most: most.parse().ok()?,
+            has_least,
+            has_most: range[end..].starts_with(']'),
+        })
+    }
+
+    fn has(&self, value: f64) -> bool {
+        let is_above = value > self.least || self.has_least && value == self.least;
+        let is_below = value < self.most || self.has_most && value == self.most;
+        is_above && is_below
+    }
+}
+
 /// The errors of requests whose value is within its bounds: the message, the field that is at a bound,
 /// and what is wrong beside it. Every other such request must succeed.
 const OTHER_ERRORS: [(&str, &str, ErrorCode); 31] = [
@@ -196,6 +230,8 @@ async fn the_bounds_of_the_schemas_are_those_of_the_daemon() {
     let client = &daemon.client;
     let (mut tried, mut wrong) = (BTreeSet::new(), Vec::new());
     let mut others: Vec<(&str, String, ErrorCode)> = Vec::new();
+    // The intervals that errors name, and the values that are tried, of each field.
+    let mut intervals: BTreeMap<String, (Vec<Interval>, Vec<(f64, bool)>)> = BTreeMap::new();
     let schemas = schemas();
     let requests = schemas.iter().filter_map(|(message, schema)| {
         let verb = match *message {
@@ -234,6 +270,15 @@ async fn the_bounds_of_the_schemas_are_those_of_the_daemon() {
                         request = json!({"timeout_secs": timeout_secs, "args": request});
                     }
                     let answer = send(client, &swarm, verb, &request).await;
+                    let of_field = intervals
+                        .entry(format!("{message} {}", bound.field))
+                        .or_default();
+                    if let (true, Err(error)) = (is_outside, &answer) {
+                        of_field.0.extend(Interval::of(&error.message));
+                    }
+                    of_field
+                        .1
+                        .extend(value.as_f64().map(|value| (value, is_outside)));
                     let is_right = match (&answer, is_outside) {
                         (Err(error), true) => is_about(error, &bound.field),
                         (Ok(_), true) => false,
@@ -259,6 +304,19 @@ async fn the_bounds_of_the_schemas_are_those_of_the_daemon() {
             }
         }
     }
+    let mut compared = 0;
+    for (field, (intervals, values)) in &intervals {
+        for (interval, (value, is_outside)) in intervals
+            .iter()
+            .flat_map(|it| values.iter().map(move |value| (it, value)))
+        {
+            if interval.has(*value) == *is_outside {
+                wrong.push(format!("{field}: {value} and {interval:?}"));
+            }
+            compared += 1;
+        }
+    }
+    assert!(compared > 20, "{compared}");
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
     assert!(tried.len() > 100, "{}", tried.len());
     for (message, field, code) in OTHER_ERRORS {

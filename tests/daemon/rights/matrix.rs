@@ -165,6 +165,11 @@ impl Row<'_> {
     }
 }
 
+/// Whether it gets a reply. Set-points and tokens get none: `forgery.rs` tests them.
+fn is_sent(key: &str) -> bool {
+    !key.contains("/ctl/") && !key.contains("/wait/")
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn every_role_may_what_it_may_and_nothing_else() {
     let daemon = AuthDaemon::start().await;
@@ -179,8 +184,7 @@ async fn every_role_may_what_it_may_and_nothing_else() {
     let whoami = keys::node_get(PREFIX, NODE, "whoami");
     let mut fates = BTreeMap::<Fate, usize>::new();
     for (key, cells) in TABLE {
-        // Set-points and tokens get no reply: `forgery.rs` tests them.
-        if key.contains("/ctl/") || key.contains("/wait/") {
+        if !is_sent(key) {
             continue;
         }
         let mut row = Row {
@@ -215,14 +219,14 @@ async fn every_role_may_what_it_may_and_nothing_else() {
         }
     }
     println!("{fates:?}");
-    // Of 25 commands 4 are a controller's; of 26 queries 2 are an operator's.
-    let expected = [
-        (Fate::Carried, 227 + 103),
-        (Fate::Dropped, 77),
-        (Fate::Denied, 104 + 50),
-        (Fate::Unknown, 102),
-    ];
-    assert_eq!(fates, BTreeMap::from(expected));
+    // Each row was sent by each, and each fate happened often.
+    let rows = TABLE.iter().map(|(key, _)| *key).filter(|key| is_sent(key));
+    let sent = rows.count() * (SENDERS.len() + HTTP_SENDERS.len());
+    assert_eq!(fates.values().sum::<usize>(), sent);
+    assert!(
+        fates.len() == 4 && fates.values().all(|it| *it > 50),
+        "{fates:?}"
+    );
     users.push(olga);
     daemon.close(users).await;
 }

@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use std::fs;
 
 use jostle_proto::contract::{CHANNELS, ChannelKind};
-use jostle_proto::keys;
+use jostle_proto::{Role, keys};
 
 /// The roles of the columns, each with a person who has it.
 pub const COLUMNS: [(&str, &str); 3] = [
@@ -121,6 +121,22 @@ fn documented_table() -> Vec<(String, Vec<String>)> {
 fn the_page_shows_this_table() {
     let table = TABLE.map(|(key, cells)| (key.to_owned(), cells.map(str::to_owned).to_vec()));
     assert_eq!(documented_table(), table);
+}
+
+#[test]
+fn each_role_may_send_the_verbs_that_the_table_says() {
+    let commands = TABLE.iter().filter_map(|(key, cells)| {
+        let (_, verb) = key.split_once("/cmd/")?;
+        Some((verb, cells))
+    });
+    let mut verbs = 0;
+    for (verb, cells) in commands {
+        let roles = [Role::Viewer, Role::Controller, Role::Operator];
+        let may = cells.map(|cell| cell != "no");
+        assert_eq!(roles.map(|role| role.may(verb)), may, "{verb}");
+        verbs += 1;
+    }
+    assert_eq!(verbs, keys::SWARM_VERBS.len() + keys::NODE_VERBS.len());
 }
 
 #[test]

@@ -6,4 +6,5 @@ mod coverage;
 mod docs;
 mod documents;
 mod fixtures;
+mod places;
 mod readme;
