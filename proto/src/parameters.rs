@@ -125,6 +125,19 @@ macro_rules! parameters {
         }
 
         impl Spec {
+            /// The spec with these fields and these values.
+            pub fn of(
+                $($($fixed: $Fixed,)+)+
+                values: ParameterValues,
+                rate: Option<f64>,
+            ) -> Self {
+                Spec {
+                    $($($fixed,)+ $($live: values.$live,)+)+
+                    measures: values.measures,
+                    rate,
+                }
+            }
+
             /// The values at the start.
             pub fn values(&self) -> ParameterValues {
                 ParameterValues {

@@ -31,17 +31,27 @@ from jostle._wire import (
 
 PROTO = Path(__file__).resolve().parents[3] / "proto"
 
+
+def payloads() -> dict[str, tuple[str, str]]:
+    """Every message of the contract: the file and the name of its schema."""
+    document = json.loads((PROTO / "asyncapi.json").read_text(encoding="utf-8"))
+    found = {}
+    for name, message in document["components"]["messages"].items():
+        if "payload" in message:
+            file, definition = message["payload"]["$ref"].split("#/$defs/")
+            found[name] = (file, definition)
+    return found
+
+
 READ: dict[str, type[Any]] = {
+    # Replies without a result.
+    **{name: jostle.Reply for name, (_, it) in payloads().items() if it == "EmptyResultReply"},
     "advance.reply": jostle.Advanced,
     "attachment": jostle.Attachment,
-    "annotate.reply": jostle.Reply,
-    "protect.reply": jostle.Reply,
     "when.reply": jostle.WhenResult,
     "batch.reply": jostle.BatchResult,
     "controllers.reply": ControllerList,
     "create.reply": CreateResult,
-    "delete.reply": jostle.Reply,
-    "discard.reply": jostle.Reply,
     "fork.reply": CreateResult,
     "error": jostle.ErrorMessage,
     "event": jostle.Event,
@@ -53,7 +63,6 @@ READ: dict[str, type[Any]] = {
     "inject.reply": jostle.IdsResult,
     "join.reply": JoinResult,
     "journal.reply": Journal,
-    "leave.reply": jostle.Reply,
     "node.audit.reply": Audit,
     "node.experiments.reply": Experiments,
     "node.hello.reply": jostle.Hello,
@@ -67,7 +76,6 @@ READ: dict[str, type[Any]] = {
     "measures.reply": Measures,
     "order": jostle.OrderSample,
     "parameters.reply": Parameters,
-    "pause.reply": jostle.Reply,
     "record.reply": RecordingResult,
     "remove.reply": jostle.IdsResult,
     "replay.reply": ReplayResult,
@@ -75,7 +83,6 @@ READ: dict[str, type[Any]] = {
     "restore.reply": CreateResult,
     "run.reply": jostle.RunResult,
     "scheduled.reply": jostle.Scheduled,
-    "seek.reply": jostle.Reply,
     "set.reply": jostle.SetResult,
     "spec.reply": SpecReply,
     "state": jostle.State,
@@ -105,13 +112,10 @@ OF_CONTROLLERS = {"advance": "advance", "control": "put", "leave": "leave"}
 
 def schemas() -> dict[str, dict[str, Any]]:
     """Every schema of the contract, by the name of its message."""
-    document = json.loads((PROTO / "asyncapi.json").read_text(encoding="utf-8"))
     found = {}
-    for name, message in document["components"]["messages"].items():
-        if "payload" in message:
-            file, definition = message["payload"]["$ref"].split("#/$defs/")
-            defined = json.loads((PROTO / file).read_text(encoding="utf-8"))["$defs"]
-            found[name] = {**defined[definition], "$defs": defined}
+    for name, (file, definition) in payloads().items():
+        defined = json.loads((PROTO / file).read_text(encoding="utf-8"))["$defs"]
+        found[name] = {**defined[definition], "$defs": defined}
     return found
 
 

@@ -33,7 +33,10 @@ def _other(index: int, parameter: dict[str, Any]) -> Any:
     return least + min(most - least, 1) * (index + 1) / 64
 
 
+EVERYTHING = fixture("create.args.everything")["spec"]
 OTHERS: dict[str, Any] = {
+    # The fixture has every field of a spec, which a test of the contract checks.
+    **{it: value for it, value in EVERYTHING.items() if it != "start"},
     **{it["name"]: _other(index, it) for index, it in enumerate(PARAMETERS)},
     "n": 3,
     "attraction": {"kind": "voronoi"},

@@ -5,8 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import jostle
+from arguments import TAKEN
 from recorder import SNAPSHOT
 from rows import PLAN, Arguments, call
+from rows_of_swarms import COMMANDS
 
 
 @dataclass(frozen=True)
@@ -25,23 +27,11 @@ class Ended:
 
 
 _LATE = jostle.DeadlineExceeded
-_ANYONE = jostle.count(1)
+_FIRST = {row.call: row.arguments for row in reversed(COMMANDS)}
 
 ENDED: dict[str, Ended] = {
-    "Swarm.run": Ended(call()),
-    "Swarm.pause": Ended(call()),
-    "Swarm.step": Ended(call()),
-    "Swarm.reset": Ended(call()),
-    "Swarm.set": Ended(call(pi3=2.0)),
-    "Swarm.inform": Ended(call(_ANYONE, 0.5)),
-    "Swarm.uninform": Ended(call(_ANYONE)),
-    "Swarm.inject": Ended(call(1)),
-    "Swarm.remove": Ended(call(_ANYONE)),
-    "Swarm.batch": Ended(call([jostle.Set(pi3=2.0)])),
-    "Swarm.annotate": Ended(call("ready")),
-    "Swarm.protect": Ended(call()),
-    "Swarm.when": Ended(call(cancel=True)),
-    "Swarm.delete": Ended(call()),
+    # Each that can have an `at_step`, with the arguments of its first row.
+    **{call: Ended(_FIRST[call]) for call, taken in TAKEN.items() if "at_step" in taken},
     "Swarm.join": Ended(call("bob")),
     "Swarm.fork": Ended(call("twin", 0)),
     "Swarm.seek": Ended(call(step=0)),

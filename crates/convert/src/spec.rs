@@ -45,43 +45,15 @@ pub fn from_proto(spec: &proto::Spec, n: usize) -> Result<Spec, WireError> {
 
 /// Returns the message of a spec, with `seed` as its seed.
 pub fn to_proto(spec: &Spec, seed: u64) -> proto::Spec {
-    let proto::ParameterValues {
-        pi1,
-        pi2,
-        pi3,
-        pi4,
-        contacts,
-        stepping,
-        relinearise,
-        attraction,
-        noise,
-        publish_every,
-        measures,
-        max_idle_secs: _,
-    } = values(spec.parameters, spec.publish_every, &spec.measures, None);
-    proto::Spec {
-        n: spec.n as u64,
-        pi1,
-        pi2,
-        pi3,
-        pi4,
-        dt: spec.parameters.dt,
-        contacts,
-        stepping,
-        relinearise,
-        seed,
-        start: match &spec.start {
-            Start::Disc(radius) => proto::Start::Disc { radius: *radius },
-            Start::Given { x, y, alpha } => proto::Start::Given {
-                x: x.clone(),
-                y: y.clone(),
-                alpha: alpha.clone(),
-            },
+    let start = match &spec.start {
+        Start::Disc(radius) => proto::Start::Disc { radius: *radius },
+        Start::Given { x, y, alpha } => proto::Start::Given {
+            x: x.clone(),
+            y: y.clone(),
+            alpha: alpha.clone(),
         },
-        attraction,
-        noise,
-        publish_every,
-        measures,
-        rate: spec.rate,
-    }
+    };
+    let values = values(spec.parameters, spec.publish_every, &spec.measures, None);
+    let (n, dt) = (spec.n as u64, spec.parameters.dt);
+    proto::Spec::of(n, dt, seed, start, values, spec.rate)
 }

@@ -1,6 +1,7 @@
 //! Recordings, experiments, and verbs without a daemon.
 
-use serde_json::json;
+use jostle_proto::contract;
+use serde_json::{Map, Value, json};
 
 use crate::requests::row::{Row, row};
 
@@ -139,6 +140,17 @@ pub fn experiments() -> Vec<Row> {
         "@node/test/experiment/small/series?run=n=5 informed=1 #1;after=0",
         "@node/test/experiment/small/series?run=n=5 informed=1 #1;after=3",
     ];
+    // The defaults are those of the documentation: `proto/contract/tests/contract/docs.rs` compares them.
+    let parameters = contract::parameters().into_iter();
+    let defaults = parameters.map(|it| (it.name, it.default));
+    let mut spec: Map<String, Value> = defaults.filter(|(_, it)| !it.is_null()).collect();
+    spec.extend([
+        ("n".to_owned(), json!(3)),
+        ("seed".to_owned(), json!(5_266_246_562_987_251_u64)),
+        ("start".to_owned(), json!({"kind": "disc"})),
+    ]);
+    let created = json!({"name": "live", "exist_ok": false, "spec": spec});
+    let created = format!("@node/test/cmd/create {created}");
     vec![
         row("experiment run <file>{}/order.toml --detach", &[submit]).says("submitted small"),
         row("experiment run <file>{}/order.toml", &[submit, progress]).says("; took 3"),
@@ -151,13 +163,7 @@ pub fn experiments() -> Vec<Row> {
         ),
         row(
             "experiment play <file>{}/grid.toml --run 2 --as live",
-            &[
-                r#"@node/test/cmd/create {"name": "live", "exist_ok": false, "spec": {
-                "n": 3, "pi1": 4.0, "pi2": 0.5, "pi3": 1.0, "pi4": 10.0, "dt": 0.02,
-                "contacts": "endpoints", "stepping": "position", "relinearise": 0,
-                "seed": 5266246562987251, "start": {"kind": "disc"},
-                "attraction": {"kind": "all"}, "noise": 0.0, "publish_every": 5, "rate": 1.0}}"#,
-            ],
+            &[&created],
         )
         .says("created live, the swarm of run \"#1\", and scheduled 0 commands"),
         row("experiment list", &["@node/test/get/experiments"]).says("small"),
