@@ -289,6 +289,7 @@ fn the_parser_and_the_schema_reject_the_same_files_but_those_in_the_list() {
 
 #[test]
 fn the_schema_has_the_longest_lists_that_the_parser_reads() {
+    type List<'a> = (&'a str, &'a dyn Fn(usize) -> String, usize);
     let set = |count| {
         format!(
             "{{ time = 0, set = [{}] }}",
@@ -302,7 +303,7 @@ fn the_schema_has_the_longest_lists_that_the_parser_reads() {
             .collect();
         columns.join(", ")
     };
-    let lists: [(&str, &dyn Fn(usize) -> String, usize); 3] = [
+    let lists: [List<'_>; 3] = [
         ("at", &set, 256),
         ("at", &blocks, 1000),
         ("measure.columns", &columns, 100),
