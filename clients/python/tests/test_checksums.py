@@ -192,6 +192,13 @@ def test_files_without_checksums_raise_no_error_of_a_library(
             writer.add_metadata(record.name, record.metadata)
         writer.finish()  # type: ignore[no-untyped-call]
     assert each_flip(path, recorded, 12 * EVERY + 1, is_checked=False) > 10
+    whole = path.read_bytes()
+    # The length of the value has four bytes.
+    number = whole.rindex(b"frames") + len(b"frames") + 4
+    assert whole[number : number + 1].isdigit()
+    path.write_bytes(whole[:number] + b"'" + whole[number + 1 :])
+    with pytest.raises(jostle.InvalidArgument, match=r"plain\.mcap"):
+        jostle.read_recording(path)
     plain = take / "plain.parquet"
     pq.write_table(pq.read_table(take / "take.parquet"), plain)
     assert each_flip(plain, recorded, 12 * EVERY + 1, is_checked=False) > 10

@@ -137,7 +137,8 @@ class Recording:
         for part in self._parts:
             about |= (of_part := _about(part))
             # Each part counts its own; all else is that of the recording up to its end.
-            frames += int(of_part.get("frames", 0))
+            with reading(part, _WHAT):
+                frames += int(of_part.get("frames", 0))
         if "frames" in about:
             about["frames"] = str(frames)
         self.about = about
