@@ -160,6 +160,14 @@ impl Interval {
     }
 }
 
+/// The intervals that the errors of a field name, and the values that it was given, each with whether it is
+/// outside the bounds.
+#[derive(Default)]
+struct Tried {
+    intervals: Vec<Interval>,
+    values: Vec<(f64, bool)>,
+}
+
 /// The errors of requests whose value is within its bounds: the message, the field that is at a bound,
 /// and what is wrong beside it. Every other such request must succeed.
 const OTHER_ERRORS: [(&str, &str, ErrorCode); 31] = [
@@ -230,8 +238,7 @@ async fn the_bounds_of_the_schemas_are_those_of_the_daemon() {
     let client = &daemon.client;
     let (mut tried, mut wrong) = (BTreeSet::new(), Vec::new());
     let mut others: Vec<(&str, String, ErrorCode)> = Vec::new();
-    // The intervals that errors name, and the values that are tried, of each field.
-    let mut intervals: BTreeMap<String, (Vec<Interval>, Vec<(f64, bool)>)> = BTreeMap::new();
+    let mut fields: BTreeMap<String, Tried> = BTreeMap::new();
     let schemas = schemas();
     let requests = schemas.iter().filter_map(|(message, schema)| {
         let verb = match *message {
@@ -270,14 +277,14 @@ async fn the_bounds_of_the_schemas_are_those_of_the_daemon() {
                         request = json!({"timeout_secs": timeout_secs, "args": request});
                     }
                     let answer = send(client, &swarm, verb, &request).await;
-                    let of_field = intervals
+                    let of_field = fields
                         .entry(format!("{message} {}", bound.field))
                         .or_default();
                     if let (true, Err(error)) = (is_outside, &answer) {
-                        of_field.0.extend(Interval::of(&error.message));
+                        of_field.intervals.extend(Interval::of(&error.message));
                     }
                     of_field
-                        .1
+                        .values
                         .extend(value.as_f64().map(|value| (value, is_outside)));
                     let is_right = match (&answer, is_outside) {
                         (Err(error), true) => is_about(error, &bound.field),
@@ -305,7 +312,7 @@ async fn the_bounds_of_the_schemas_are_those_of_the_daemon() {
         }
     }
     let mut compared = 0;
-    for (field, (intervals, values)) in &intervals {
+    for (field, Tried { intervals, values }) in &fields {
         for (interval, (value, is_outside)) in intervals
             .iter()
             .flat_map(|it| values.iter().map(move |value| (it, value)))
