@@ -218,9 +218,10 @@ pub fn parameters(seen: &Frame, limits: Limits) -> proto::Parameters {
                 }
             }
         }
-        if let (Some(usual), Some(maximum)) = (&mut parameter.usual, parameter.maximum) {
-            usual.to = usual.to.min(maximum);
-            usual.from = usual.from.min(usual.to);
+        if let (Some(usual), Some(maximum)) = (parameter.usual, parameter.maximum) {
+            let to = usual.to.min(maximum);
+            // A limit below all of them leaves none.
+            parameter.usual = (usual.from < to).then_some(proto::Usual { to, ..usual });
         }
     }
     proto::Parameters { parameters }

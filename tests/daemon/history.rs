@@ -171,6 +171,12 @@ async fn every_parameter_has_a_value_range_unit_and_whether_it_may_change() {
     for name in ["n", "dt"] {
         assert!(clipped.contains(&name), "{clipped:?}");
     }
+    // If the limit is below all of them there are none.
+    let turning = json!({"n": 2, "pi3": 1e4, "dt": 1e-5});
+    client.create("turning", turning).await;
+    let reply = client.get("turning", "parameters").await["result"].take();
+    let dt = find(&serde_json::from_value(reply).unwrap(), "dt");
+    assert!(dt.maximum.unwrap() < 0.005 && dt.usual.is_none(), "{dt:?}");
 
     // Live parameters change, others do not.
     let set = json!({"pi1": 6, "make_room": true, "pi2": 0.25, "publish_every": 7});

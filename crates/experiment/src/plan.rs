@@ -119,8 +119,8 @@ impl Plan {
     ///
     /// Runs are ordered by grid. Within a grid the axes vary in the order of
     /// [`jostle_proto::AXES`], the last one fastest, each in the order of its listed values;
-    /// replicates vary fastest of all. The name of a run contains every axis of any grid. Adding values to an axis therefore changes no name
-    /// and no seed.
+    /// replicates vary fastest of all. The name of a run contains every axis of any grid. Adding
+    /// values to an axis therefore changes no name and no seed.
     ///
     /// # Errors
     ///
