@@ -57,7 +57,14 @@ test("keys toggle contacts, clusters and trails, and stop and resume following",
   await page.keyboard.press("f");
   assert.equal(await pressed("Follow"), "true");
   const scale = async () => Number(await page.locator("canvas.picture").getAttribute("data-scale"));
-  const fitted = await scale();
+  // The key `f` changes the scale over several frames.
+  const fitted = await until("a scale that stays", async () => {
+    const before = await scale();
+    await page.evaluate(
+      () => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done))),
+    );
+    return (await scale()) === before && before;
+  });
   await page.keyboard.press("+");
   await until("a larger scale", async () => (await scale()) > fitted);
   await page.keyboard.press("?");
