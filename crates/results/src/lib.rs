@@ -4,11 +4,13 @@
 //! of a row.
 
 pub mod chart;
+#[cfg(feature = "files")]
 pub mod claims;
 pub mod contact_statistics;
 pub mod disorder;
 #[cfg(test)]
 mod flips;
+#[cfg(feature = "files")]
 pub mod recording;
 #[cfg(test)]
 mod samples;
