@@ -56,9 +56,11 @@ pub struct FinishedRun {
 }
 
 /// A run between two steps.
-pub struct CurrentRun<'a> {
-    plan: &'a Plan,
-    run: &'a PlannedRun,
+///
+/// A caller has it beside its plan, advances it as far as it wants, reads its state and stops when it
+/// wants. [`execute_run`] is a loop over it.
+pub struct CurrentRun {
+    run: PlannedRun,
     simulation: Simulation,
     measures: Measures,
     meter: Option<ContactMeter>,
@@ -67,6 +69,7 @@ pub struct CurrentRun<'a> {
     protocol: Option<ProtocolRun>,
     /// The step of the last frame of the trajectory that this process recorded.
     recorded: Option<u64>,
+    is_finished: bool,
 }
 
 /// Executes one run. The result depends only on the plan and the run.
@@ -88,7 +91,7 @@ pub fn execute_run_from(
     run: &PlannedRun,
     checkpoint: Option<RunCheckpoint>,
     recorder: Option<&dyn Recorder>,
-    mut on_step: impl FnMut(&mut CurrentRun<'_>) -> bool,
+    mut on_step: impl FnMut(&mut CurrentRun) -> bool,
 ) -> Option<FinishedRun> {
     let resumed = checkpoint.and_then(|checkpoint| CurrentRun::resume(plan, run, checkpoint));
     let current = match resumed {
@@ -104,24 +107,9 @@ pub fn execute_run_from(
             });
         }
     };
-    let steps = plan.point(run).steps;
     loop {
-        let is_last = current.steps() >= steps;
-        let ended = match current.boundary(is_last) {
-            Ok(Boundary::Continue) if !is_last => {
-                current.record(recorder);
-                let stepped = current.step();
-                stepped.err().map(|fault| (Boundary::Continue, Some(fault)))
-            }
-            Ok(boundary) => Some((boundary, None)),
-            Err(fault) => Some((Boundary::Continue, Some(fault))),
-        };
-        if let Some((boundary, fault)) = ended {
-            current.record_last(recorder);
-            return Some(current.finish(boundary, fault, recorder));
-        }
-        if let Some(recorder) = recorder {
-            current.measures.pass_rows(recorder, false);
+        if let Some(finished) = current.advance(plan, 1, recorder) {
+            return Some(finished);
         }
         if !on_step(&mut current) {
             return None;
@@ -129,8 +117,13 @@ pub fn execute_run_from(
     }
 }
 
-impl<'a> CurrentRun<'a> {
-    fn start(plan: &'a Plan, run: &'a PlannedRun) -> Result<Self, ChangeError> {
+impl CurrentRun {
+    /// Begins a run of `plan` at its start.
+    ///
+    /// # Errors
+    ///
+    /// [`ChangeError::Start`] if the individuals do not fit in the disc.
+    pub fn start(plan: &Plan, run: &PlannedRun) -> Result<Self, ChangeError> {
         let (mut simulation, informed) = match &plan.base {
             Some(base) => (base.simulation(&plan.spec(run), reserve())?, 0),
             None => {
@@ -143,15 +136,59 @@ impl<'a> CurrentRun<'a> {
         let protocol = plan.point(run).protocol.clone();
         let next_draw = INFORMED_BY + u64::from(informed > 0);
         Ok(Self {
-            plan,
-            run,
             measures: Measures::new(plan),
             meter: plan.touch.then(|| ContactMeter::new(&simulation.state)),
             past: Past::new(plan.lag(run)),
             protocol: protocol.map(|protocol| ProtocolRun::new(protocol, next_draw)),
             recorded: None,
+            is_finished: false,
+            run: run.clone(),
             simulation,
         })
+    }
+
+    /// Takes at most `max_steps` steps. Returns the result of the run once it has ended, which is by
+    /// the call after its last step. The plan is the one with which the run began.
+    ///
+    /// # Panics
+    ///
+    /// If the run has ended.
+    pub fn advance(
+        &mut self,
+        plan: &Plan,
+        max_steps: u64,
+        recorder: Option<&dyn Recorder>,
+    ) -> Option<FinishedRun> {
+        assert!(!self.is_finished, "run {:?} has ended", self.run.name);
+        for _ in 0..max_steps {
+            if let Some((boundary, fault)) = self.step(plan, recorder) {
+                self.is_finished = true;
+                self.record_last(plan, recorder);
+                return Some(self.finish(plan, boundary, fault, recorder));
+            }
+            if let Some(recorder) = recorder {
+                self.measures.pass_rows(recorder, false);
+            }
+        }
+        None
+    }
+
+    /// Takes a step, unless the run ends before it or by it: then returns how, and the reason of a fault.
+    fn step(
+        &mut self,
+        plan: &Plan,
+        recorder: Option<&dyn Recorder>,
+    ) -> Option<(Boundary, Option<String>)> {
+        let is_last = self.steps() >= plan.point(&self.run).steps;
+        match self.boundary(plan, is_last) {
+            Ok(Boundary::Continue) if !is_last => {
+                self.record(plan, recorder);
+                let stepped = self.simulate(plan);
+                stepped.err().map(|fault| (Boundary::Continue, Some(fault)))
+            }
+            Ok(boundary) => Some((boundary, None)),
+            Err(fault) => Some((Boundary::Continue, Some(fault))),
+        }
     }
 
     /// Returns the checkpoint of the run at this step.
@@ -177,8 +214,9 @@ impl<'a> CurrentRun<'a> {
         }
     }
 
-    /// Continues a run from a checkpoint; none if it is of another run or of another version.
-    fn resume(plan: &'a Plan, run: &'a PlannedRun, checkpoint: RunCheckpoint) -> Option<Self> {
+    /// Continues a run of `plan` from a checkpoint; none if it is of another run or of another version.
+    #[must_use]
+    pub fn resume(plan: &Plan, run: &PlannedRun, checkpoint: RunCheckpoint) -> Option<Self> {
         let restored = snapshot::from_proto(&checkpoint.snapshot).ok()?;
         let point = plan.point(run);
         let is_of_run = checkpoint.run == run.name
@@ -195,8 +233,8 @@ impl<'a> CurrentRun<'a> {
         let mut simulation = Simulation::from_checkpoint(&restored, reserve());
         simulation.definitions = plan.definitions;
         is_of_run.then(|| Self {
-            plan,
-            run,
+            run: run.clone(),
+            is_finished: false,
             measures: checkpoint.measures,
             meter: checkpoint.meter,
             past,
@@ -217,9 +255,15 @@ impl<'a> CurrentRun<'a> {
         self.simulation.state.step
     }
 
+    /// Returns the simulation, with the present state.
+    #[must_use]
+    pub fn simulation(&self) -> &Simulation {
+        &self.simulation
+    }
+
     /// Executes what the protocol has before the next step, and measures the state. The error is the
     /// reason of a fault.
-    fn boundary(&mut self, is_last: bool) -> Result<Boundary, String> {
+    fn boundary(&mut self, plan: &Plan, is_last: bool) -> Result<Boundary, String> {
         self.past.observe(&self.simulation.state);
         if let Some(protocol) = &mut self.protocol {
             let boundary = protocol.boundary(&mut self.simulation, &self.past, is_last)?;
@@ -234,23 +278,23 @@ impl<'a> CurrentRun<'a> {
         }
         if !is_last {
             let view = view(&self.simulation, &self.past);
-            self.measures.observe(self.plan, &view);
+            self.measures.observe(plan, &view);
         }
         Ok(Boundary::Continue)
     }
 
     /// Adds the state before a step to the trajectory, if it is due.
-    fn record(&mut self, recorder: Option<&dyn Recorder>) {
-        let every = self.plan.record_every;
+    fn record(&mut self, plan: &Plan, recorder: Option<&dyn Recorder>) {
+        let every = plan.record_every;
         if every.is_some_and(|every| self.steps().is_multiple_of(every)) {
-            self.record_last(recorder);
+            self.record_last(plan, recorder);
         }
     }
 
     /// Adds the last state to the trajectory, unless it has it.
-    fn record_last(&mut self, recorder: Option<&dyn Recorder>) {
+    fn record_last(&mut self, plan: &Plan, recorder: Option<&dyn Recorder>) {
         if let Some(recorder) = recorder
-            && self.plan.record_every.is_some()
+            && plan.record_every.is_some()
             && self.recorded != Some(self.steps())
         {
             recorder.add_frame(&self.simulation.state);
@@ -258,15 +302,15 @@ impl<'a> CurrentRun<'a> {
         }
     }
 
-    /// Takes a step. The error is the reason of a fault.
-    fn step(&mut self) -> Result<(), String> {
+    /// Takes a step of the simulation. The error is the reason of a fault.
+    fn simulate(&mut self, plan: &Plan) -> Result<(), String> {
         let report = match self.simulation.step() {
             Ok(report) => report,
             Err(error) => return Err(format!("step {}: {error}", self.simulation.state.step)),
         };
         let count = self.simulation.means.count;
         self.measures
-            .add(self.plan, count, &self.simulation.order_before, &report);
+            .add(plan, count, &self.simulation.order_before, &report);
         if let Some(meter) = &mut self.meter {
             meter.add(self.simulation.stepper(), &report, &self.simulation.state);
         }
@@ -274,7 +318,8 @@ impl<'a> CurrentRun<'a> {
     }
 
     fn finish(
-        mut self,
+        &mut self,
+        plan: &Plan,
         boundary: Boundary,
         fault: Option<String>,
         recorder: Option<&dyn Recorder>,
@@ -287,13 +332,13 @@ impl<'a> CurrentRun<'a> {
         // A command may have changed the state, or the size of the group.
         self.past.observe(&self.simulation.state);
         let view = view(&self.simulation, &self.past);
-        self.measures.record_last(self.plan, &view);
-        let of = (self.plan, self.run);
+        self.measures.record_last(plan, &view);
+        let of = (plan, &self.run);
         let finished = self
             .measures
             .finish(of, &self.simulation, is_stopped, recorder);
         let (row, [order, series]) = finished;
-        let touch = row.as_ref().zip(self.meter);
+        let touch = row.as_ref().zip(self.meter.take());
         let touch = touch.and_then(|(row, meter)| {
             meter.finish(&self.run.name, &row.contacts, &self.simulation.state)
         });

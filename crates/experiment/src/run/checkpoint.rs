@@ -7,7 +7,6 @@ use serde::{Deserialize, Serialize};
 use super::measures::Measures;
 use crate::contact_events::ContactMeter;
 use crate::protocol::ProtocolProgress;
-use crate::series::{SeriesKind, SeriesLog};
 
 /// The snapshot of a run at one of its steps, and its measurements so far.
 #[derive(Deserialize, Serialize)]
@@ -33,7 +32,7 @@ pub struct RunCheckpoint {
 pub struct RecordedHashes {
     /// Of the frames of the trajectory.
     pub(crate) frames: Option<String>,
-    /// Of the rows of each long series, by [`SeriesKind`].
+    /// Of the rows of each long series, by [`SeriesKind`](crate::SeriesKind).
     pub(crate) rows: [Option<String>; 2],
 }
 
@@ -45,7 +44,10 @@ impl RunCheckpoint {
     }
 
     /// The time series of the run so far.
-    pub(crate) fn logs(&self) -> impl Iterator<Item = (SeriesKind, &SeriesLog)> {
+    #[cfg(feature = "files")]
+    pub(crate) fn logs(
+        &self,
+    ) -> impl Iterator<Item = (crate::series::SeriesKind, &crate::series::SeriesLog)> {
         self.measures.logs()
     }
 

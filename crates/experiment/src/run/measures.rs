@@ -72,6 +72,7 @@ impl Measures {
     }
 
     /// The time series that the plan has.
+    #[cfg(feature = "files")]
     pub fn logs(&self) -> impl Iterator<Item = (SeriesKind, &SeriesLog)> {
         let logs = SeriesKind::ALL.into_iter().zip(&self.logs);
         logs.filter_map(|(kind, log)| Some((kind, log.as_ref()?)))
@@ -180,7 +181,7 @@ impl Measures {
     /// Returns the row and the time series of the order and of the chosen measures; the simulation has
     /// the last state.
     pub fn finish(
-        mut self,
+        &mut self,
         (plan, run): (&Plan, &PlannedRun),
         simulation: &Simulation,
         is_stopped: bool,

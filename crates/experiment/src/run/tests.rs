@@ -132,3 +132,28 @@ fn a_run_without_room_has_a_fault_and_no_row() {
     assert_eq!((finished.row, finished.order), (None, None));
     assert!(finished.fault.unwrap().contains("fit in a disc"));
 }
+
+#[test]
+fn a_run_that_a_caller_holds_gives_the_same_result_in_steps_of_any_number() {
+    let text = "duration = 3\nspec = { n = 12, noise = 0.1 }\n[measure]\norder_every = 7\n\
+                series_every = 9\ncolumns = [\"msd(0.5)\"]\n";
+    let commands = "[[at]]\ntime = 1\nset = { noise = 0.2 }";
+    for plan in ["touch = true", commands].map(|more| plan(&format!("{text}{more}"))) {
+        let [run] = plan.runs() else { unreachable!() };
+        let expected = finished_run(&plan);
+        assert!(expected.fault.is_none() && expected.series.is_some());
+        assert_eq!(expected.touch.is_some(), plan.touch);
+        for steps in [1, 7, 150, 1000] {
+            let mut current = CurrentRun::start(&plan, run).unwrap();
+            let finished = loop {
+                let before = current.steps();
+                if let Some(finished) = current.advance(&plan, steps, None) {
+                    break finished;
+                }
+                assert_eq!(current.steps(), before + steps);
+            };
+            assert_eq!(current.simulation().state.step, 150);
+            assert_eq!(finished, expected, "{steps}");
+        }
+    }
+}

@@ -62,6 +62,7 @@ impl SeriesLog {
     }
 
     /// Returns the bytes of the rows that the recorder has.
+    #[cfg(feature = "files")]
     pub fn passed(&self) -> u64 {
         self.passed
     }
@@ -77,18 +78,6 @@ impl SeriesLog {
     pub fn series(&self, kind: SeriesKind, plan: &Plan, run: &PlannedRun) -> Series {
         decode(&self.rows, kind, plan, run)
     }
-}
-
-/// Encodes rows of a series.
-pub fn encode(series: &Series) -> Vec<u8> {
-    let mut rows = Vec::new();
-    for (row, step) in series.steps.iter().enumerate() {
-        rows.extend(step.to_le_bytes());
-        for measure in &series.measures {
-            rows.extend(measure.values[row].unwrap_or(f64::NAN).to_le_bytes());
-        }
-    }
-    rows
 }
 
 /// Decodes whole rows of a series.

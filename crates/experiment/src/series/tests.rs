@@ -1,6 +1,7 @@
 //! Tests of long series: their files, resumed and killed runs, lines of earlier versions, merges.
 
 use std::fs;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 

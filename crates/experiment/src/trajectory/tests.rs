@@ -142,7 +142,7 @@ fn killed(
 ) -> Option<RunCheckpoint> {
     let recording = files.record(plan, 0, &mut checkpoint).unwrap().unwrap();
     let mut last = None;
-    let on_step = |current: &mut CurrentRun<'_>| {
+    let on_step = |current: &mut CurrentRun| {
         if current.steps() == checkpoint_at {
             let mut checkpoint = current.checkpoint();
             checkpoint.recorded = recording.sync();

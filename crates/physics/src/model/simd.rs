@@ -34,17 +34,14 @@ impl Level {
     /// Returns all levels of this processor, the widest last.
     #[must_use]
     pub fn available() -> Vec<Self> {
-        let mut levels = vec![Self::BASELINE];
-        #[cfg(target_arch = "x86_64")]
-        {
-            if has_avx2() {
-                levels.push(Self(Width::Avx2));
-            }
-            if has_avx512() {
-                levels.push(Self(Width::Avx512));
-            }
-        }
-        levels
+        let levels = [
+            Some(Self::BASELINE),
+            #[cfg(target_arch = "x86_64")]
+            has_avx2().then_some(Self(Width::Avx2)),
+            #[cfg(target_arch = "x86_64")]
+            has_avx512().then_some(Self(Width::Avx512)),
+        ];
+        levels.into_iter().flatten().collect()
     }
 
     #[doc(hidden)]
