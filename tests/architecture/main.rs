@@ -5,6 +5,7 @@
 #![expect(clippy::unwrap_used, reason = "tests")]
 
 mod circles;
+mod functions;
 mod layers;
 mod patched;
 mod version;

@@ -2,6 +2,11 @@
 //!
 //! Each figure has one panel for each contact rule and time step in the table.
 
+#![cfg_attr(
+    test,
+    expect(clippy::disallowed_methods, reason = "tests depend on no bit of them")
+)]
+
 mod axis;
 mod chart;
 mod clusters;

@@ -34,6 +34,10 @@
 //! the free speed, times in body sizes over the free speed, angles in radians.
 
 #![warn(missing_docs)]
+#![cfg_attr(
+    test,
+    expect(clippy::disallowed_methods, reason = "tests depend on no bit of them")
+)]
 
 mod cost;
 mod definition;

@@ -27,6 +27,11 @@
 //! Lengths are in body sizes, the mean of a body's length and width. Speeds are in the free speed
 //! of a body. Angles are in radians.
 
+#![cfg_attr(
+    test,
+    expect(clippy::disallowed_methods, reason = "tests depend on no bit of them")
+)]
+
 pub mod model;
 pub mod observables;
 pub mod plural;

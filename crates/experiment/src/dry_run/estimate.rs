@@ -151,6 +151,10 @@ fn step_cost(point: &Point) -> f64 {
 
 /// Returns the measured time over the expected one at an expected time, by the line between the
 /// measured ones, both logarithmic.
+#[expect(
+    clippy::disallowed_methods,
+    reason = "an estimate, which depends on the machine anyway"
+)]
 fn factor(measured: &[(f64, f64)], cost: f64) -> f64 {
     match measured {
         [(low, at_low), (high, at_high)] if at_low.min(*at_high) > 0.0 => {

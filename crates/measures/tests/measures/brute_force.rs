@@ -41,7 +41,7 @@ fn gap(state: &State, i: usize, j: usize) -> f64 {
     let (radius, half) = (1.0 / (1.0 + pi1), (pi1 - 1.0) / (1.0 + pi1));
     let configuration = &state.configuration;
     let axis = |k: usize| {
-        let (sin, cos) = configuration.alpha[k].sin_cos();
+        let (sin, cos) = libm::sincos(configuration.alpha[k]);
         [-half, half].map(|at| [configuration.x[k] + at * cos, configuration.y[k] + at * sin])
     };
     let (one, other) = (axis(i), axis(j));

@@ -76,15 +76,18 @@ fn build_up_grows(evidence: &Evidence) -> ClaimResult {
             cases.push(Case::sure(false));
             continue;
         }
-        let exponential: Vec<_> = points.iter().map(|it| (it.0, it.1.ln())).collect();
-        let power: Vec<_> = points.iter().map(|it| (it.0.ln(), it.1.ln())).collect();
+        let exponential: Vec<_> = points.iter().map(|it| (it.0, libm::log(it.1))).collect();
+        let power: Vec<_> = points
+            .iter()
+            .map(|it| (libm::log(it.0), libm::log(it.1)))
+            .collect();
         let ((fit, slope), (other, _)) = (line(&exponential), line(&power));
         cases.push(Case::sure(fit >= 0.9 && fit >= other && slope > 0.0));
         let (first, last) = (points[0], points[points.len() - 1]);
         fits.push(format!(
             "×{:.2} each 10 individuals, R² {fit:.3} (over log n {other:.3}); {:.1} at n = {} to {:.1} \
              at n = {} (π1 = {pi1})",
-            (10.0 * slope).exp(),
+            libm::exp(10.0 * slope),
             first.1,
             first.0,
             last.1,
@@ -223,7 +226,7 @@ mod tests {
                 informed: 0,
                 ..sample()
             };
-            let run = with(run, Measure::UNORDERED_TIME, (n as f64 / 10.0).exp());
+            let run = with(run, Measure::UNORDERED_TIME, libm::exp(n as f64 / 10.0));
             let run = with(run, Measure::UNORDERED_INTERVALS, 1);
             with(run, Measure::ORDERED_INTERVALS, 1)
         };

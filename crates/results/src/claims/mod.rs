@@ -67,7 +67,7 @@ fn with_error(value: f64, error: Option<f64>) -> String {
     let Some(error) = error.filter(|error| *error > 0.0 && error.is_finite()) else {
         return format!("{value:.3}");
     };
-    let digits = (1.0 - error.log10().floor()).clamp(0.0, 5.0);
+    let digits = (1.0 - libm::log10(error).floor()).clamp(0.0, 5.0);
     #[expect(
         clippy::cast_possible_truncation,
         clippy::cast_sign_loss,
@@ -79,7 +79,7 @@ fn with_error(value: f64, error: Option<f64>) -> String {
 
 /// Returns the standard error of a difference of independent means; `None` if either is unknown.
 fn of_difference(one: Option<f64>, other: Option<f64>) -> Option<f64> {
-    Some(one?.hypot(other?))
+    Some(libm::hypot(one?, other?))
 }
 
 /// Returns the case that `one` is at most `times` times `other`. It does not divide, since `other`
