@@ -44,3 +44,19 @@ fn the_tls_link_of_zenoh_is_the_copy_without_unsafe_code() {
     }
     assert_eq!(files, 3);
 }
+
+/// crates.io's `web-time` asks JavaScript for the time: with it the wasm module has imports.
+#[test]
+fn the_clock_of_clarabel_in_wasm_is_the_stand_in() {
+    let lock = toml("Cargo.lock");
+    let [clarabel] = <[Value; 1]>::try_from(locked(&lock, "clarabel")).unwrap();
+    let needs = clarabel["dependencies"].as_array().unwrap().iter();
+    let clock: Vec<_> = needs
+        .filter_map(|it| it.as_str()?.strip_prefix("web-time "))
+        .collect();
+    let mut replaced = locked(&lock, "web-time");
+    replaced.retain(|it| it.get("source").is_none());
+    let [replaced] = <[Value; 1]>::try_from(replaced).unwrap();
+    assert_eq!(clock, [replaced["version"].as_str().unwrap()]);
+    assert_eq!(replaced.get("dependencies"), None);
+}
