@@ -4,7 +4,8 @@ A wheel is made in one of three ways:
 
 - With the folder of built programs in `JOSTLE_BINARIES`, it has them, stripped. Its tag is
   `py3-none-` and `JOSTLE_PLATFORM`, or `platform_tag()`. `JOSTLE_LICENCES` names the file
-  with the licences of the libraries that they contain, which `packaging/licences` writes.
+  with the licences of the libraries that they contain, which `packaging/licences` writes,
+  `JOSTLE_SHARE` the folder with the wasm module, which `packaging/wasm` writes.
 - In an unpacked sdist, they are built first: `cargo build --release --locked`.
 - In a checkout it is the package alone, `py3-none-any`. So is an editable installation.
 """
@@ -46,6 +47,10 @@ class Programs(BuildHookInterface[Any]):
         build_data["shared_scripts"].update(scripts)
         if licences := os.environ.get("JOSTLE_LICENCES"):
             build_data["shared_data"][licences] = "share/doc/jostle/third-party.txt"
+        if share := os.environ.get("JOSTLE_SHARE"):
+            # Empty without a compiler for wasm.
+            files = sorted(Path(share).glob("*"))
+            build_data["shared_data"].update({str(it): f"share/jostle/{it.name}" for it in files})
         build_data["tag"] = f"py3-none-{os.environ.get('JOSTLE_PLATFORM') or platform_tag()}"
         build_data["pure_python"] = False
 

@@ -114,6 +114,9 @@ def programs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("JOSTLE_BINARIES", str(JOSTLED.parent))
         patch.setenv("JOSTLE_LICENCES", str(FOLDER / "LICENSE-MIT"))
+        (share := folder / "share").mkdir()
+        (share / "jostle.wasm.gz").write_bytes(b"module")
+        patch.setenv("JOSTLE_SHARE", str(share))
         pip("wheel", "--no-deps", "--no-build-isolation", "-w", folder, FOLDER)
     (made,) = folder.glob("*.whl")
     return made
@@ -187,6 +190,8 @@ def test_the_wheel_with_programs_needs_nothing_else_and_leaves_nothing(
         assert program.stat().st_size < JOSTLED.with_name(name).stat().st_size
     licences = environment.folder / "share" / "doc" / "jostle" / "third-party.txt"
     assert licences.read_bytes() == (FOLDER / "LICENSE-MIT").read_bytes()
+    module = environment.folder / "share" / "jostle" / "jostle.wasm.gz"
+    assert module.read_bytes() == b"module"
     environment.pip("uninstall", "-y", "jostle")
     assert environment.files() == before
 
