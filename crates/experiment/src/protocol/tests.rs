@@ -503,3 +503,4 @@ fn the_series_of_a_stopped_run_ends_with_the_state_that_stopped_it() {
 mod checks;
 mod limits;
 mod random;
+mod random_protocol;

@@ -1,0 +1,103 @@
+//! An experiment whose runs are executed in slices.
+
+use jostle_experiment::{CurrentRun, Files, FinishedRun, Plan};
+use jostle_physics::simulation::Simulation;
+use jostle_proto::ErrorCode;
+use jostle_results::table;
+
+use crate::request::{Advanced, Answer, Rejection, Reply, RunEntry, Status};
+use crate::swarm::decode;
+
+/// An experiment, and one of its runs.
+pub struct Experiment {
+    plan: Plan,
+    current: Option<Current>,
+}
+
+struct Current {
+    run: CurrentRun,
+    finished: Option<FinishedRun>,
+}
+
+impl Experiment {
+    /// Reads an experiment's files. `start` is in base64.
+    pub fn read(
+        toml: String,
+        points: Option<String>,
+        start: Option<&str>,
+        setpoints: Option<String>,
+    ) -> Result<Self, Rejection> {
+        let files = Files {
+            toml,
+            points,
+            start: start.map(decode).transpose()?,
+            setpoints,
+        };
+        Ok(Self {
+            plan: Plan::of(files)?,
+            current: None,
+        })
+    }
+
+    /// Returns its name and its runs.
+    pub fn answer(&self) -> Answer {
+        let entry = |run| {
+            let point = self.plan.point(run);
+            RunEntry {
+                name: run.name.clone(),
+                steps: point.steps,
+                n: point.spec.n,
+            }
+        };
+        Answer::Plan {
+            name: self.plan.name.clone(),
+            runs: self.plan.runs().iter().map(entry).collect(),
+        }
+    }
+
+    /// Begins a run.
+    pub fn run(&mut self, index: usize) -> Reply {
+        let runs = self.plan.runs();
+        let run = runs.get(index).ok_or_else(|| {
+            let message = format!("there is no run {index}: the experiment has {}", runs.len());
+            Rejection::of(ErrorCode::NotFound, message)
+        })?;
+        let run = CurrentRun::start(&self.plan, run)?;
+        let status = Status::of(run.simulation(), None);
+        self.current = Some(Current {
+            run,
+            finished: None,
+        });
+        Ok(Answer::Status(status))
+    }
+
+    /// Takes steps of the run, until it ends.
+    pub fn advance(&mut self, steps: u64) -> Reply {
+        let Some(current) = &mut self.current else {
+            let message = "there is no run: send run first";
+            return Err(Rejection::of(ErrorCode::IncorrectState, message));
+        };
+        if current.finished.is_none() {
+            current.finished = current.run.advance(&self.plan, steps, None);
+        }
+        let finished = current.finished.as_ref();
+        let row = finished.and_then(|it| it.row.clone());
+        let extra = self.plan.extra_columns();
+        Ok(Answer::Advanced(Advanced {
+            status: Status::of(current.run.simulation(), finished.and_then(|it| it.fault.clone())),
+            finished: finished.is_some(),
+            csv: row.as_ref().map(|row| table::csv(std::slice::from_ref(row), &extra)),
+            row: row.map(Box::new),
+        }))
+    }
+
+    /// Returns the simulation of the run.
+    pub fn simulation(&self) -> Option<&Simulation> {
+        self.current.as_ref().map(|it| it.run.simulation())
+    }
+
+    /// Returns why the run ended early.
+    pub fn fault(&self) -> Option<String> {
+        self.current.as_ref()?.finished.as_ref()?.fault.clone()
+    }
+}

@@ -1,0 +1,125 @@
+//! A swarm that is stepped by requests.
+
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
+use jostle_convert::{Place, change, hexadecimal, snapshot, spec};
+use jostle_experiment::MAX_INDIVIDUALS;
+use jostle_physics::simulation::Simulation;
+use jostle_proto::snapshot::{Snapshot, SnapshotPhase};
+use jostle_proto::verbs::{self, SetPoints};
+use jostle_proto::{ErrorCode, Spec};
+
+use crate::request::{Answer, Rejection, Reply, Status};
+
+/// A swarm.
+pub struct Swarm {
+    /// Its simulation.
+    pub simulation: Simulation,
+    /// Why it takes no further steps.
+    pub fault: Option<String>,
+}
+
+impl Swarm {
+    /// Creates a swarm.
+    pub fn create(spec: &Spec) -> Result<Self, Rejection> {
+        let n = usize::try_from(spec.n).ok().filter(|_| spec.n <= MAX_INDIVIDUALS);
+        let n = n.ok_or_else(|| {
+            let message = format!("n = {}, the limit is {MAX_INDIVIDUALS}", spec.n);
+            Rejection::of(ErrorCode::ResourceExhausted, message)
+        })?;
+        let simulation = Simulation::new(&spec::from_proto(spec, n)?)?;
+        Ok(Self {
+            simulation,
+            fault: None,
+        })
+    }
+
+    /// Restores a swarm from a snapshot in base64.
+    pub fn restore(encoded: &str) -> Result<Self, Rejection> {
+        let bytes = decode(encoded)?;
+        let restored = Snapshot::from_file(&bytes).map_err(Rejection::invalid)?;
+        let checkpoint = snapshot::from_proto(&restored)?;
+        snapshot::check(&checkpoint)?;
+        Ok(Self {
+            simulation: Simulation::from_checkpoint(&checkpoint, Box::new(|_| Ok(()))),
+            fault: None,
+        })
+    }
+
+    /// Returns the snapshot.
+    pub fn snapshot(&self) -> Answer {
+        let doing = SnapshotPhase::Paused {
+            reason: String::new(),
+        };
+        let snapshot = snapshot::to_proto("swarm", &self.simulation.checkpoint(), doing);
+        let bytes = jostle_proto::to_cbor(&snapshot.sealed());
+        Answer::Snapshot {
+            snapshot: STANDARD.encode(bytes),
+        }
+    }
+
+    /// Applies a change.
+    pub fn apply(&mut self, change: verbs::Change, seq: Option<u64>) -> Reply {
+        let named = serde_json::to_value(&change).unwrap_or_default();
+        let place = Place::of_verb(named["verb"].as_str().unwrap_or_default());
+        let change = change::change(change)?;
+        let rejected = |error| Rejection::coded(&error, &place);
+        change.check().map_err(rejected)?;
+        let seq = seq.unwrap_or(self.simulation.seq + 1);
+        let outcome = self.simulation.apply_at(seq, &change).map_err(rejected)?;
+        Ok(Answer::Changed(change::changed(change.kind(), outcome)))
+    }
+
+    /// Sets directions, weights and drives.
+    pub fn steer(&mut self, set: SetPoints) -> Reply {
+        let set = change::set_points(set)?;
+        let steered = self.simulation.steer(&set);
+        steered.map_err(|error| Rejection::coded(&error, &Place::of_verb("control")))?;
+        Ok(Answer::Steered {
+            n: self.simulation.state.configuration.n(),
+        })
+    }
+
+    /// Takes steps, until one fails.
+    pub fn step(&mut self, steps: u64) -> Reply {
+        if let Some(fault) = &self.fault {
+            return Err(Rejection::of(ErrorCode::Faulted, fault));
+        }
+        for _ in 0..steps {
+            if let Err(error) = self.simulation.step() {
+                self.fault = Some(error.to_string());
+                break;
+            }
+        }
+        Ok(Answer::Status(Status::of(&self.simulation, self.fault.clone())))
+    }
+}
+
+impl Status {
+    /// Returns the status of a simulation.
+    pub fn of(simulation: &Simulation, fault: Option<String>) -> Self {
+        let order = simulation.order();
+        let exactness = &simulation.exactness;
+        Self {
+            step: simulation.state.step,
+            time: simulation.state.time(),
+            n: simulation.state.configuration.n(),
+            pi1: simulation.state.parameters.pi1,
+            state_hash: hexadecimal(&simulation.state_hash()),
+            order: order.order,
+            drift: order.drift,
+            mean_order: simulation.means.mean_order(),
+            residual: exactness.residual,
+            contacts: exactness.contacts,
+            iterations: exactness.iterations,
+            degraded: exactness.degraded,
+            fault,
+        }
+    }
+}
+
+/// Reads base64.
+pub fn decode(encoded: &str) -> Result<Vec<u8>, Rejection> {
+    let decoded = STANDARD.decode(encoded);
+    decoded.map_err(|error| Rejection::invalid(format!("it is no base64: {error}")))
+}
