@@ -1,6 +1,6 @@
 //! Requests and replies.
 
-use jostle_convert::{ArgsError, MeasuresError, Place, SnapshotError, WireCode, WireError};
+use jostle_convert::{ArgsError, MeasuresError, SnapshotError, WireCode, WireError};
 use jostle_experiment::PlanError;
 use jostle_physics::simulation::ChangeError;
 use jostle_proto::verbs::{Change, Changed, SetPoints};
@@ -187,41 +187,35 @@ impl Rejection {
             details: serde_json::Map::new(),
         }
     }
+}
 
-    /// Returns the rejection of a value at this place of a request of the service.
-    pub fn coded(error: &(impl WireCode + ToString), place: &Place) -> Self {
-        Self {
-            code: error.code(),
-            message: error.to_string(),
-            details: error.details(place),
-        }
-    }
+/// The code and the message of an error. The details that the daemon adds, such as ranges, would bring the
+/// schemas of all messages into the module.
+fn coded(error: &(impl WireCode + ToString)) -> Rejection {
+    Rejection::of(error.code(), error.to_string())
 }
 
 impl From<WireError> for Rejection {
     fn from(error: WireError) -> Self {
-        Self::coded(&error, &Place::of_verb("create").within("spec"))
+        coded(&error)
     }
 }
 
 impl From<ChangeError> for Rejection {
     fn from(error: ChangeError) -> Self {
-        Self::coded(&error, &Place::of_verb("create").within("spec"))
-    }
-}
-
-impl From<ArgsError> for Rejection {
-    fn from(error: ArgsError) -> Self {
-        match error {
-            ArgsError::Value(error) => Self::coded(&error, &Place::default()),
-            error @ ArgsError::Field { .. } => Self::invalid(error),
-        }
+        coded(&error)
     }
 }
 
 impl From<MeasuresError> for Rejection {
     fn from(error: MeasuresError) -> Self {
-        Self::coded(&error, &Place::default())
+        coded(&error)
+    }
+}
+
+impl From<ArgsError> for Rejection {
+    fn from(error: ArgsError) -> Self {
+        Self::invalid(error)
     }
 }
 

@@ -2,7 +2,7 @@
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
-use jostle_convert::{Place, change, hexadecimal, snapshot, spec};
+use jostle_convert::{change, hexadecimal, snapshot, spec};
 use jostle_experiment::MAX_INDIVIDUALS;
 use jostle_physics::simulation::Simulation;
 use jostle_proto::snapshot::{Snapshot, SnapshotPhase};
@@ -60,21 +60,17 @@ impl Swarm {
 
     /// Applies a change.
     pub fn apply(&mut self, change: verbs::Change, seq: Option<u64>) -> Reply {
-        let named = serde_json::to_value(&change).unwrap_or_default();
-        let place = Place::of_verb(named["verb"].as_str().unwrap_or_default());
         let change = change::change(change)?;
-        let rejected = |error| Rejection::coded(&error, &place);
-        change.check().map_err(rejected)?;
+        change.check()?;
         let seq = seq.unwrap_or(self.simulation.seq + 1);
-        let outcome = self.simulation.apply_at(seq, &change).map_err(rejected)?;
+        let outcome = self.simulation.apply_at(seq, &change)?;
         Ok(Answer::Changed(change::changed(change.kind(), outcome)))
     }
 
     /// Sets directions, weights and drives.
     pub fn steer(&mut self, set: SetPoints) -> Reply {
         let set = change::set_points(set)?;
-        let steered = self.simulation.steer(&set);
-        steered.map_err(|error| Rejection::coded(&error, &Place::of_verb("control")))?;
+        self.simulation.steer(&set)?;
         Ok(Answer::Steered {
             n: self.simulation.state.configuration.n(),
         })

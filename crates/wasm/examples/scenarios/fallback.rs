@@ -17,7 +17,7 @@ use crate::scenario::Scenario;
 const SETTLING: u64 = 1000;
 
 /// How many of the scenarios there must be.
-const SCENARIOS: usize = 4;
+const SCENARIOS: usize = 2;
 
 /// Returns a packed group whose warm start is random over eight decades: with it the exact solver misses
 /// its target.
@@ -47,7 +47,7 @@ pub fn all() -> impl Iterator<Item = Scenario> {
             let sealed = snapshot::to_proto("packed", &checkpoint, doing).sealed();
             let encoded = STANDARD.encode(jostle_proto::to_cbor(&sealed));
             let mut scenario = Scenario::new(json!({"restore": {"snapshot": encoded}}));
-            scenario.step(10, 1);
+            scenario.step(3, 1);
             scenario
         })
         .collect();

@@ -33,16 +33,16 @@ pub fn random(set: &str, seed: u64) -> Vec<Scenario> {
     scenarios
 }
 
-/// Returns groups of several hundred to 2,000 individuals.
+/// Returns groups of 500 to 2,000 individuals.
 pub fn several_hundred() -> impl Iterator<Item = Scenario> {
-    let sizes = [500, 700, 900, 1200, 1500, 2000, 2000];
+    let sizes = [500, 700, 1000, 2000];
     sizes.into_iter().zip(0..).map(|(n, seed)| {
         let mut numbers = Numbers::new("several hundred", seed);
         let mut scenario = Scenario::new(json!({"create": {"spec": spec(&mut numbers, n, seed)}}));
-        scenario.step(100, 20);
+        scenario.step(40, 10);
         let request = command(&mut numbers, scenario.ids());
         scenario.send(request);
-        scenario.step(40, 20);
+        scenario.step(20, 10);
         scenario.send(measures(&mut numbers));
         scenario
     })
