@@ -30,6 +30,7 @@ _PACKAGES = {
     "crates/measures": "jostle-measures",
     "crates/physics": "jostle-physics",
     "crates/results": "jostle-results",
+    "crates/wasm": "jostle-wasm",
 }
 
 

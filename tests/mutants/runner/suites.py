@@ -41,6 +41,8 @@ class Suite:
     judges: tuple[str, ...]
     # Whether a mutant of this suite makes cargo compile the daemon.
     compiles_daemon: bool = False
+    # Whether `--draw` may choose its mutants.
+    is_drawn: bool = True
 
     def has_test(self, test: str, sources: dict[str, str]) -> bool:
         """Returns whether a source of this suite has a test of this name."""
@@ -159,6 +161,34 @@ class Page(Suite):
         return _outcome(output, rf"^\s*{line}", rf"^\s*not {line}"), output
 
 
+class Engines(Suite):
+    """Scenarios that the native program and the wasm module answer: the test is `SET:ENGINE`."""
+
+    _SCENARIOS = "release/examples/scenarios"
+
+    def has_test(self, test: str, sources: dict[str, str]) -> bool:
+        """Whether there is such a comparison."""
+        del sources
+        return re.fullmatch("[ab]:(node|wasmtime|chromium)", test) is not None
+
+    def build(self, place: Place) -> str | None:
+        """Compiles the program and the module; returns the output if that fails."""
+        package = ["--locked", "-p", "jostle-wasm", "-p", "jostle-cli"]
+        native = ["cargo", "build", "--release", *package, "--example", "scenarios"]
+        for command in (native, ["packaging/wasm"]):
+            status, output = place.run(command, limited=False)
+            if status:
+                return output
+        return None
+
+    def judge(self, place: Place, test: str) -> tuple[Outcome, str]:
+        """Compares one set on one engine; returns the outcome and the output."""
+        native = ["--native", str(place.target / self._SCENARIOS)]
+        _, output = place.run([place.python, "tests/engines/compare", *native, test])
+        line = f"^{test.replace(':', ': ')}: "
+        return _outcome(output, f"{line}equal", f"{line}DIFFERENT"), output
+
+
 _DAEMON = ("src/", "proto/src/", "crates/")
 _ALL = [
     Cargo("lib", ("src/",), ("src/",), True, targets="-p jostled --lib", opt_levels=("jostled=0",)),
@@ -243,5 +273,7 @@ _ALL = [
     ),
     Pytest("python", ("clients/python/tests/",), ("clients/python/src/",)),
     Page("page", ("clients/web/tests/",), ("clients/web/src/",)),
+    # To compile the module takes minutes.
+    Engines("engines", ("tests/engines/",), ("crates/physics/src/",), is_drawn=False),
 ]
 SUITES: dict[str, Suite] = {suite.name: suite for suite in _ALL}

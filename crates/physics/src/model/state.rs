@@ -57,7 +57,7 @@ impl State {
     }
 
     /// Hashes everything on which steps depend: two states with the same hash take the same steps
-    /// on any x86-64 processor and any number of threads, with the same build.
+    /// on x86-64, aarch64 and wasm32 with any number of threads, in programs of one version.
     ///
     /// The hash is BLAKE3 over little-endian bytes in this order: model version; `pi1, pi2, pi3,
     /// pi4, dt`, rules, attraction law; seed; step; origin; next id; the columns id, x, y, alpha,

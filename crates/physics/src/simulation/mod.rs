@@ -33,7 +33,7 @@ pub struct Exactness {
 }
 
 /// A simulation at one step. Two simulations with equal checkpoints have the same future under the
-/// same commands on any x86-64 processor and any number of threads, with the same build.
+/// same commands on x86-64, aarch64 and wasm32 with any number of threads, in programs of one version.
 #[derive(Clone, Debug)]
 pub struct Checkpoint {
     /// The spec of its start.
@@ -169,7 +169,7 @@ impl Simulation {
     }
 
     /// Returns the BLAKE3 hash of the state. Two simulations with equal hashes take the same steps
-    /// on any x86-64 processor and any number of threads, with the same build. Random selections
+    /// on x86-64, aarch64 and wasm32 with any number of threads, in programs of one version. Random selections
     /// and injections also depend on `seq`, which is not hashed.
     pub fn state_hash(&self) -> [u8; 32] {
         self.state.hash()

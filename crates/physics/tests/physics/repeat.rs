@@ -36,7 +36,7 @@ fn settled_state(n: usize, stepper: &mut Stepper) -> State {
 }
 
 /// The hash of one run. It may change with the model's version or the solver. It must not change
-/// with the x86-64 processor, the number of threads or the build.
+/// with the processor, the number of threads or the build.
 #[test]
 fn two_hundred_steps_in_contact_end_in_the_golden_state() {
     let mut stepper = Stepper::new();
