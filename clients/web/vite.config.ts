@@ -19,4 +19,8 @@ export default defineConfig({
       },
     },
   },
+  worker: {
+    format: "es",
+    rolldownOptions: { output: { entryFileNames: "worker.js" } },
+  },
 });

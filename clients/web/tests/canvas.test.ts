@@ -1,8 +1,10 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
+import { headingRange } from "../src/canvas/bodies.ts";
 import { Camera, extentOf } from "../src/canvas/camera.ts";
 import { Motion } from "../src/canvas/motion.ts";
 import { roundLength } from "../src/canvas/overlays.ts";
+import { MAX_TIME, Trails } from "../src/canvas/trails.ts";
 import { bodyOf, halfLengthTime } from "../src/geometry/body.ts";
 import { type State, shift } from "../src/wire/state.ts";
 
@@ -197,4 +199,24 @@ test("the scale bar has a round length", () => {
   assert.equal(roundLength(60, 60), 1);
   assert.equal(roundLength(300, 60), 0.2);
   assert.equal(roundLength(0.5, 60), 200);
+});
+
+test("equal ranges of headings are about 0, a quarter turn, and so on", () => {
+  const quarter = Math.PI / 2;
+  const ranges = [0, 0.7, -0.7, quarter, -quarter, 2 * quarter, -2 * quarter, 9 * quarter - 0.7];
+  assert.deepEqual(
+    ranges.map((it) => headingRange(it, 4)),
+    [0, 0, 0, 1, 3, 2, 2, 1],
+  );
+});
+
+test("trails keep positions at even intervals, up to their longest time", () => {
+  const trails = new Trails();
+  assert.equal(trails.time, Number.NEGATIVE_INFINITY);
+  for (let step = 0; step <= 2000; step += 3) {
+    trails.keep(state(step, [step]));
+  }
+  // Steps of 0.06 time units: every fourth is kept.
+  assert(Math.abs(trails.time - 39.84) < 1e-9, `${trails.time}`);
+  assert.equal(MAX_TIME, 15);
 });

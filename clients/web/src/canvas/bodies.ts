@@ -7,7 +7,7 @@
  */
 import type { Body } from "../geometry/body.ts";
 import type { Bodies } from "../geometry/touching.ts";
-import type { State } from "../wire/state.ts";
+import type { Drawn } from "../wire/state.ts";
 import type { Camera } from "./camera.ts";
 import type { Colours, Look } from "./colours.ts";
 
@@ -56,8 +56,9 @@ export function visibleBodies({ bodies, camera }: Scene): Uint32Array {
  * of a faulted swarm are hollow and crossed out: they differ from others without colours, too. */
 export function drawBodies(
   scene: Scene,
-  { weight, phase }: Pick<State, "weight" | "phase">,
+  { weight, phase }: Pick<Drawn, "weight" | "phase">,
   which: Uint32Array,
+  headings = false,
 ): Uint32Array {
   const informed = which.filter((i) => weight[i]! > 0);
   const plain = which.filter((i) => !(weight[i]! > 0));
@@ -69,9 +70,33 @@ export function drawBodies(
     return informed;
   }
   const draw = which.length > MANY && width < NARROW_PX ? drawPolygons : drawCapsules;
-  draw(scene, plain, scene.colours.plain, width);
-  draw(scene, informed, scene.colours.informed, width);
+  for (const part of [plain, informed]) {
+    if (headings) {
+      for (const [{ fill, edge }, some] of byHeading(scene, part)) {
+        const look = { fill, edge: part === informed ? scene.colours.ink : edge };
+        draw(scene, some, look, width);
+      }
+    } else {
+      draw(scene, part, part === plain ? scene.colours.plain : scene.colours.informed, width);
+    }
+  }
   return informed;
+}
+
+/** The bodies of each range of headings that has some, with its look. */
+function byHeading({ bodies, colours }: Scene, which: Uint32Array): [Look, Uint32Array][] {
+  const { headings } = colours;
+  const range = (i: number) => headingRange(bodies.alpha[i]!, headings.length);
+  return headings.flatMap((look, k): [Look, Uint32Array][] => {
+    const some = which.filter((i) => range(i) === k);
+    return some.length > 0 ? [[look, some]] : [];
+  });
+}
+
+/** The index of the range of headings, of `ranges` equal ones about 0, in which a heading is. */
+export function headingRange(alpha: number, ranges: number): number {
+  const turns = alpha / (2 * Math.PI);
+  return Math.round((turns - Math.floor(turns)) * ranges) % ranges;
 }
 
 function drawCapsules(scene: Scene, which: Uint32Array, look: Look, width: number): void {

@@ -13,6 +13,8 @@ export interface Colours {
   grid: string;
   ink: string;
   plain: Look;
+  /** The looks of equal ranges of headings, counter-clockwise, the first about +x. */
+  headings: Look[];
   informed: Look;
   /** Bodies of a faulted swarm: pale, with a cross. */
   faulted: Look;
@@ -30,8 +32,20 @@ const BODIES = {
   informed: { fill: "#f2a154", edge: "#8a4408" },
 };
 
+/** Ranges of headings: neighbouring colours differ hardly, as neighbouring headings do. */
+const RANGES = 24;
+
+/** Colours of equal lightness around the circle of hues. */
+function headings(fill: string, edge: string): Look[] {
+  return Array.from({ length: RANGES }, (_, k) => {
+    const hue = (360 * k) / RANGES + 30;
+    return { fill: `oklch(${fill} ${hue})`, edge: `oklch(${edge} ${hue})` };
+  });
+}
+
 const LIGHT: Colours = {
   ...BODIES,
+  headings: headings("0.76 0.13", "0.58 0.12"),
   faulted: { fill: "#fbfcfd", edge: "#a3141f" },
   faulted_informed: { fill: "#fbdcb9", edge: "#a3141f" },
   paper: "#fbfcfd",
@@ -47,6 +61,7 @@ const LIGHT: Colours = {
 
 const DARK: Colours = {
   plain: { fill: "#9cc0de", edge: "#24425c" },
+  headings: headings("0.78 0.13", "0.42 0.1"),
   informed: { fill: "#f6ab61", edge: "#7a3a05" },
   faulted: { fill: "#10151b", edge: "#ff8d8d" },
   faulted_informed: { fill: "#5d3c16", edge: "#ff8d8d" },

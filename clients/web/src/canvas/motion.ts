@@ -6,7 +6,7 @@
  * would move bodies through one another.
  */
 import type { Bodies } from "../geometry/touching.ts";
-import { type State, shift } from "../wire/state.ts";
+import { type Drawn, shift } from "../wire/state.ts";
 
 /** After a longer pause the next state is shown without interpolation. */
 const MAX_MOTION_MS = 250;
@@ -16,7 +16,7 @@ interface Start extends Bodies {
   time: number;
 }
 
-export class Motion {
+export class Motion<State extends Drawn = Drawn> {
   newest: State | null = null;
   private from: Start | null = null;
   private shown: Bodies | null = null;
@@ -89,7 +89,7 @@ export class Motion {
   }
 
   /** The positions on the screen and their simulated time. */
-  private present(now: number, newest: State): Start {
+  private present(now: number, newest: Drawn): Start {
     const { from } = this;
     const part = Math.min(1, this.part(now));
     const time = from ? from.time + part * (newest.time - from.time) : newest.time;
@@ -99,7 +99,7 @@ export class Motion {
 }
 
 /** Whether the second state continues the first, with the same individuals. */
-export function continues(before: State, after: State): boolean {
+export function continues(before: Drawn, after: Drawn): boolean {
   return (
     after.epoch === before.epoch &&
     after.step >= before.step &&

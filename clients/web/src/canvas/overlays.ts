@@ -5,6 +5,8 @@ import { ORIGIN_UNIT, type Origin } from "../wire/state.ts";
 import { fillCapsules, MANY, NARROW_PX, type Scene, stroke, trace } from "./bodies.ts";
 import { CLUSTERS } from "./colours.ts";
 
+/** The ring of headings: its centre is `far` from two edges. */
+const RING = { far: 30, radius: 13, width: 9 };
 const FONT = "600 12px system-ui, sans-serif";
 
 /** The least round number of body sizes that spans at least `least_px` pixels. */
@@ -39,6 +41,25 @@ export function drawGrid({ g, camera, colours }: Scene, origin: Origin): void {
   }
   g.lineCap = "butt";
   stroke(g, colours.grid, 1);
+}
+
+/** Draws the colours of the headings as a ring, at the top left. */
+export function drawHeadings({ g, colours }: Scene): void {
+  const { headings } = colours;
+  const part = (2 * Math.PI) / headings.length;
+  const [x, y] = [RING.far, RING.far];
+  headings.forEach(({ fill }, k) => {
+    g.beginPath();
+    // The screen's y axis points down; the slight overlap leaves no seams.
+    g.arc(x, y, RING.radius, -(k + 0.53) * part, -(k - 0.53) * part);
+    g.lineCap = "butt";
+    stroke(g, fill, RING.width);
+  });
+  g.fillStyle = colours.ink;
+  g.font = FONT;
+  g.textAlign = "left";
+  g.textBaseline = "middle";
+  g.fillText("heading", x + RING.far, y);
 }
 
 export function drawScaleBar({ g, camera, colours }: Scene): void {

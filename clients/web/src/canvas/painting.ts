@@ -1,12 +1,14 @@
 /** Draws one picture, from the bottom layer to the top. */
 import { halfLengthTime } from "../geometry/body.ts";
-import type { State } from "../wire/state.ts";
+import type { Drawn } from "../wire/state.ts";
 import { clear, drawBodies, type Scene, visibleBodies } from "./bodies.ts";
 import * as overlays from "./overlays.ts";
 import type { Trails } from "./trails.ts";
 
 /** The layers that are drawn in addition to the bodies. */
 export interface Layers {
+  /** The colour of a body is that of its heading. */
+  headings: boolean;
   contacts: boolean;
   clusters: boolean;
   trails: boolean;
@@ -14,7 +16,7 @@ export interface Layers {
 }
 
 export interface Picture {
-  state: State;
+  state: Drawn;
   layers: Layers;
   trails: Trails;
   pairs: Uint32Array;
@@ -41,7 +43,7 @@ export function paint(scene: Scene, picture: Picture): void {
     overlays.drawSelected(scene, picture.selected);
   }
   const visible = visibleBodies(scene);
-  const informed = drawBodies(scene, state, visible);
+  const informed = drawBodies(scene, state, visible, layers.headings);
   if (picture.preferences) {
     overlays.drawVectors(scene, visible, picture.preferences);
   } else if (informed.length > 0) {
@@ -54,6 +56,9 @@ export function paint(scene: Scene, picture: Picture): void {
     overlays.labelClusters(scene, picture.clusters);
   }
   overlays.drawScaleBar(scene);
+  if (layers.headings) {
+    overlays.drawHeadings(scene);
+  }
   if (picture.lasso) {
     overlays.drawLasso(scene, picture.lasso);
   }
@@ -63,7 +68,7 @@ export function paint(scene: Scene, picture: Picture): void {
 }
 
 /** The preferred direction of each, about as long as a body. */
-function directions(state: State): Float64Array {
+function directions(state: Drawn): Float64Array {
   const found = new Float64Array(2 * state.id.length);
   state.direction.forEach((direction, i) => {
     found[2 * i] = 1.1 * Math.cos(direction);

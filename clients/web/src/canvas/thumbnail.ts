@@ -1,7 +1,7 @@
 /** A small picture of a state, without layers and interpolation. */
 import { bodyOf } from "../geometry/body.ts";
 import { isDark } from "../ui/theme.ts";
-import type { State } from "../wire/state.ts";
+import type { Drawn } from "../wire/state.ts";
 import { clear, drawBodies } from "./bodies.ts";
 import { Camera, extentOf } from "./camera.ts";
 import { colours } from "./colours.ts";
@@ -10,7 +10,7 @@ const MARGIN_PX = 4;
 /** Strays are left out if they would reduce the scale to less than this share. */
 const MIN_WHOLE = 0.7;
 
-export function drawThumbnail(canvas: HTMLCanvasElement, state: State, pi1: number): void {
+export function drawThumbnail(canvas: HTMLCanvasElement, state: Drawn, pi1: number): void {
   const ratio = Math.min(2, devicePixelRatio);
   const camera = new Camera();
   camera.width = canvas.clientWidth;

@@ -1,11 +1,13 @@
 /** Past positions of all individuals, at even intervals of simulated time. */
-import type { State } from "../wire/state.ts";
+import type { Drawn } from "../wire/state.ts";
 import type { Scene } from "./bodies.ts";
 
 /** Time units between two kept positions. */
 const SPACING = 0.2;
 /** Positions kept of each individual. */
 const MAX_LENGTH = 75;
+/** The longest time of a trail, time units. */
+export const MAX_TIME = SPACING * MAX_LENGTH;
 /** Points of all trails in total. */
 const BUDGET = 12_000;
 /** Trails fade in this many shades; of more than MANY bodies in one, which draws four times as fast. */
@@ -22,7 +24,7 @@ interface Past {
 export class Trails {
   private past: Past[] = [];
 
-  keep(state: State): void {
+  keep(state: Drawn): void {
     const last = this.past.at(-1);
     if (last && state.time - last.time < SPACING && state.time >= last.time) {
       return;
@@ -35,6 +37,11 @@ export class Trails {
     if (this.past.length > most) {
       this.past.splice(0, this.past.length - most);
     }
+  }
+
+  /** The time of the newest positions. */
+  get time(): number {
+    return this.past.at(-1)?.time ?? Number.NEGATIVE_INFINITY;
   }
 
   clear(): void {

@@ -6,7 +6,7 @@ import { preferences } from "../geometry/preference.ts";
 import { findClusters, findTouching } from "../geometry/touching.ts";
 import { callAll, el } from "../ui/dom.ts";
 import { isDark, onTheme } from "../ui/theme.ts";
-import { decodeState, type State } from "../wire/state.ts";
+import type { Drawn } from "../wire/state.ts";
 import { clear } from "./bodies.ts";
 import { Camera, extentOf } from "./camera.ts";
 import { colours } from "./colours.ts";
@@ -22,25 +22,33 @@ const CLICK_REACH_PX = 8;
 /** The space around the buttons, which bodies keep clear of. */
 const BUTTONS_MARGIN_PX = 16;
 
-export interface ViewEvents {
-  /** The newest undecoded state, if there is one. */
-  take(): ArrayBuffer | null;
-  /** A state was decoded. */
+export interface ViewEvents<State extends Drawn> {
+  /** The newest state, if there is one that was not taken; throws if it is invalid. */
+  take(): State | null;
+  /** The states between a time and a taken state, oldest first, through which trails go. */
+  between?(after: number, state: State): Drawn[];
+  /** A state was taken. */
   state(state: State): void;
   /** The selection, the mode, the camera or the shown layers have changed. */
   changed(): void;
   /** A direction was dragged: radians, counter-clockwise from +x. */
   directed(direction: number): void;
-  /** A state could not be decoded. */
+  /** `take` has thrown. */
   failed(error: unknown): void;
 }
 
 const reduced = matchMedia("(prefers-reduced-motion: reduce)");
 
-export class View {
+export class View<State extends Drawn = Drawn> {
   readonly canvas: HTMLCanvasElement;
   readonly camera = new Camera();
-  readonly layers: Layers = { contacts: false, clusters: false, trails: false, preferences: false };
+  readonly layers: Layers = {
+    headings: false,
+    contacts: false,
+    clusters: false,
+    trails: false,
+    preferences: false,
+  };
   /** Ids: indices change when individuals are injected or removed. */
   readonly selected = new Set<number>();
   /** The buttons at the right edge of the picture. */
@@ -52,7 +60,7 @@ export class View {
 
   private readonly g: CanvasRenderingContext2D;
   private readonly gestures: Gestures;
-  private readonly motion = new Motion();
+  private readonly motion = new Motion<State>();
   private readonly trails = new Trails();
   private readonly ends: (() => void)[] = [];
   private body: Body = bodyOf(4);
@@ -60,10 +68,10 @@ export class View {
   private fresh = true;
   private lasso: number[] | null = null;
   private arrow: [[number, number], [number, number]] | null = null;
-  private preferenceVectors: { vectors: Float64Array; of: State } | null = null;
-  private touching: { pairs: Uint32Array; of: State; with: Body } | null = null;
+  private preferenceVectors: { vectors: Float64Array; of: Drawn } | null = null;
+  private touching: { pairs: Uint32Array; of: Drawn; with: Body } | null = null;
 
-  constructor(private readonly events: ViewEvents) {
+  constructor(private readonly events: ViewEvents<State>) {
     this.canvas = el("canvas", { class: "picture", tabindex: "0", role: "img" });
     this.g = this.canvas.getContext("2d", { alpha: false })!;
     this.gestures = new Gestures(this.canvas, {
@@ -150,13 +158,13 @@ export class View {
 
   private draw(now: number): void {
     this.frameRequest = 0;
-    const bytes = this.events.take();
-    if (bytes) {
-      try {
-        this.accept(decodeState(bytes), now);
-      } catch (error) {
-        this.events.failed(error);
+    try {
+      const taken = this.events.take();
+      if (taken) {
+        this.accept(taken, now);
       }
+    } catch (error) {
+      this.events.failed(error);
     }
     const { g, state, camera, body } = this;
     const palette = colours(isDark());
@@ -197,6 +205,9 @@ export class View {
     ) {
       this.trails.clear();
     }
+    for (const it of this.events.between?.(this.trails.time, state) ?? []) {
+      this.trails.keep(it);
+    }
     this.trails.keep(state);
     if (this.selected.size > 0) {
       const present = new Set(state.id);
@@ -210,7 +221,7 @@ export class View {
     this.events.state(state);
   }
 
-  private compose(state: State): Picture {
+  private compose(state: Drawn): Picture {
     const { layers } = this;
     const pairs = layers.contacts || layers.clusters ? this.pairs() : new Uint32Array();
     const selected: number[] = [];
@@ -233,7 +244,7 @@ export class View {
   }
 
   /** Quadratic in n, so computed once per state. */
-  private preferences(state: State): Float64Array {
+  private preferences(state: Drawn): Float64Array {
     if (this.preferenceVectors?.of !== state) {
       this.preferenceVectors = {
         vectors: preferences(state, state.weight, state.direction),

@@ -9,6 +9,7 @@ import { Numbers } from "../panels/numbers.ts";
 import { Parameters } from "../panels/parameters.ts";
 import { Playback } from "../panels/playback.ts";
 import { Steering } from "../panels/steering.ts";
+import { Verify } from "../panels/verify.ts";
 import { Watch } from "../panels/watch.ts";
 import { el, setText } from "../ui/dom.ts";
 import { PhaseChip } from "../ui/phase.ts";
@@ -30,6 +31,13 @@ export function swarmPage(name: string, session: Session): Page {
   let events = new Events(name, () => takeAnother(newest));
   const log = el("div", {}, events.element);
   const download = downloadButton(name);
+  const verify = new Verify(name);
+  const again = el(
+    "div",
+    {},
+    el("p", { class: "buttons" }, download, verify.button),
+    verify.element,
+  );
   /** The event numbers of another swarm of this name start at 1. */
   const replaceEvents = () => {
     events.end();
@@ -95,7 +103,7 @@ export function swarmPage(name: string, session: Session): Page {
       replay = row?.replay ?? replay;
       informs.hidden = replay;
       conditionPanel.hidden = replay;
-      download.hidden = replay;
+      again.hidden = replay;
       const isNew = !exists;
       exists = row !== undefined;
       phase.element.hidden = row === undefined;
@@ -150,7 +158,7 @@ export function swarmPage(name: string, session: Session): Page {
         panel("Control", "", true, controls.element),
         informs,
         conditionPanel,
-        panel("Events", "later log", true, el("div", {}, log, el("p", {}, download))),
+        panel("Events", "later log", true, el("div", {}, log, again)),
       ),
       el(
         "div",
@@ -190,6 +198,7 @@ export function swarmPage(name: string, session: Session): Page {
       playback.end();
       charts.end();
       events.end();
+      verify.end();
     },
   };
 }

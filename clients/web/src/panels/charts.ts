@@ -1,49 +1,14 @@
 /** Charts of order, drift, contacts, real-time factor and chosen measures over simulated time. */
 import { callAll, el, setText } from "../ui/dom.ts";
-import { fixed, signed } from "../ui/format.ts";
 import { onTheme } from "../ui/theme.ts";
 import { ChartMenu } from "./chart_menu.ts";
 import { History, type Moment, SERIES, type Series } from "./history.ts";
 import { MeasureCharts } from "./measure_charts.ts";
-import { type Kind, Plot } from "./plot.ts";
+import { Plot } from "./plot.ts";
+import { KINDS } from "./series.ts";
 
 /** The minimum time between two redraws. */
 const DRAW_INTERVAL_MS = 250;
-
-const NONE = "no values yet";
-
-const KINDS: Record<Series, Kind> = {
-  order: {
-    title: "order",
-    about: "1: all headings equal",
-    format: (it) => fixed(it, 3),
-    range: [0, 1],
-    colour: "--chart-1",
-    none: NONE,
-  },
-  drift: {
-    title: "drift",
-    about: "speed along the common direction of the informed",
-    format: (it) => signed(it, 3),
-    range: [-1, 1],
-    colour: "--chart-2",
-    none: "no common direction",
-  },
-  contacts: {
-    title: "contacts",
-    about: "pairs near enough to constrain",
-    format: (it) => fixed(it, 0),
-    colour: "--chart-3",
-    none: NONE,
-  },
-  real_time_factor: {
-    title: "real-time factor",
-    about: "time units per second",
-    format: (it) => fixed(it, 2),
-    colour: "--chart-4",
-    none: NONE,
-  },
-};
 
 export class Charts {
   readonly element: HTMLElement;

@@ -51,6 +51,9 @@ export class Plot {
   readonly now = el("output", {});
   readonly none: HTMLElement;
   private readonly plot: uPlot;
+  private readonly marker = el("i", { class: "marker" });
+  /** The least end of the horizontal axis. */
+  private span = 0;
 
   constructor(kind: Kind) {
     this.none = el("p", { class: "none", hidden: true }, kind.none);
@@ -78,7 +81,10 @@ export class Plot {
       height: 132,
       legend: { show: false },
       cursor: { show: false },
-      scales: { x: { time: false }, y: scaleOf(kind.range) },
+      scales: {
+        x: { time: false, range: (_, least, most) => [least, Math.max(most, this.span)] },
+        y: scaleOf(kind.range),
+      },
       axes: [
         { ...axis, size: 24, gap: 6, space: 44 },
         { ...axis, size: (_, labels) => widthOf(labels), values: (_, splits) => ticks(splits) },
@@ -90,6 +96,28 @@ export class Plot {
 
   draw(time: number[], values: (number | null)[]): void {
     this.plot.setData([time, values]);
+  }
+
+  /** Makes the horizontal axis at least this long, whatever is drawn. */
+  setSpan(time: number): void {
+    this.span = time;
+  }
+
+  /** Marks a time with a vertical line. */
+  mark(time: number): void {
+    const { plot, marker } = this;
+    if (!marker.isConnected) {
+      plot.over.append(marker);
+    }
+    const left = plot.valToPos(time, "x");
+    marker.style.left = `${Number.isFinite(left) ? left : 0}px`;
+  }
+
+  /** Calls the listener with the time at which the chart is pressed. */
+  onSeek(listener: (time: number) => void): void {
+    this.plot.over.addEventListener("click", ({ offsetX }) =>
+      listener(this.plot.posToVal(offsetX, "x")),
+    );
   }
 
   redraw(): void {

@@ -6,6 +6,7 @@ import { el } from "../ui/dom.ts";
 import { icon, type Sign } from "../ui/icons.ts";
 
 const LAYERS: [keyof Layers, string, string, Sign][] = [
+  ["headings", "h", "Colour by heading", "headings"],
   ["contacts", "c", "Contacts", "contacts"],
   ["clusters", "k", "Clusters", "clusters"],
   ["trails", "t", "Trails", "trails"],
@@ -20,9 +21,11 @@ export class Toolbar {
   readonly element: HTMLElement;
   private readonly pressed: { button: HTMLButtonElement; is: () => boolean }[] = [];
 
+  /** Of the layers only those are switched that are named. Without `lasso` there is no such tool. */
   constructor(
-    private readonly view: View,
-    lasso: () => void,
+    private readonly view: Pick<View, "layers" | "camera" | "change" | "mode">,
+    private readonly names: readonly (keyof Layers)[],
+    lasso?: () => void,
   ) {
     const { layers } = view;
     this.element = el(
@@ -40,7 +43,7 @@ export class Toolbar {
         () => this.follow(),
         () => view.camera.following,
       ),
-      ...LAYERS.map(([name, key, title, sign]) =>
+      ...this.offered.map(([name, key, title, sign]) =>
         this.button(
           title,
           key,
@@ -49,7 +52,7 @@ export class Toolbar {
           () => layers[name],
         ),
       ),
-      this.button("Lasso", "l", "lasso", lasso, () => view.mode === "lasso"),
+      ...(lasso ? [this.button("Lasso", "l", "lasso", lasso, () => view.mode === "lasso")] : []),
       this.button("Zoom in", "+", "more", () => this.zoom(ZOOM)),
       this.button("Zoom out", "−", "less", () => this.zoom(1 / ZOOM)),
     );
@@ -81,7 +84,7 @@ export class Toolbar {
 
   /** Handles a key; returns whether it did. */
   key(key: string): boolean {
-    const layer = LAYERS.find(([, it]) => it === key);
+    const layer = this.offered.find(([, it]) => it === key);
     const { camera } = this.view;
     const far = PAN * Math.min(camera.width, camera.height);
     const pans: Record<string, [number, number]> = {
@@ -105,6 +108,10 @@ export class Toolbar {
       return false;
     }
     return true;
+  }
+
+  private get offered() {
+    return LAYERS.filter(([name]) => this.names.includes(name));
   }
 
   private button(

@@ -10,11 +10,13 @@ import { get } from "../wire/http.ts";
 import type { Connection } from "../wire/live.ts";
 import type { OrderSample, Parameter, SwarmSummary } from "../wire/messages.ts";
 import type { SwarmEvent } from "../wire/page.ts";
-import type { State } from "../wire/state.ts";
+import { decodeState, type State } from "../wire/state.ts";
 import { Toolbar } from "./toolbar.ts";
 
 /** Verbs that may change parameters. */
 const CHANGES = ["set", "batch", "fired", "reset", "run", "inject", "remove"];
+/** The layers that are switched by buttons. */
+const LAYERS = ["contacts", "clusters", "trails", "preferences"] as const;
 const METER_MS = 1000;
 /** The minimum time between two descriptions of the picture in the same phase. */
 const DESCRIBE_MS = 2000;
@@ -37,7 +39,7 @@ export interface WatchEvents {
 
 export class Watch {
   readonly element: HTMLElement;
-  readonly view: View;
+  readonly view: View<State>;
   readonly toolbar: Toolbar;
   parameters: Parameter[] = [];
   /** Whether the swarm is a playback, whose individuals cannot be changed. */
@@ -75,7 +77,10 @@ export class Watch {
   ) {
     const { live } = session;
     this.view = new View({
-      take: () => live.takeState(),
+      take: () => {
+        const bytes = live.takeState();
+        return bytes && decodeState(bytes);
+      },
       state: (state) => this.takeState(state),
       changed: () => this.changed(),
       directed: (direction) => events.directed(direction),
@@ -90,7 +95,7 @@ export class Watch {
       "positions are not interpolated. A lower rate shows the motion. If more states come than " +
       "pictures are drawn, only the newest of them is drawn.";
     this.meter.append(this.jumps, this.rates);
-    this.toolbar = new Toolbar(this.view, () => this.enter("lasso"));
+    this.toolbar = new Toolbar(this.view, LAYERS, () => this.enter("lasso"));
     this.view.buttons = this.toolbar.element;
     this.element = el(
       "figure",

@@ -80,6 +80,19 @@ export function plural(count: number, one: string, many = `${one}s`): string {
   return `${count} ${count === 1 ? one : many}`;
 }
 
+/** A whole number with a comma between thousands: 5,000. */
+export function grouped(value: number): string {
+  return value.toLocaleString("en");
+}
+
+/** The time that is left; empty if it is not known. */
+export function seconds(left: number | null): string {
+  if (left === null) {
+    return "";
+  }
+  return left < 90 ? `${Math.ceil(left)} s left` : `${Math.ceil(left / 60)} min left`;
+}
+
 /** Frames drawn and states received per second. */
 export function rates(pictures: number, states: number): string {
   const [drawn, arrived] = [Math.round(pictures), Math.round(states)];

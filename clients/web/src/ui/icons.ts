@@ -3,6 +3,7 @@ import { svg } from "./dom.ts";
 
 const PATHS = {
   follow: "M12 2v5M12 17v5M2 12h5M17 12h5M12 7a5 5 0 1 0 0 10 5 5 0 0 0 0-10M12 11.5v1",
+  headings: "M12 3a9 9 0 1 0 0 18 9 9 0 0 0 0-18M16 8l-2.500 5.500L8 16l2.500-5.500z",
   contacts: "M12 6l6 6-6 6-6-6zM2 12h4M18 12h4",
   clusters:
     "M5 9l6-4M8 14l7-5M15 17l5-4M3 7.5C3 3 15 1 17 6.5c2 0 6 3 4 7.5s-8 6-10 2.500C6 19 3 14 3 7.500z",

@@ -2,6 +2,7 @@
 
 import type { Reply } from "./messages.ts";
 import type { Hello, Problem } from "./page.ts";
+import { readSnapshot, type Snapshot } from "./snapshot.ts";
 import { decodeState, type State } from "./state.ts";
 import { currentToken } from "./token.ts";
 
@@ -105,6 +106,14 @@ export async function currentState(swarm: string): Promise<State> {
   return retried(async () => {
     const [response, bytes] = await send(`/api/get/${encodeURIComponent(swarm)}/state`, {});
     return response.ok ? decodeState(bytes) : read<never>(response, bytes);
+  });
+}
+
+/** A snapshot of a swarm. */
+export async function currentSnapshot(swarm: string): Promise<Snapshot> {
+  return retried(async () => {
+    const [response, bytes] = await send(`/api/get/${encodeURIComponent(swarm)}/get/snapshot`, {});
+    return response.ok ? readSnapshot(new Uint8Array(bytes)) : read<never>(response, bytes);
   });
 }
 

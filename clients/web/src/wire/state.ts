@@ -13,14 +13,23 @@ export const ORIGIN_UNIT = 1024;
 
 export type Origin = readonly [number, number];
 
-export interface State extends Stamp {
-  origin: Origin;
+/** A swarm: a column for each quantity, an entry for each individual. */
+export interface Columns {
   id: Uint32Array;
   x: Float64Array;
   y: Float64Array;
   alpha: Float64Array;
   weight: Float64Array;
+  /** NaN of an uninformed individual. */
   direction: Float64Array;
+}
+
+/** What a picture is drawn from. */
+export interface Drawn extends Columns, Omit<Stamp, "swarm"> {
+  origin: Origin;
+}
+
+export interface State extends Stamp, Drawn {
   order: Order;
   certificate: Certificate;
 }
@@ -40,10 +49,13 @@ const tags: ((inner: Inner) => unknown)[] = [];
 tags[UINT32_LITTLE] = (inner) => new Uint32Array(bytesOf(inner));
 tags[FLOAT64_LITTLE] = (inner) => new Float64Array(bytesOf(inner));
 
+/** How CBOR with such columns is decoded. */
+export const OPTIONS = { tags } as unknown as NonNullable<Parameters<typeof decode>[1]>;
+
 /** Decodes a state; throws if it is invalid. */
 export function decodeState(bytes: ArrayBuffer | Uint8Array): State {
   const view = bytes instanceof Uint8Array ? bytes : new Uint8Array(bytes);
-  const state = decode(view, { tags } as unknown as Parameters<typeof decode>[1]) as State;
+  const state = decode(view, OPTIONS) as State;
   const n = state.id.length;
   for (const column of [state.x, state.y, state.alpha, state.weight, state.direction]) {
     if (column.length !== n) {

@@ -1,30 +1,10 @@
 /** axe-core finds nothing serious or critical on any page, light and dark. */
-import assert from "node:assert/strict";
-import { readFileSync } from "node:fs";
-import { createRequire } from "node:module";
 import { test } from "node:test";
-import type { AxeResults } from "axe-core";
-import type { Page } from "playwright-core";
+import { check } from "./axe.ts";
 import { until } from "./browser.ts";
 import { number, Site } from "./site.ts";
 
-const AXE = readFileSync(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
-
 const site = new Site();
-
-/** Runs axe-core in the page and fails for each violation with the impact serious or critical. */
-async function check(page: Page, where: string): Promise<void> {
-  // The page's policy permits no injected script element; an evaluated text is no part of the page.
-  await page.evaluate(AXE);
-  const { violations, passes } = await page.evaluate<AxeResults>(
-    "axe.run({ resultTypes: ['violations'] })",
-  );
-  assert(passes.length > 5, `${where}: axe-core ran ${passes.length} rules`);
-  const found = violations
-    .filter(({ impact }) => impact === "serious" || impact === "critical")
-    .map(({ id, nodes }) => `${id}: ${nodes.map((it) => it.html).join(" ")}`);
-  assert.deepEqual(found, [], where);
-}
 
 for (const colorScheme of ["light", "dark"] as const) {
   const options = { viewport: { width: 1280, height: 800 }, colorScheme };

@@ -1,0 +1,14 @@
+/** The worker: receives one job, and executes it. Whoever started it ends it to cancel the job. */
+import { Engine } from "./engine.ts";
+import { execute, failure, type Job, type Report } from "./job.ts";
+
+const report = (it: Report) => postMessage(it);
+
+addEventListener("message", async ({ data }: MessageEvent<Job>) => {
+  try {
+    const engine = await Engine.of(data.module);
+    execute(engine, data, report, () => performance.now());
+  } catch (error) {
+    report(failure(error));
+  }
+});
