@@ -40,6 +40,8 @@ mod execute;
 #[cfg(feature = "files")]
 mod folder;
 #[cfg(feature = "files")]
+pub mod html;
+#[cfg(feature = "files")]
 mod merge;
 #[cfg(feature = "files")]
 mod progress;
