@@ -105,6 +105,8 @@ pub struct Config {
     pub experiments_quota_bytes: Option<u64>,
     /// Maximum number of experiment runs in parallel; `None` for the number of cores.
     pub experiment_threads: Option<NonZero<usize>>,
+    /// The wasm module that the page steps swarms with; `None` for the installed one, if there is one.
+    pub wasm: Option<PathBuf>,
 }
 
 /// The value of each setting, by name, and where it comes from.
@@ -188,6 +190,7 @@ impl Config {
             recordings_quota_bytes: mebibytes("recordings_quota_mb", 1 << 30)?,
             experiments_quota_bytes,
             experiment_threads,
+            wasm: some_text("wasm").map(PathBuf::from),
         })
     }
 }

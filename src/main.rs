@@ -8,7 +8,7 @@ use jostled::cli::arguments::{Arguments, Command, Show, command_line, reject_unu
 use jostled::cli::run;
 use jostled::cli::serve::{self, Mode};
 use jostled::cli::settings;
-use jostled::cli::{self, auth, backup, explain, man, print, process};
+use jostled::cli::{self, auth, backup, check, explain, man, print, process};
 use jostled::config::{Config, ConfigError, Resolved, Source};
 use jostled::transport::http;
 use jostled::transport::zenoh::session;
@@ -34,6 +34,7 @@ fn main() -> ExitCode {
             Ok(code) => ExitCode::from(code),
             Err(error) => cli::fail(1, &error),
         },
+        Command::Check(options) => check::run(&options),
         command => match resolve(&matches) {
             Ok(resolved) => with_settings(command, resolved, matches.get_one("config")),
             Err(error) => cli::fail(2, &error),

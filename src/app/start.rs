@@ -8,6 +8,7 @@ use std::sync::{Arc, OnceLock};
 use std::thread;
 use std::time::Instant;
 
+use jostle_experiment::html::{Module, ModuleError};
 use jostle_proto::keys;
 use tokio::net::TcpListener;
 use tokio::task::spawn_blocking;
@@ -198,6 +199,7 @@ fn check_certificate(config: &Config, rights: &LiveRights) -> Result<(), Gateway
 struct HttpListener {
     listener: TcpListener,
     acceptor: Option<TlsAcceptor>,
+    module: Option<Module>,
 }
 
 impl HttpListener {
@@ -212,8 +214,13 @@ impl HttpListener {
             }
             _ => None,
         };
+        let module = module(config.wasm.as_deref()).map_err(GatewayError::Module)?;
         let listener = Gateway::bind(place.address).await?;
-        Ok(Some(HttpListener { listener, acceptor }))
+        Ok(Some(HttpListener {
+            listener,
+            acceptor,
+            module,
+        }))
     }
 
     fn url(&self) -> std::io::Result<String> {
@@ -244,12 +251,28 @@ impl HttpListener {
         };
         Gateway::serve(
             self.listener,
-            self.acceptor,
+            (self.acceptor, self.module),
             bus,
             credentials,
             watch,
             core.lanes.clone(),
         )
+    }
+}
+
+/// The module with which the page verifies swarms: the one that is given, or the installed one.
+fn module(given: Option<&Path>) -> Result<Option<Module>, ModuleError> {
+    if let Some(path) = given {
+        return Module::read(path).map(Some);
+    }
+    let installed = Module::installed().map(|path| Module::read(&path));
+    match installed.transpose() {
+        Ok(module) => Ok(module),
+        // Only the page lacks it.
+        Err(error) => {
+            warn!("{error}");
+            Ok(None)
+        }
     }
 }
 

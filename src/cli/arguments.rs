@@ -8,6 +8,7 @@ use clap::parser::ValueSource;
 use clap::{Arg, ArgMatches, CommandFactory, Parser, Subcommand};
 
 use crate::cli::auth::Auth;
+use crate::cli::check;
 use crate::cli::duration;
 use crate::cli::run;
 use crate::cli::settings;
@@ -34,6 +35,8 @@ pub enum Command {
     },
     /// Execute an experiment without a daemon; finished runs are not executed again.
     Run(run::Options),
+    /// Execute the run of an HTML file of `jostle export` again, and compare how it ends.
+    Check(check::Options),
     /// Back up the data folder: swarms with their history, experiments and recordings, but no
     /// secrets. The daemon may be running.
     Backup {
@@ -89,7 +92,7 @@ pub enum Show {
 /// Whether a setting has an effect on a command, such as `config default`.
 fn has_effect(setting: &str, command: &str) -> bool {
     match command {
-        "config default" | "man" | "run" => false,
+        "check" | "config default" | "man" | "run" => false,
         // The node's name is part of the data folder's default.
         "backup" | "restore" => ["config", "data_dir", "node"].contains(&setting),
         "auth address" | "auth init" => ["auth_dir", "config", "http", "listen"].contains(&setting),
@@ -178,6 +181,7 @@ mod tests {
         for line in [
             "--listen tcp/127.0.0.1:1 man",
             "man --log info",
+            "check school.html --log info",
             "run order.toml -o results --experiment-threads 2",
             "--config a.toml run order.toml -o results",
             "config default --node a",
@@ -202,6 +206,7 @@ mod tests {
             "serve",
             "demo",
             "run",
+            "check",
             "man",
             "backup",
             "restore",

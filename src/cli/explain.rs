@@ -3,6 +3,7 @@
 use std::fmt::Write as _;
 
 use clap::Arg;
+use jostle_experiment::html::Module;
 use serde_json::json;
 
 use crate::cli::settings::{arguments, default, name};
@@ -15,6 +16,10 @@ fn value(resolved: &Resolved, config: &Config, name: &str) -> String {
         ("node", "") => config.node.clone(),
         ("data_dir", "") => config.data_dir.display().to_string(),
         ("experiment_threads", "") => config.experiment_threads().to_string(),
+        ("wasm", "") => {
+            let installed = Module::installed().unwrap_or_default();
+            installed.display().to_string()
+        }
         (_, value) => value.to_owned(),
     }
 }

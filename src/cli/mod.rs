@@ -3,6 +3,7 @@
 pub mod arguments;
 pub mod auth;
 pub mod backup;
+pub mod check;
 mod demo;
 mod duration;
 pub mod explain;

@@ -85,6 +85,10 @@ struct Settings {
     /// Maximum number of experiment runs in parallel; empty for the number of cores
     #[arg(long, value_name = "N", default_value = "")]
     experiment_threads: String,
+    /// Wasm module with which the page verifies swarms, compressed by gzip; empty for the installed one,
+    /// share/jostle/jostle.wasm.gz beside the program's folder, if there is one
+    #[arg(long, value_name = "FILE", default_value = "")]
+    wasm: String,
 }
 
 /// Adds `--config` and the flag of each setting, which every subcommand accepts too.

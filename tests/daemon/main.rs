@@ -9,6 +9,7 @@ mod attachments;
 mod audit;
 mod backup;
 mod changes;
+mod check;
 mod claim;
 mod codes;
 mod commands;

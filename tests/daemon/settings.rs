@@ -15,6 +15,7 @@ use jostled::auth::issue;
 use tokio::sync::Semaphore;
 use tokio::task::JoinSet;
 
+use crate::check;
 use crate::support::process::Process;
 use crate::support::programs::program;
 
@@ -32,7 +33,7 @@ struct Row {
     bad: Option<&'static str>,
 }
 
-const ROWS: [Row; 19] = [
+const ROWS: [Row; 20] = [
     Row {
         name: "listen",
         value: "unixsock-stream/{folder}/bus",
@@ -185,6 +186,14 @@ const ROWS: [Row; 19] = [
         other_effect: "1",
         bad: Some("0"),
     },
+    Row {
+        name: "wasm",
+        value: "{folder}/jostle.wasm.gz",
+        effect: "/jostle.wasm: 200",
+        other: "",
+        other_effect: "/jostle.wasm: 404",
+        bad: None,
+    },
 ];
 
 /// The ways to give a setting, the weakest first.
@@ -208,6 +217,9 @@ const BASE: [(&str, &str); 4] = [
     ("node", "test"),
     ("data_dir", "{folder}/base"),
 ];
+
+/// The setting `http` of a daemon whose `wasm` is tested.
+const HTTP: &str = "127.0.0.1:0";
 
 /// Daemons that are started at once.
 const AT_ONCE: usize = 4;
@@ -237,8 +249,12 @@ fn serve(name: &str, given: &[(SettingSource, &str)], folder: &Path) -> Command 
     let path = folder.to_str().unwrap();
     let mut command = jostled();
     command.arg("serve");
-    for (name, value) in BASE.iter().filter(|(base, _)| *base != name) {
-        command.arg(flag(name)).arg(value.replace("{folder}", path));
+    for (base, value) in BASE.iter().filter(|(base, _)| *base != name) {
+        let value = match (name, *base) {
+            ("wasm", "http") => HTTP,
+            _ => value,
+        };
+        command.arg(flag(base)).arg(value.replace("{folder}", path));
     }
     for (way, value) in given {
         let value = value.replace("{folder}", path);
@@ -273,6 +289,9 @@ impl Running {
         if name == "auth_dir" {
             let people = [("olga".to_owned(), Role::Operator)];
             issue::init(&Folder::new(folder.path().join("auth")), &[], &people).unwrap();
+        }
+        if name == "wasm" {
+            check::write_module(&folder.path().join("jostle.wasm.gz"));
         }
         if name.starts_with("audit_") {
             effects::write_audit_lines(&folder.path().join("base"));
@@ -403,6 +422,24 @@ fn a_bad_value_is_rejected_with_the_flag_variable_or_file_that_it_comes_from() {
             assert!(message.contains(&place), "{place}: {message}");
             assert!(message.contains(bad), "{bad}: {message}");
         }
+    }
+}
+
+#[test]
+fn a_module_that_cannot_be_read_is_an_error_of_the_start() {
+    for (file, problem) in [
+        ("{folder}/nothing.gz", "No such file"),
+        ("{folder}/jostled.toml", "no module compressed by gzip"),
+    ] {
+        let folder = tempfile::tempdir().unwrap();
+        let given = [(SettingSource::File, file)];
+        let message = error_of(&mut serve("wasm", &given, folder.path()));
+        let path = file.replace("{folder}", folder.path().to_str().unwrap());
+        assert!(
+            message.contains(&format!("wasm module {path}: ")),
+            "{message}"
+        );
+        assert!(message.contains(problem), "{message}");
     }
 }
 

@@ -11,6 +11,7 @@ use std::time::{Duration, Instant};
 use jostled::cli::arguments::command_line;
 use serde_json::json;
 
+use crate::check;
 use crate::support::process::jostled;
 use crate::support::{Client, NODE, PREFIX, TIMEOUT, until};
 
@@ -19,7 +20,7 @@ const FULL: &str = "jostled: failed to write to standard output: No space left o
 
 /// Command lines of each command but `serve`, to which [`the_daemon_serves_without`] belongs. `{}` is a
 /// folder with an experiment, a data folder and a backup; `{new}` does not exist.
-const LINES: [(&str, &str); 20] = [
+const LINES: [(&str, &str); 22] = [
     ("auth add", "auth add --auth-dir {}/auth eva=viewer"),
     ("auth address", "auth address --auth-dir {}/auth"),
     ("auth address", "auth address --auth-dir {}/auth --json"),
@@ -33,6 +34,8 @@ const LINES: [(&str, &str); 20] = [
     ("auth remove", "auth remove --auth-dir {}/auth ada"),
     ("backup", "backup --data-dir {}/data {new}"),
     ("backup", "backup --data-dir {}/data {new} --json"),
+    ("check", "check {}/order.html"),
+    ("check", "check {}/order.html --json"),
     ("config default", "config default"),
     ("config explain", "config explain"),
     ("config explain", "config explain --json"),
@@ -70,6 +73,7 @@ fn files() -> tempfile::TempDir {
     let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
     let toml = "name = \"order\"\nduration = 1\nspec = { n = 3 }\n";
     fs::write(path("order.toml"), toml).unwrap();
+    fs::write(path("order.html"), check::claimed()).unwrap();
     for line in [
         format!("auth init --auth-dir {} ada=operator", path("auth")),
         format!(
@@ -154,6 +158,7 @@ fn an_error_that_cannot_be_printed_has_its_exit_code() {
         ("--no-such-option", 2),
         ("config explain --http nowhere", 2),
         ("run /no/such.toml -o /no/such", 1),
+        ("check /no/such.html", 2),
         (
             "serve --data-dir /dev/null/folder --listen tcp/127.0.0.1:0",
             2,

@@ -35,6 +35,7 @@ use axum::http::{HeaderMap, StatusCode};
 use axum::middleware::{from_fn, map_response};
 use axum::response::{IntoResponse, Response};
 use axum::routing::{self, any, post};
+use jostle_experiment::html::{Module, ModuleError};
 use jostle_proto::{ErrorCode, Role, keys};
 use serde::Deserialize;
 use serde_json::json;
@@ -75,6 +76,9 @@ pub enum GatewayError {
     /// The daemon's certificate cannot be used.
     #[error(transparent)]
     Certificate(#[from] TlsError),
+    /// The module of the page cannot be used.
+    #[error("wasm: {0}")]
+    Module(#[from] ModuleError),
     /// The address cannot be bound.
     #[error("cannot serve HTTP on {address}: {source}")]
     Listen {
@@ -144,10 +148,10 @@ impl Gateway {
     }
 
     /// Serves in a new task, over TLS with an `acceptor`. `lanes` evaluate the measures in
-    /// `/metrics`.
+    /// `/metrics`; with the `module` the page verifies swarms.
     pub fn serve(
         listener: TcpListener,
-        acceptor: Option<TlsAcceptor>,
+        (acceptor, module): (Option<TlsAcceptor>, Option<Module>),
         bus: Bus,
         credentials: Credentials,
         watch: Arc<HealthMonitor>,
@@ -173,6 +177,7 @@ impl Gateway {
             .route("/api/cmd/{swarm}/{verb}", post(command))
             .route("/api/node/{verb}", post(node_command))
             .route("/api/ws", any(websocket))
+            .route("/jostle.wasm", page::serve_module(module))
             .fallback(page::serve())
             .layer(DefaultBodyLimit::max(MAX_BODY_BYTES))
             .with_state(Arc::new(server))

@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 use std::io::Write;
-use std::sync::LazyLock;
+use std::sync::{Arc, LazyLock};
 
 use axum::body::Bytes;
 use axum::http::header::{
@@ -14,15 +14,20 @@ use axum::response::{IntoResponse, Response};
 use axum::routing::{self, MethodRouter};
 use flate2::Compression;
 use flate2::write::GzEncoder;
+use jostle_experiment::html::Module;
+use ring::digest;
 use rust_embed::RustEmbed;
 
-/// The page may only load resources of this server.
-const POLICY: &str = "default-src 'self'; img-src 'self' data: blob:; \
+/// The page may only load resources of this server, and compile a wasm module of it.
+const POLICY: &str = "default-src 'self'; script-src 'self' 'wasm-unsafe-eval'; img-src 'self' data: blob:; \
      base-uri 'none'; form-action 'none'; frame-ancestors 'none'; object-src 'none'";
 
 /// The names of the files are those of every version: a browser asks at each use whether a cached
 /// file is still the same.
 const CACHING: &str = "no-cache";
+
+/// The header with the SHA-256 of the unpacked module, in hexadecimal.
+const MODULE_SHA256: HeaderName = HeaderName::from_static("jostle-wasm-sha256");
 
 #[derive(RustEmbed)]
 #[folder = "clients/web/dist"]
@@ -34,6 +39,8 @@ struct File {
     plain: Body,
     /// Compressed by gzip.
     gzip: Option<Body>,
+    /// The SHA-256 of the module, of no other file.
+    sha256: Option<String>,
 }
 
 struct Body {
@@ -53,8 +60,23 @@ static FILES: LazyLock<HashMap<String, File>> = LazyLock::new(|| {
 
 impl File {
     fn new(kind: &'static str, data: Vec<u8>) -> Self {
+        let gzip = compress(&data);
+        Self::with_gzip(kind, data, gzip)
+    }
+
+    /// The module, as it is compressed in its file.
+    fn module(module: Module) -> Self {
+        let hash = digest::digest(&digest::SHA256, &module.bytes);
+        let sha256 = hash.as_ref().iter().map(|it| format!("{it:02x}"));
+        File {
+            sha256: Some(sha256.collect()),
+            ..Self::with_gzip("application/wasm", module.bytes, Some(module.gzip))
+        }
+    }
+
+    fn with_gzip(kind: &'static str, data: Vec<u8>, gzip: Option<Vec<u8>>) -> Self {
         let hash = &blake3::hash(&data).to_hex()[..32];
-        let gzip = compress(&data).map(|bytes| Body {
+        let gzip = gzip.map(|bytes| Body {
             bytes: bytes.into(),
             etag: format!("\"{hash}-gzip\""),
         });
@@ -62,7 +84,12 @@ impl File {
             bytes: data.into(),
             etag: format!("\"{hash}\""),
         };
-        File { kind, plain, gzip }
+        File {
+            kind,
+            plain,
+            gzip,
+            sha256: None,
+        }
     }
 
     /// The response to a request for this file.
@@ -80,6 +107,9 @@ impl File {
         set(VARY, "Accept-Encoding");
         set(CONTENT_SECURITY_POLICY, POLICY);
         set(REFERRER_POLICY, "no-referrer");
+        if let Some(sha256) = &self.sha256 {
+            set(MODULE_SHA256, sha256);
+        }
         if is_cached(request, &body.etag) {
             return (StatusCode::NOT_MODIFIED, headers).into_response();
         }
@@ -102,11 +132,26 @@ async fn file(uri: Uri, headers: HeaderMap) -> Response {
         "/" => "index.html",
         path => path.trim_start_matches('/'),
     };
-    let Some(file) = FILES.get(path) else {
-        let message = "not found: see /, /healthz, /livez and /metrics\n";
-        return (StatusCode::NOT_FOUND, message).into_response();
-    };
-    file.respond(&headers)
+    respond(FILES.get(path), &headers)
+}
+
+/// Serves the wasm module; without one the page does not offer to verify swarms.
+pub fn serve_module<S: Clone + Send + Sync + 'static>(module: Option<Module>) -> MethodRouter<S> {
+    let file = module.map(|module| Arc::new(File::module(module)));
+    routing::get(move |headers: HeaderMap| {
+        let response = respond(file.as_deref(), &headers);
+        async { response }
+    })
+}
+
+fn respond(file: Option<&File>, request: &HeaderMap) -> Response {
+    match file {
+        Some(file) => file.respond(request),
+        None => {
+            let message = "not found: see /, /healthz, /livez and /metrics\n";
+            (StatusCode::NOT_FOUND, message).into_response()
+        }
+    }
 }
 
 /// The compressed data; none if they are not shorter.

@@ -48,6 +48,7 @@ pub async fn observe(name: &str, daemon: &Running, expected: &str) -> String {
         "recordings_quota_mb" => recordings_quota_mb(&daemon.open().await).await,
         "experiments_quota_mb" => experiments_quota_mb(&daemon.open().await).await,
         "experiment_threads" => experiment_threads(&daemon.open().await, expected).await,
+        "wasm" => wasm(&daemon.open().await).await,
         _ => format!("no way to observe {name}"),
     }
 }
@@ -105,6 +106,15 @@ async fn http(client: &Client) -> String {
     let address = url.strip_prefix("http://").unwrap().to_owned();
     let (host, _) = address.rsplit_once(':').unwrap();
     format!("{host} answers {}", http::get(&address, "/healthz").0)
+}
+
+async fn wasm(client: &Client) -> String {
+    let hello = hello(client).await.unwrap();
+    let url = hello["result"]["http"].as_str().unwrap();
+    let address = url.strip_prefix("http://").unwrap();
+    let request =
+        format!("HEAD /jostle.wasm HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n");
+    format!("/jostle.wasm: {}", http::send(address, &request).0)
 }
 
 /// The names for which the key of `key` gets a reply.
