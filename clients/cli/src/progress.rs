@@ -9,6 +9,9 @@ use crate::output::Output;
 /// How often the spinner and the elapsed time are redrawn.
 const TICK: Duration = Duration::from_millis(200);
 
+/// The number of steps between updates of a bar over steps that this process executes.
+const STEPS_PER_UPDATE: u64 = 100;
+
 /// The template of a bar over steps.
 pub const STEPS: &str = "{prefix} {bar:20} {percent:>3}%  {wide_msg} {eta} left";
 
@@ -35,4 +38,11 @@ pub fn bar(output: Output, length: Option<u64>, template: &str, prefix: &str) ->
     bar.set_prefix(prefix.to_owned());
     bar.enable_steady_tick(TICK);
     bar
+}
+
+/// Moves a bar over steps on; a step takes less time than that.
+pub fn show_step(bar: &ProgressBar, step: u64) {
+    if step.is_multiple_of(STEPS_PER_UPDATE) {
+        bar.set_position(step);
+    }
 }

@@ -57,9 +57,8 @@ const DAEMON_VERBS: [&str; 24] = [
 /// Whether an option has an effect on a verb, such as `experiment list`.
 fn has_effect(option: &str, verb: &str) -> bool {
     match verb {
-        "completions" | "man" | "help" | "claims" | "results merge" | "experiment plan" => {
-            !CONNECTION_OPTIONS.contains(&option)
-        }
+        "check" | "claims" | "completions" | "experiment plan" | "help" | "man"
+        | "results merge" => !CONNECTION_OPTIONS.contains(&option),
         "auth link" => option != "json",
         verb => option != "node" || DAEMON_VERBS.contains(&verb),
     }

@@ -86,7 +86,7 @@ Examples:
 const EXIT_CODES: &str = "\
 Exit codes:
     0  done
-    1  failed: a defect, or the swarm faulted (internal, faulted)
+    1  failed: a defect, the swarm faulted, or `check` is not equal (internal, faulted, different)
     2  invalid command line or argument (invalid_argument)
     3  no such swarm, node, experiment, recording or message (not_found)
     4  not in this state (conflict, contested, incorrect_state, already_exists)
@@ -141,7 +141,7 @@ pub fn topics() -> String {
 }
 
 /// One example of each verb.
-pub const EXAMPLES: [(&str, &str); 59] = [
+pub const EXAMPLES: [(&str, &str); 61] = [
     ("create", "create school --n 50 --seed 1"),
     ("list", "list"),
     ("status", "status school"),
@@ -179,6 +179,8 @@ pub const EXAMPLES: [(&str, &str); 59] = [
     ("snapshot", "snapshot school -o school.snapshot"),
     ("restore", "restore school.snapshot copy"),
     ("verify", "verify school"),
+    ("export", "export school -o school.html"),
+    ("check", "check school.html"),
     ("auth whoami", "auth whoami --credentials people/vera"),
     ("auth can", "auth can pause"),
     ("auth link", "auth link --credentials people/vera"),

@@ -4,6 +4,7 @@ mod auth;
 mod claims;
 mod connection;
 mod experiment;
+mod export;
 mod global;
 mod help;
 mod inspect;
@@ -21,6 +22,7 @@ pub use self::auth::*;
 pub use self::claims::*;
 pub use self::connection::*;
 pub use self::experiment::*;
+pub use self::export::*;
 pub use self::global::command;
 pub use self::help::{EXAMPLES, HelpArguments, TOPICS, topics};
 pub use self::inspect::*;
@@ -128,6 +130,10 @@ pub enum Verb {
     Restore(RestoreArguments),
     /// Replays the history of a swarm and compares state hashes; without --timeout for up to an hour
     Verify(SwarmArguments),
+    /// Writes one HTML file that re-runs a swarm or a run in a browser, or plays a recording
+    Export(ExportArguments),
+    /// Executes the run of an HTML file again and compares how it ends; needs no daemon
+    Check(CheckArguments),
     /// Shows your identity and your permissions on the daemon
     Auth(AuthArguments),
     /// Executes experiments on the daemon: grids of runs
@@ -387,6 +393,9 @@ mod tests {
             "restore",
             "diff demo",
             "verify",
+            "export demo",
+            "export demo -o a.html --no-engine --wasm a",
+            "check",
             "experiment",
             "experiment run",
             "experiment pause a/b",

@@ -2,6 +2,7 @@
 
 mod auth;
 mod batch;
+mod check;
 mod claims;
 mod create;
 mod delete;
@@ -9,6 +10,7 @@ mod diff;
 mod doctor;
 mod events;
 mod experiment;
+mod export;
 mod fork;
 mod help;
 mod individuals;
@@ -50,6 +52,11 @@ pub async fn execute(arguments: Arguments, output: Output) -> Result<(), Failure
         Verb::Man(arguments) => return shell::man(output, &arguments),
         Verb::Help(arguments) => return help::help(output, &arguments),
         Verb::Claims(arguments) => return claims::compare(output, &arguments),
+        Verb::Check(arguments) => return check::check(output, &arguments),
+        Verb::Export(arguments) => match export::without_daemon(output, &arguments)? {
+            true => return Ok(()),
+            false => Verb::Export(arguments),
+        },
         Verb::Measures(MeasuresArguments { name: None, .. }) => {
             return inspect::list_measures(output);
         }
@@ -159,6 +166,7 @@ async fn interruptible(context: &Context, verb: Verb, timeout: Option<f64>) -> R
         Verb::Batch(arguments) => batch::batch(context, &arguments).await,
         Verb::Snapshot(arguments) => snapshot::snapshot(context, &arguments).await,
         Verb::Restore(arguments) => restore::restore(context, &arguments).await,
+        Verb::Export(arguments) => export::of_daemon(context, &arguments).await,
         Verb::Verify(arguments) => verify::verify(context, &arguments.name, timeout).await,
         Verb::Replay(arguments) => replay::replay(context, &arguments).await,
         Verb::Seek(arguments) => replay::seek(context, &arguments).await,
@@ -174,6 +182,7 @@ async fn interruptible(context: &Context, verb: Verb, timeout: Option<f64>) -> R
         | Verb::Record(_)
         | Verb::Experiment(_)
         | Verb::Claims(_)
+        | Verb::Check(_)
         | Verb::Results(_)
         | Verb::Doctor
         | Verb::Completions(_)

@@ -49,12 +49,13 @@ pub async fn snapshot(context: &Context, arguments: &SnapshotArguments) -> Resul
     output.print(&document, &text)
 }
 
-fn exists(path: &Path) -> Failure {
+/// The file exists.
+pub fn exists(path: &Path) -> Failure {
     Failure::argument(path.display(), "already exists: --force replaces it")
 }
 
 /// Writes a file atomically. Without `force` an existing file stays.
-fn write(path: &Path, bytes: &[u8], force: bool) -> io::Result<()> {
+pub fn write(path: &Path, bytes: &[u8], force: bool) -> io::Result<()> {
     match force {
         true => atomic_file::write(path, bytes),
         false => atomic_file::write_new(path, bytes),

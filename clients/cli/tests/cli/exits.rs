@@ -29,14 +29,20 @@ const OF_THE_DAEMON: [(&str, i32); 13] = [
 ];
 
 /// The exit code of each error code of the client.
-const OF_THE_CLIENT: [(&str, i32); 3] = [("unreachable", 6), ("timeout", 6), ("mismatch", 9)];
+const OF_THE_CLIENT: [(&str, i32); 4] = [
+    ("different", 1),
+    ("unreachable", 6),
+    ("timeout", 6),
+    ("mismatch", 9),
+];
 
 /// The verb that prints errors and exits with 0: a list of nodes, of which one fails.
 const LISTS_ERRORS: &str = "nodes";
 
 /// The verbs without requests, or without requests in the form of the table.
-const LOCAL: [&str; 7] = [
+const LOCAL: [&str; 8] = [
     "auth link",
+    "check",
     "claims",
     "completions",
     "experiment plan",

@@ -10,6 +10,7 @@ mod contract;
 mod doctor;
 mod exits;
 mod experiments;
+mod exporting;
 mod fetching;
 mod forking;
 mod inspect;

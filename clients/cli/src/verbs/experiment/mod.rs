@@ -12,6 +12,7 @@ mod slurm;
 mod trajectory;
 
 pub use self::plan::plan;
+pub use self::play::find as find_run;
 
 use std::path::Path;
 
@@ -111,7 +112,7 @@ async fn run(context: &Context, arguments: &RunExperimentArguments) -> Result<()
 
 /// Reads an experiment's file, or standard input for `-`, and the files that it names; warns of those
 /// outside its folder.
-fn read(output: Output, path: &Path) -> Result<Files, String> {
+pub fn read(output: Output, path: &Path) -> Result<Files, String> {
     let toml = file::read(path)?;
     let files = Files::with_named(toml, path).map_err(|error| error.to_string())?;
     for warning in files.warnings(path) {

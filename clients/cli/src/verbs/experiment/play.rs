@@ -106,7 +106,7 @@ pub async fn play(context: &Context, arguments: &PlayArguments) -> Result<(), Fa
 }
 
 /// Finds a run by its number, from 1, or by its name; without either the first one.
-fn find<'a>(plan: &'a Plan, run: Option<&str>) -> Result<&'a PlannedRun, Failure> {
+pub fn find<'a>(plan: &'a Plan, run: Option<&str>) -> Result<&'a PlannedRun, Failure> {
     let runs = plan.runs();
     let Some(wanted) = run else {
         return Ok(&runs[0]);

@@ -17,6 +17,7 @@ use tokio::task::JoinSet;
 
 use self::row::{Added, Row};
 pub use self::rows::rows;
+use crate::exporting;
 use crate::support::Canned;
 use crate::support::canned;
 
@@ -123,6 +124,8 @@ pub fn files() -> tempfile::TempDir {
     fs::create_dir(&results).unwrap();
     jostle_results::table::write(&results, &runs, &[]).unwrap();
     write("grid.toml", GRID.as_bytes());
+    write("jostle.wasm.gz", &exporting::MODULE);
+    write("claimed.html", exporting::claimed(GRID).as_bytes());
     for (name, run) in [("one", "1"), ("two", "2")] {
         part(&folder.path().join("parts").join(name), run);
     }

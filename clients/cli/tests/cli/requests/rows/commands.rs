@@ -436,6 +436,28 @@ pub fn copies() -> Vec<Row> {
             &[r#"@node/test/cmd/restore {"name": "other", "snapshot": "<snapshot>"}"#],
         ),
         row(
+            "export <what>demo -o {}/demo.html --wasm {}/jostle.wasm.gz",
+            &["demo/get/experiment"],
+        )
+        .writes("demo.html")
+        .says("{}/demo.html"),
+        row("export <what>demo -o {}/present", &[])
+            .ends_with(2)
+            .says("--force replaces it"),
+        row(
+            "export <what>demo --out {}/replaced --force --wasm {}/jostle.wasm.gz",
+            &["demo/get/experiment"],
+        )
+        .writes("replaced")
+        .says("{}/replaced"),
+        row(
+            "export <what>{}/grid.toml --run 2 --no-engine -o {}/grid.html",
+            &[],
+        )
+        .writes("grid.html")
+        .says("#1"),
+        row("check <file>{}/claimed.html", &[]).says("equal"),
+        row(
             "diff <one>demo <other>twin",
             &[
                 "demo/get/spec",
