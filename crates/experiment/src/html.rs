@@ -346,7 +346,9 @@ impl Claim {
         run: &PlannedRun,
         mut on_step: impl FnMut(&State) -> bool,
     ) -> Option<Result<Self, String>> {
-        let finished = execute_run_from(plan, run, None, None, |current| on_step(&current.simulation().state))?;
+        let finished = execute_run_from(plan, run, None, None, |current| {
+            on_step(&current.simulation().state)
+        })?;
         let fault = finished.fault;
         Some(match finished.row {
             Some(row) => Ok(Self {

@@ -121,10 +121,13 @@ impl Engine {
 
     fn measures(&self, names: &[String]) -> Reply {
         let simulation = self.present()?;
-        let measures = jostle_convert::measures::parse(names.iter().map(String::as_str), names.len())?;
+        let measures =
+            jostle_convert::measures::parse(names.iter().map(String::as_str), names.len())?;
         let n = simulation.state.configuration.n();
         for measure in &measures {
-            measure.check_size(n).map_err(jostle_convert::MeasuresError::from)?;
+            measure
+                .check_size(n)
+                .map_err(jostle_convert::MeasuresError::from)?;
         }
         let past = Past::new(0);
         let view = View::new(&simulation.state, &past).under(simulation.definitions);
@@ -153,7 +156,9 @@ impl Engine {
             3 => configuration.weight.clone(),
             4 => {
                 let pairs = configuration.weight.iter().zip(&configuration.direction);
-                pairs.map(|(&weight, &direction)| if weight > 0.0 { direction } else { f64::NAN }).collect()
+                pairs
+                    .map(|(&weight, &direction)| if weight > 0.0 { direction } else { f64::NAN })
+                    .collect()
             }
             _ => Vec::new(),
         }

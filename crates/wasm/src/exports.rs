@@ -40,7 +40,9 @@ extern "C" fn input(length: usize) -> *mut u8 {
 extern "C" fn request() {
     panic::set_hook(Box::new(|panic| PANIC.set(panic.to_string())));
     with(|module| {
-        let reply = module.engine.request(&String::from_utf8_lossy(&module.input));
+        let reply = module
+            .engine
+            .request(&String::from_utf8_lossy(&module.input));
         module.output = reply.into_bytes();
     });
 }

@@ -84,9 +84,14 @@ impl Experiment {
         let row = finished.and_then(|it| it.row.clone());
         let extra = self.plan.extra_columns();
         Ok(Answer::Advanced(Advanced {
-            status: Status::of(current.run.simulation(), finished.and_then(|it| it.fault.clone())),
+            status: Status::of(
+                current.run.simulation(),
+                finished.and_then(|it| it.fault.clone()),
+            ),
             finished: finished.is_some(),
-            csv: row.as_ref().map(|row| table::csv(std::slice::from_ref(row), &extra)),
+            csv: row
+                .as_ref()
+                .map(|row| table::csv(std::slice::from_ref(row), &extra)),
             row: row.map(Box::new),
         }))
     }

@@ -22,7 +22,9 @@ pub struct Swarm {
 impl Swarm {
     /// Creates a swarm.
     pub fn create(spec: &Spec) -> Result<Self, Rejection> {
-        let n = usize::try_from(spec.n).ok().filter(|_| spec.n <= MAX_INDIVIDUALS);
+        let n = usize::try_from(spec.n)
+            .ok()
+            .filter(|_| spec.n <= MAX_INDIVIDUALS);
         let n = n.ok_or_else(|| {
             let message = format!("n = {}, the limit is {MAX_INDIVIDUALS}", spec.n);
             Rejection::of(ErrorCode::ResourceExhausted, message)
@@ -87,7 +89,10 @@ impl Swarm {
                 break;
             }
         }
-        Ok(Answer::Status(Status::of(&self.simulation, self.fault.clone())))
+        Ok(Answer::Status(Status::of(
+            &self.simulation,
+            self.fault.clone(),
+        )))
     }
 }
 

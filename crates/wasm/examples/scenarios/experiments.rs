@@ -49,7 +49,11 @@ step,id,direction,weight,turn,speed
 /// Returns all of them.
 pub fn all() -> impl Iterator<Item = Scenario> {
     let protocols = (0..PROTOCOLS).map(|seed| experiment(&random_protocol(seed).0, 1, 17));
-    protocols.chain([experiment(STUDY, 4, 100), experiment(STEERED, 1, 30), from_snapshot()])
+    protocols.chain([
+        experiment(STUDY, 4, 100),
+        experiment(STEERED, 1, 30),
+        from_snapshot(),
+    ])
 }
 
 /// Executes the runs of a plan in slices.

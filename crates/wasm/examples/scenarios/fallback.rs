@@ -51,7 +51,11 @@ pub fn all() -> impl Iterator<Item = Scenario> {
             scenario
         })
         .collect();
-    assert_eq!(needing.len(), SCENARIOS, "groups that need the fallback solver");
+    assert_eq!(
+        needing.len(),
+        SCENARIOS,
+        "groups that need the fallback solver"
+    );
     needing.into_iter()
 }
 

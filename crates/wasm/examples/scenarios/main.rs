@@ -31,7 +31,8 @@ use jostle_wasm::Engine;
 
 use crate::scenario::Scenario;
 
-const USAGE: &str = "usage: scenarios make a|b|random|large FOLDER | scenarios answer | scenarios level";
+const USAGE: &str =
+    "usage: scenarios make a|b|random|large FOLDER | scenarios answer | scenarios level";
 
 fn main() -> io::Result<()> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
@@ -54,7 +55,11 @@ fn make(set: &str, folder: &Path) -> io::Result<()> {
     };
     match set {
         "a" => {
-            (0..220).try_for_each(|seed| swarms::random("a", seed).into_iter().try_for_each(&mut write))?;
+            (0..220).try_for_each(|seed| {
+                swarms::random("a", seed)
+                    .into_iter()
+                    .try_for_each(&mut write)
+            })?;
             experiments::all().try_for_each(&mut write)?;
         }
         "b" => {
@@ -64,7 +69,11 @@ fn make(set: &str, folder: &Path) -> io::Result<()> {
             rejected::all().try_for_each(&mut write)?;
         }
         "random" => {
-            (0..2000).try_for_each(|seed| swarms::random("random", seed).into_iter().try_for_each(&mut write))?;
+            (0..2000).try_for_each(|seed| {
+                swarms::random("random", seed)
+                    .into_iter()
+                    .try_for_each(&mut write)
+            })?;
         }
         "large" => write(swarms::of_ten_thousand())?,
         _ => return Err(io::Error::other(USAGE)),

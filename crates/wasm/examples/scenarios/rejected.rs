@@ -42,7 +42,10 @@ pub fn all() -> impl Iterator<Item = Scenario> {
     ] {
         scenario.send(request);
     }
-    for text in [r#"{"step": {"steps": 1e400}}"#, r#"{"step": {"steps": 1}, "status": {}}"#] {
+    for text in [
+        r#"{"step": {"steps": 1e400}}"#,
+        r#"{"step": {"steps": 1}, "status": {}}"#,
+    ] {
         scenario.send_text(text.to_owned());
     }
     std::iter::once(scenario)

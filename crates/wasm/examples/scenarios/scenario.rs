@@ -31,7 +31,10 @@ impl Scenario {
         let reply = self.engine.request(&request);
         self.requests.push(request);
         self.replies.push(reply);
-        self.replies.last().and_then(|it| serde_json::from_str(it).ok()).unwrap_or_default()
+        self.replies
+            .last()
+            .and_then(|it| serde_json::from_str(it).ok())
+            .unwrap_or_default()
     }
 
     /// Takes steps in slices.

@@ -67,11 +67,23 @@ fn size(numbers: &mut Numbers, largest: f64) -> u64 {
 }
 
 fn spec(numbers: &mut Numbers, n: u64, seed: u64) -> Value {
-    let pi1 = if numbers.chance(6) { 1.0 } else { numbers.within(1.0, 8.0) };
+    let pi1 = if numbers.chance(6) {
+        1.0
+    } else {
+        numbers.within(1.0, 8.0)
+    };
     let contacts = contacts(numbers);
-    let stepping = if numbers.chance(2) { "position" } else { "velocity" };
+    let stepping = if numbers.chance(2) {
+        "position"
+    } else {
+        "velocity"
+    };
     let relinearise = u64::from(stepping == "position" && numbers.chance(3));
-    let noise = if numbers.chance(2) { 0.0 } else { numbers.within(0.0, 0.5) };
+    let noise = if numbers.chance(2) {
+        0.0
+    } else {
+        numbers.within(0.0, 0.5)
+    };
     json!({
         "n": n,
         "pi1": pi1,
@@ -110,9 +122,13 @@ fn attraction(numbers: &mut Numbers) -> Value {
 /// Returns a command. Some are rejected, as selections of more individuals than there are.
 fn command(numbers: &mut Numbers, ids: &[u32]) -> Value {
     let angle = numbers.within(-4.0, 4.0);
-    let change = |verb: &str, args: Value| json!({"apply": {"change": {"verb": verb, "args": args}}});
+    let change =
+        |verb: &str, args: Value| json!({"apply": {"change": {"verb": verb, "args": args}}});
     match numbers.below(9) {
-        0 | 1 => change("inform", json!({"select": select(numbers, ids), "direction": angle})),
+        0 | 1 => change(
+            "inform",
+            json!({"select": select(numbers, ids), "direction": angle}),
+        ),
         2 => change(
             "inform",
             json!({
@@ -123,10 +139,16 @@ fn command(numbers: &mut Numbers, ids: &[u32]) -> Value {
             }),
         ),
         3 => change("uninform", json!({"select": select(numbers, ids)})),
-        4 => change("inject", json!({"count": 1 + numbers.below(5), "direction": angle})),
+        4 => change(
+            "inject",
+            json!({"count": 1 + numbers.below(5), "direction": angle}),
+        ),
         5 => {
             let within = json!({"x": angle, "y": 0.0, "radius": numbers.within(1.0, 20.0)});
-            change("inject", json!({"count": 1 + numbers.below(3), "within": within}))
+            change(
+                "inject",
+                json!({"count": 1 + numbers.below(3), "within": within}),
+            )
         }
         6 => change("remove", json!({"select": select(numbers, ids)})),
         7 => change("set", setting(numbers)),
@@ -169,13 +191,17 @@ fn setting(numbers: &mut Numbers) -> Value {
 
 fn steer(numbers: &mut Numbers, ids: &[u32]) -> Value {
     let ids = some(numbers, ids);
-    let mut column = |from, to| -> Vec<f64> { ids.iter().map(|_| numbers.within(from, to)).collect() };
+    let mut column =
+        |from, to| -> Vec<f64> { ids.iter().map(|_| numbers.within(from, to)).collect() };
     let direction = column(-3.0, 3.0);
     let weight = column(0.0, 2.0);
     let rates = column(-2.0, 2.0);
     let speeds = column(0.0, 1.0);
     let some_of = |column: Vec<f64>, numbers: &mut Numbers| -> Vec<Option<f64>> {
-        column.into_iter().map(|it| (!numbers.chance(3)).then_some(it)).collect()
+        column
+            .into_iter()
+            .map(|it| (!numbers.chance(3)).then_some(it))
+            .collect()
     };
     match numbers.below(3) {
         0 => json!({"steer": {"ids": ids, "direction": direction}}),
@@ -191,8 +217,14 @@ fn steer(numbers: &mut Numbers, ids: &[u32]) -> Value {
 /// Returns a request for all measures of one state, or for one with an argument.
 fn measures(numbers: &mut Numbers) -> Value {
     let names: Vec<String> = match numbers.below(4) {
-        0 => vec!["order".to_owned(), format!("contacts_per_body({})", numbers.within(0.01, 1.0))],
-        _ => Measure::all_of_one_state().iter().map(ToString::to_string).collect(),
+        0 => vec![
+            "order".to_owned(),
+            format!("contacts_per_body({})", numbers.within(0.01, 1.0)),
+        ],
+        _ => Measure::all_of_one_state()
+            .iter()
+            .map(ToString::to_string)
+            .collect(),
     };
     json!({"measures": {"measures": names}})
 }

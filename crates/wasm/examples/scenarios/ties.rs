@@ -53,7 +53,10 @@ fn arrangements() -> Vec<(f64, Vec<Pose>)> {
     for (pi1, spacing) in [(1.0, 1.0), (1.0, 1.25), (4.0, 2.0)] {
         for side in [2, 4, 7] {
             found.push((pi1, lattice(side, spacing, |_, _| 0.0)));
-            found.push((pi1, lattice(side, spacing, |i, j| f64::from((i + j) % 2) * PI)));
+            found.push((
+                pi1,
+                lattice(side, spacing, |i, j| f64::from((i + j) % 2) * PI),
+            ));
         }
         // The angles of 12 and 16 poses on a circle are multiples of a fraction of a turn.
         for count in [12, 16] {
@@ -62,14 +65,29 @@ fn arrangements() -> Vec<(f64, Vec<Pose>)> {
             found.push((pi1, ring(count, radius, PI / 2.0)));
         }
     }
-    found.push((4.0, (0..40).map(|i| [2.0 * f64::from(i), 0.0, 0.0]).collect()));
-    found.push((4.0, (0..40).map(|i| [0.0, 0.4 * f64::from(i), 0.0]).collect()));
+    found.push((
+        4.0,
+        (0..40).map(|i| [2.0 * f64::from(i), 0.0, 0.0]).collect(),
+    ));
+    found.push((
+        4.0,
+        (0..40).map(|i| [0.0, 0.4 * f64::from(i), 0.0]).collect(),
+    ));
     found
 }
 
 fn lattice(side: u32, spacing: f64, heading: impl Fn(u32, u32) -> f64) -> Vec<Pose> {
-    let at = |i: u32, j: u32| [spacing * f64::from(i), spacing * f64::from(j), heading(i, j)];
-    (0..side).flat_map(|i| (0..side).map(move |j| (i, j))).map(|(i, j)| at(i, j)).collect()
+    let at = |i: u32, j: u32| {
+        [
+            spacing * f64::from(i),
+            spacing * f64::from(j),
+            heading(i, j),
+        ]
+    };
+    (0..side)
+        .flat_map(|i| (0..side).map(move |j| (i, j)))
+        .map(|(i, j)| at(i, j))
+        .collect()
 }
 
 /// Returns poses on a circle, turned from the radius by an angle.

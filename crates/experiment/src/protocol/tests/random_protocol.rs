@@ -126,8 +126,7 @@ pub fn random_protocol(seed: u64) -> (String, Vec<(When, Vec<Change>)>) {
                     0 => String::new(),
                     _ => format!(" for {}", lasting as f64 * DT),
                 };
-                text +=
-                    &format!("[[at]]\nwhen = \"order > {limit}{lasting_text}\"\n{command}\n");
+                text += &format!("[[at]]\nwhen = \"order > {limit}{lasting_text}\"\n{command}\n");
                 When::Ordered(limit, lasting)
             }
             1 => {
