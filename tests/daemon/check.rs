@@ -17,16 +17,26 @@ const MODULE: [u8; 28] = [
     0x33, 0x4b, 0x1c, 8, 0, 0, 0,
 ];
 
-/// What `sha256sum` prints of it, unpacked.
-const SHA256: &str = "93a44bbb96c751218e4c00d479e4c14358122a389acca16205b1e4d0dc5f9476";
+/// `printf '\0asm\1\0\0\0\0\2\1a' | gzip -9n`: another one, with a section that has a name only.
+const OTHER_MODULE: [u8; 30] = [
+    0x1f, 0x8b, 0x08, 0x00, 0x00, 0x00, 0x00, 0x00, 0x02, 0x03, 0x63, 0x48, 0x2c, 0xce, 0x65, 0x64,
+    0x00, 0x02, 0x26, 0xc6, 0x44, 0x00, 0x80, 0x63, 0x5d, 0xb6, 0x0c, 0x00, 0x00, 0x00,
+];
+
+/// What `sha256sum` prints of the first one, unpacked.
+pub const SHA256: &str = "93a44bbb96c751218e4c00d479e4c14358122a389acca16205b1e4d0dc5f9476";
 
 /// A page with the places that a player has.
 const PLAYER: &str = "<title>{{jostle:title}}</title><script type=\"application/json\" \
     id=\"jostle-file\">{{jostle:file}}</script>{{jostle:module}}</html>";
 
-/// Writes the module of these tests.
-pub fn write_module(path: &std::path::Path) {
-    fs::write(path, MODULE).unwrap();
+/// What `sha256sum` prints of the other one, unpacked.
+pub const OTHER_SHA256: &str = "ad7e07012b3bc61e217e1dddbba916d27799bc198c2f1d066a4562dd22513734";
+
+/// Writes the modules of these tests: `jostle.wasm.gz` and `other.wasm.gz`.
+pub fn write_modules(folder: &std::path::Path) {
+    fs::write(folder.join("jostle.wasm.gz"), MODULE).unwrap();
+    fs::write(folder.join("other.wasm.gz"), OTHER_MODULE).unwrap();
 }
 
 /// The text of a file with a run of three individuals.
@@ -84,7 +94,7 @@ fn a_file_is_checked_without_a_daemon() {
 async fn the_module_is_served_with_its_hash_as_the_page_computes_it() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("jostle.wasm.gz");
-    write_module(&path);
+    write_modules(folder.path());
     let daemon = Daemon::with(&[("wasm", path.to_str().unwrap())]).await;
     let address = of_daemon(&daemon);
     let fetch = |method: &str, headers: &str| {

@@ -189,9 +189,9 @@ const ROWS: [Row; 20] = [
     Row {
         name: "wasm",
         value: "{folder}/jostle.wasm.gz",
-        effect: "/jostle.wasm: 200",
-        other: "",
-        other_effect: "/jostle.wasm: 404",
+        effect: check::SHA256,
+        other: "{folder}/other.wasm.gz",
+        other_effect: check::OTHER_SHA256,
         bad: None,
     },
 ];
@@ -291,7 +291,7 @@ impl Running {
             issue::init(&Folder::new(folder.path().join("auth")), &[], &people).unwrap();
         }
         if name == "wasm" {
-            check::write_module(&folder.path().join("jostle.wasm.gz"));
+            check::write_modules(folder.path());
         }
         if name.starts_with("audit_") {
             effects::write_audit_lines(&folder.path().join("base"));

@@ -114,7 +114,11 @@ async fn wasm(client: &Client) -> String {
     let address = url.strip_prefix("http://").unwrap();
     let request =
         format!("HEAD /jostle.wasm HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n");
-    format!("/jostle.wasm: {}", http::send(address, &request).0)
+    let (_, head, _) = http::send(address, &request);
+    let hash = head
+        .lines()
+        .find_map(|line| line.strip_prefix("jostle-wasm-sha256: "));
+    hash.unwrap_or("no module").to_owned()
 }
 
 /// The names for which the key of `key` gets a reply.
