@@ -41,7 +41,7 @@ impl Engine {
     pub fn request(&mut self, request: &str) -> String {
         let reply = match serde_json::from_str(request) {
             Ok(request) => self.execute(request),
-            Err(error) => Err(Rejection::invalid(error)),
+            Err(error) => Err(Rejection::invalid(&error)),
         };
         to_json(&reply)
     }
@@ -173,5 +173,5 @@ impl Engine {
 }
 
 fn missing(what: &str) -> Rejection {
-    Rejection::of(ErrorCode::IncorrectState, format!("there is no {what}"))
+    Rejection::of(ErrorCode::IncorrectState, &format!("there is no {what}"))
 }

@@ -175,12 +175,12 @@ pub struct Rejection {
 
 impl Rejection {
     /// Returns the rejection of a request that is wrong in itself.
-    pub fn invalid(message: impl ToString) -> Self {
+    pub fn invalid(message: &impl ToString) -> Self {
         Self::of(ErrorCode::InvalidArgument, message)
     }
 
     /// Returns the rejection of a request that does not fit what the engine holds.
-    pub fn of(code: ErrorCode, message: impl ToString) -> Self {
+    pub fn of(code: ErrorCode, message: &impl ToString) -> Self {
         Self {
             code,
             message: message.to_string(),
@@ -192,7 +192,7 @@ impl Rejection {
 /// The code and the message of an error. The details that the daemon adds, such as ranges, would bring the
 /// schemas of all messages into the module.
 fn coded(error: &(impl WireCode + ToString)) -> Rejection {
-    Rejection::of(error.code(), error.to_string())
+    Rejection::of(error.code(), error)
 }
 
 impl From<WireError> for Rejection {
@@ -215,25 +215,27 @@ impl From<MeasuresError> for Rejection {
 
 impl From<ArgsError> for Rejection {
     fn from(error: ArgsError) -> Self {
-        Self::invalid(error)
+        Self::invalid(&error)
     }
 }
 
 impl From<SnapshotError> for Rejection {
     fn from(error: SnapshotError) -> Self {
-        Self::invalid(error)
+        Self::invalid(&error)
     }
 }
 
-impl From<PlanError> for Rejection {
-    fn from(error: PlanError) -> Self {
-        let mut rejection = Self::invalid(&error);
+impl From<&PlanError> for Rejection {
+    fn from(error: &PlanError) -> Self {
+        let mut rejection = Self::invalid(error);
         if let PlanError::Field { line, column, .. }
         | PlanError::Points { line, column, .. }
         | PlanError::SetPoints { line, column, .. } = error
         {
-            rejection.details.insert("line".to_owned(), line.into());
-            rejection.details.insert("column".to_owned(), column.into());
+            rejection.details.insert("line".to_owned(), (*line).into());
+            rejection
+                .details
+                .insert("column".to_owned(), (*column).into());
         }
         rejection
     }

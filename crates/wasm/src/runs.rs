@@ -34,7 +34,7 @@ impl Experiment {
             setpoints,
         };
         Ok(Self {
-            plan: Plan::of(files)?,
+            plan: Plan::of(files).map_err(|error| Rejection::from(&error))?,
             current: None,
         })
     }
@@ -60,7 +60,7 @@ impl Experiment {
         let runs = self.plan.runs();
         let run = runs.get(index).ok_or_else(|| {
             let message = format!("there is no run {index}: the experiment has {}", runs.len());
-            Rejection::of(ErrorCode::NotFound, message)
+            Rejection::of(ErrorCode::NotFound, &message)
         })?;
         let run = CurrentRun::start(&self.plan, run)?;
         let status = Status::of(run.simulation(), None);
@@ -75,7 +75,7 @@ impl Experiment {
     pub fn advance(&mut self, steps: u64) -> Reply {
         let Some(current) = &mut self.current else {
             let message = "there is no run: send run first";
-            return Err(Rejection::of(ErrorCode::IncorrectState, message));
+            return Err(Rejection::of(ErrorCode::IncorrectState, &message));
         };
         if current.finished.is_none() {
             current.finished = current.run.advance(&self.plan, steps, None);

@@ -27,7 +27,7 @@ impl Swarm {
             .filter(|_| spec.n <= MAX_INDIVIDUALS);
         let n = n.ok_or_else(|| {
             let message = format!("n = {}, the limit is {MAX_INDIVIDUALS}", spec.n);
-            Rejection::of(ErrorCode::ResourceExhausted, message)
+            Rejection::of(ErrorCode::ResourceExhausted, &message)
         })?;
         let simulation = Simulation::new(&spec::from_proto(spec, n)?)?;
         Ok(Self {
@@ -39,7 +39,7 @@ impl Swarm {
     /// Restores a swarm from a snapshot in base64.
     pub fn restore(encoded: &str) -> Result<Self, Rejection> {
         let bytes = decode(encoded)?;
-        let restored = Snapshot::from_file(&bytes).map_err(Rejection::invalid)?;
+        let restored = Snapshot::from_file(&bytes).map_err(|error| Rejection::invalid(&error))?;
         let checkpoint = snapshot::from_proto(&restored)?;
         snapshot::check(&checkpoint)?;
         Ok(Self {
@@ -122,5 +122,5 @@ impl Status {
 /// Reads base64.
 pub fn decode(encoded: &str) -> Result<Vec<u8>, Rejection> {
     let decoded = STANDARD.decode(encoded);
-    decoded.map_err(|error| Rejection::invalid(format!("it is no base64: {error}")))
+    decoded.map_err(|error| Rejection::invalid(&format!("it is no base64: {error}")))
 }

@@ -58,31 +58,31 @@ pub fn all() -> impl Iterator<Item = Scenario> {
 
 /// Executes the runs of a plan in slices.
 fn experiment(toml: &str, runs: u64, slice: u64) -> Scenario {
-    executed(json!({"plan": {"toml": toml}}), runs, slice)
+    executed(&json!({"plan": {"toml": toml}}), runs, slice)
 }
 
-fn executed(plan: Value, runs: u64, slice: u64) -> Scenario {
+fn executed(plan: &Value, runs: u64, slice: u64) -> Scenario {
     let mut scenario = Scenario::default();
     let reply = scenario.send(plan);
     assert!(reply.get("ok").is_some(), "{reply}");
     for run in 0..runs {
-        let mut reply = scenario.send(json!({"run": {"run": run}}));
+        let mut reply = scenario.send(&json!({"run": {"run": run}}));
         assert!(reply.get("ok").is_some(), "{reply}");
         while reply["ok"]["finished"] != true {
-            reply = scenario.send(json!({"advance": {"steps": slice}}));
+            reply = scenario.send(&json!({"advance": {"steps": slice}}));
             assert!(reply.get("ok").is_some(), "{reply}");
         }
-        scenario.send(json!({"measures": {"measures": ["order", "neighbour_distance.median"]}}));
+        scenario.send(&json!({"measures": {"measures": ["order", "neighbour_distance.median"]}}));
     }
     scenario
 }
 
 /// Returns an experiment that starts from the snapshot of a swarm.
 fn from_snapshot() -> Scenario {
-    let mut swarm = Scenario::new(json!({"create": {"spec": {"n": 30, "seed": 3, "noise": 0.1}}}));
+    let mut swarm = Scenario::new(&json!({"create": {"spec": {"n": 30, "seed": 3, "noise": 0.1}}}));
     swarm.step(200, 100);
-    let snapshot = swarm.send(json!({"snapshot": {}}));
+    let snapshot = swarm.send(&json!({"snapshot": {}}));
     let toml = "name = \"after\"\nseed = 1\nduration = 5\nstart = \"swarm.snapshot\"\n";
     let plan = json!({"plan": {"toml": toml, "start": snapshot["ok"]["snapshot"]}});
-    executed(plan, 1, 60)
+    executed(&plan, 1, 60)
 }

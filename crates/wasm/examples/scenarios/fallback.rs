@@ -46,7 +46,7 @@ pub fn all() -> impl Iterator<Item = Scenario> {
             };
             let sealed = snapshot::to_proto("packed", &checkpoint, doing).sealed();
             let encoded = STANDARD.encode(jostle_proto::to_cbor(&sealed));
-            let mut scenario = Scenario::new(json!({"restore": {"snapshot": encoded}}));
+            let mut scenario = Scenario::new(&json!({"restore": {"snapshot": encoded}}));
             scenario.step(3, 1);
             scenario
         })

@@ -6,7 +6,7 @@ use crate::scenario::Scenario;
 
 /// Returns scenarios of invalid requests, between valid ones.
 pub fn all() -> impl Iterator<Item = Scenario> {
-    let mut scenario = Scenario::new(json!({"step": {"steps": 1}}));
+    let mut scenario = Scenario::new(&json!({"step": {"steps": 1}}));
     for request in [
         json!({"run": {"run": 0}}),
         json!({"advance": {"steps": 1}}),
@@ -40,7 +40,7 @@ pub fn all() -> impl Iterator<Item = Scenario> {
         json!({"run": {"run": 0}}),
         json!({"step": {"steps": 20}}),
     ] {
-        scenario.send(request);
+        scenario.send(&request);
     }
     for text in [
         r#"{"step": {"steps": 1e400}}"#,

@@ -15,14 +15,14 @@ pub struct Scenario {
 
 impl Scenario {
     /// Begins a scenario with a request.
-    pub fn new(first: Value) -> Self {
+    pub fn new(first: &Value) -> Self {
         let mut scenario = Self::default();
         scenario.send(first);
         scenario
     }
 
     /// Adds a request; returns the reply.
-    pub fn send(&mut self, request: Value) -> Value {
+    pub fn send(&mut self, request: &Value) -> Value {
         self.send_text(request.to_string())
     }
 
@@ -42,7 +42,7 @@ impl Scenario {
         let mut left = steps;
         while left > 0 {
             let now = slice.min(left);
-            self.send(json!({"step": {"steps": now}}));
+            self.send(&json!({"step": {"steps": now}}));
             left -= now;
         }
     }
@@ -54,7 +54,7 @@ impl Scenario {
 
     /// Returns a scenario that continues this one from its snapshot.
     pub fn continued(&mut self) -> Self {
-        let reply = self.send(json!({"snapshot": {}}));
-        Self::new(json!({"restore": {"snapshot": reply["ok"]["snapshot"]}}))
+        let reply = self.send(&json!({"snapshot": {}}));
+        Self::new(&json!({"restore": {"snapshot": reply["ok"]["snapshot"]}}))
     }
 }

@@ -9,11 +9,11 @@ use crate::scenario::Scenario;
 /// Returns a random swarm and, for one in three, the swarm that continues it from a snapshot.
 pub fn random(set: &str, seed: u64) -> Vec<Scenario> {
     let mut numbers = Numbers::new(set, seed);
-    let n = size(&mut numbers, 200.0);
-    let mut first = Scenario::new(json!({"create": {"spec": spec(&mut numbers, n, seed)}}));
+    let n = size(&mut numbers, 200);
+    let mut first = Scenario::new(&json!({"create": {"spec": spec(&mut numbers, n, seed)}}));
     let slice = 10 + numbers.below(91);
     let slices = 2 + numbers.below(if n > 100 { 6 } else { 16 });
-    let continues = numbers.chance(3).then(|| slices / 2);
+    let continues = numbers.chance(3).then_some(slices / 2);
     let mut scenarios = Vec::new();
     for done in 0..slices {
         if Some(done) == continues {
@@ -22,11 +22,11 @@ pub fn random(set: &str, seed: u64) -> Vec<Scenario> {
         }
         for _ in 0..numbers.below(2) {
             let request = command(&mut numbers, first.ids());
-            first.send(request);
+            first.send(&request);
         }
         first.step(slice, slice);
         if numbers.chance(2) {
-            first.send(measures(&mut numbers));
+            first.send(&measures(&mut numbers));
         }
     }
     scenarios.push(first);
@@ -38,12 +38,12 @@ pub fn several_hundred() -> impl Iterator<Item = Scenario> {
     let sizes = [500, 700, 1000, 2000];
     sizes.into_iter().zip(0..).map(|(n, seed)| {
         let mut numbers = Numbers::new("several hundred", seed);
-        let mut scenario = Scenario::new(json!({"create": {"spec": spec(&mut numbers, n, seed)}}));
+        let mut scenario = Scenario::new(&json!({"create": {"spec": spec(&mut numbers, n, seed)}}));
         scenario.step(40, 10);
         let request = command(&mut numbers, scenario.ids());
-        scenario.send(request);
+        scenario.send(&request);
         scenario.step(20, 10);
-        scenario.send(measures(&mut numbers));
+        scenario.send(&measures(&mut numbers));
         scenario
     })
 }
@@ -51,19 +51,15 @@ pub fn several_hundred() -> impl Iterator<Item = Scenario> {
 /// Returns a group of 10,000 individuals.
 pub fn of_ten_thousand() -> Scenario {
     let spec = json!({"n": 10_000, "seed": 1, "attraction": {"kind": "all", "accuracy": 1e-6}});
-    let mut scenario = Scenario::new(json!({"create": {"spec": spec}}));
+    let mut scenario = Scenario::new(&json!({"create": {"spec": spec}}));
     scenario.step(20, 5);
     scenario
 }
 
 /// Returns a size from 2 to `largest`, small ones as often as large ones.
-fn size(numbers: &mut Numbers, largest: f64) -> u64 {
-    let mut n = 2.0;
-    let doublings = numbers.below(7);
-    for _ in 0..doublings {
-        n *= 2.0;
-    }
-    (n * numbers.within(1.0, 2.0)).min(largest) as u64
+fn size(numbers: &mut Numbers, largest: u64) -> u64 {
+    let least = 2 << numbers.below(7);
+    (least + numbers.below(least)).min(largest)
 }
 
 fn spec(numbers: &mut Numbers, n: u64, seed: u64) -> Value {

@@ -21,28 +21,27 @@ pub fn all() -> impl Iterator<Item = Scenario> {
         json!({"kind": "topological", "neighbours": 3}),
     ];
     let numbered = arrangements().into_iter().enumerate();
-    let pairs = numbered.flat_map(move |(index, (pi1, poses))| {
+    numbered.flat_map(move |(index, (pi1, poses))| {
         let laws = laws.clone().into_iter().enumerate();
         laws.map(move |(law, attraction)| {
             let contacts = CONTACTS[(index + law) % CONTACTS.len()];
             scenario(pi1, &poses, &attraction, contacts)
         })
-    });
-    pairs
+    })
 }
 
 fn scenario(pi1: f64, poses: &[Pose], attraction: &Value, contacts: &str) -> Scenario {
     let column = |k: usize| poses.iter().map(|it| it[k]).collect::<Vec<_>>();
     let start = json!({"kind": "given", "x": column(0), "y": column(1), "alpha": column(2)});
-    let mut scenario = Scenario::new(json!({"create": {"spec": {
+    let mut scenario = Scenario::new(&json!({"create": {"spec": {
         "n": poses.len(), "pi1": pi1, "start": start, "attraction": attraction, "contacts": contacts,
     }}}));
     let foremost = json!({"foremost": {"count": 2, "along": 0.0}});
     let args = json!({"select": foremost, "direction": PI / 2.0});
     scenario.step(60, 10);
-    scenario.send(json!({"apply": {"change": {"verb": "inform", "args": args}}}));
+    scenario.send(&json!({"apply": {"change": {"verb": "inform", "args": args}}}));
     scenario.step(60, 10);
-    scenario.send(json!({"measures": {"measures": ["order", "milling", "radius_of_gyration"]}}));
+    scenario.send(&json!({"measures": {"measures": ["order", "milling", "radius_of_gyration"]}}));
     scenario
 }
 
@@ -94,9 +93,8 @@ fn lattice(side: u32, spacing: f64, heading: impl Fn(u32, u32) -> f64) -> Vec<Po
 fn ring(count: u32, radius: f64, turned: f64) -> Vec<Pose> {
     let at = |k: u32| {
         let angle = 2.0 * PI * f64::from(k) / f64::from(count);
-        // The sine and cosine of this program may differ from those of another processor: the requests
-        // have the numbers, in which all engines agree.
-        [radius * angle.cos(), radius * angle.sin(), angle + turned]
+        let (sine, cosine) = libm::sincos(angle);
+        [radius * cosine, radius * sine, angle + turned]
     };
     (0..count).map(at).collect()
 }

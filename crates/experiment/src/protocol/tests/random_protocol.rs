@@ -110,7 +110,7 @@ pub fn random_protocol(seed: u64) -> (String, Vec<(When, Vec<Change>)>) {
             .update(&seed.to_le_bytes())
             .finalize_xof(),
     );
-    let n = 10 + numbers.below(if seed % 10 == 0 { 191 } else { 40 });
+    let n = 10 + numbers.below(if seed.is_multiple_of(10) { 191 } else { 40 });
     let mut text = format!(
         "name = \"a\"\nseed = {seed}\nduration = {}\nspec = {{ n = {n}, dt = {DT} }}\n",
         STEPS as f64 * DT
