@@ -113,7 +113,11 @@ class Place:
             return
         folders = [str(folder) for folder in path.parents]
         package = next((_PACKAGES[it] for it in folders if it in _PACKAGES), "jostled")
-        for folder in self.target.glob(f"*/.fingerprint/{package}-*"):
+        own, module = self.target, self.tree / "target/wasm-build"
+        for folder in (
+            *own.glob(f"*/.fingerprint/{package}-*"),
+            *module.glob(f"*/*/.fingerprint/{package}-*"),
+        ):
             shutil.rmtree(folder)
 
     def run(
