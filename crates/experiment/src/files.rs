@@ -4,7 +4,7 @@
 //! of an experiment's results has copies of them, under names of their own.
 
 #[cfg(feature = "files")]
-mod disk;
+pub mod disk;
 
 use std::path::{Component, Path};
 

@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use crate::error::PlanError;
-use crate::files::Files;
+use crate::files::{Files, disk};
 use crate::plan::{Plan, PlannedRun};
 use crate::run::execute_run_from;
 
@@ -227,7 +227,7 @@ impl HtmlFile {
     ///
     /// [`HtmlError`].
     pub fn read(path: &Path) -> Result<Self, HtmlError> {
-        let bytes = std::fs::read(path).map_err(HtmlError::File)?;
+        let bytes = disk::read(path).map_err(|error| HtmlError::File(error.source))?;
         // What is no UTF-8 is no such file, too.
         Self::parse(&String::from_utf8_lossy(&bytes))
     }

@@ -3,7 +3,7 @@
  * instance is one swarm, or one run of an experiment.
  *
  * A request and its reply are JSON in the memory of the module, where the columns of the present swarm
- * are, too. A call may grow the memory, which detaches views on it: they are made anew after each call.
+ * are, too. A call may grow the memory, which detaches views on it: they are made again after each call.
  */
 import type { Order } from "../wire/messages.ts";
 import type { Spec } from "../wire/requests.ts";

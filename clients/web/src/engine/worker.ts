@@ -1,4 +1,4 @@
-/** The worker: receives one job, and executes it. Whoever started it ends it to cancel the job. */
+/** The worker: receives one job, and executes it. To cancel the job, the page ends the worker. */
 import { Engine } from "./engine.ts";
 import { execute, failure, type Job, type Report } from "./job.ts";
 

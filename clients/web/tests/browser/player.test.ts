@@ -69,10 +69,10 @@ test("a recording plays, pauses and seeks by keys", async () => {
   await slider(page).press("Home");
   assert.equal(await slider(page).getAttribute("aria-valuetext"), "t 0.00 · step 0");
   await page.getByText("2 individuals · 1 informed").waitFor();
-  // At the end it begins anew.
+  // At the end it begins again.
   await slider(page).press("End");
   await page.getByRole("button", { name: "Play" }).click();
-  await until("it plays anew", async () => {
+  await until("it plays again", async () => {
     const now = await position(page);
     return now > 0 && now < 0.8;
   });

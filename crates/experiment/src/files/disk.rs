@@ -148,7 +148,8 @@ impl Files {
     }
 }
 
-fn read(path: &Path) -> Result<Vec<u8>, FilesError> {
+/// Reads a file of at most 250 MB.
+pub fn read(path: &Path) -> Result<Vec<u8>, FilesError> {
     let read = || {
         let mut bytes = Vec::new();
         File::open(path)?

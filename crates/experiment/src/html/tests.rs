@@ -210,3 +210,9 @@ fn numbers_are_grouped_by_three_digits() {
         assert_eq!(grouped(number), text);
     }
 }
+
+#[test]
+fn a_file_without_an_end_is_not_read_whole() {
+    let error = HtmlFile::read(Path::new("/dev/zero")).unwrap_err();
+    assert_eq!(error.to_string(), "it has more than 250 MB");
+}
