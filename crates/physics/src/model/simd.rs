@@ -6,6 +6,8 @@
 //! are correctly rounded on every processor. So all versions give the same bytes and differ only
 //! in speed.
 
+use std::sync::OnceLock;
+
 /// Number of lanes of a kernel: one register of the widest version.
 pub const WIDTH: usize = 8;
 
@@ -53,37 +55,40 @@ impl Level {
 }
 
 impl Default for Level {
-    /// Returns the widest level of this processor.
+    /// Returns the level of this process.
     fn default() -> Self {
         level()
     }
 }
 
-/// Returns the widest level of this processor. A call costs one or two nanoseconds: the standard
-/// library caches the detected features.
+/// The level of this process.
+static LEVEL: OnceLock<Level> = OnceLock::new();
+
+/// Returns the level of this process: the widest of this processor, unless [`set_level`] has chosen
+/// another.
 #[inline]
 #[must_use]
 pub fn level() -> Level {
-    #[cfg(target_arch = "x86_64")]
-    {
-        if has_avx512() {
-            return Level(Width::Avx512);
-        }
-        if has_avx2() {
-            return Level(Width::Avx2);
-        }
-    }
-    Level::BASELINE
+    *LEVEL.get_or_init(|| *Level::available().last().unwrap_or(&Level::BASELINE))
+}
+
+/// Chooses the level of this process, before the first kernel has used it. This changes the duration
+/// of a step and no bit of its result.
+///
+/// # Errors
+///
+/// The level that is already in use, if it is another one.
+pub fn set_level(level: Level) -> Result<(), Level> {
+    let used = *LEVEL.get_or_init(|| level);
+    if used == level { Ok(()) } else { Err(used) }
 }
 
 #[cfg(target_arch = "x86_64")]
-#[inline]
 fn has_avx2() -> bool {
     is_x86_feature_detected!("avx2")
 }
 
 #[cfg(target_arch = "x86_64")]
-#[inline]
 fn has_avx512() -> bool {
     is_x86_feature_detected!("avx512f")
         && is_x86_feature_detected!("avx512vl")
@@ -186,7 +191,13 @@ mod tests {
     }
 
     #[test]
-    fn the_level_is_the_widest_available() {
-        assert_eq!(Level::available().last(), Some(&level()));
+    fn the_level_is_the_widest_available_and_stays() {
+        let widest = *Level::available().last().unwrap();
+        assert_eq!(level(), widest);
+        assert_eq!(set_level(widest), Ok(()));
+        if widest != Level::BASELINE {
+            assert_eq!(set_level(Level::BASELINE), Err(widest));
+        }
+        assert_eq!(level(), widest);
     }
 }

@@ -3,7 +3,7 @@
 //! ```text
 //! scenarios make SET FOLDER    writes FOLDER/SET.requests and, by this program, FOLDER/SET.replies
 //! scenarios answer < REQUESTS  prints the replies to scenarios that were made elsewhere
-//! scenarios level              prints the version of the kernels that this processor executes
+//! scenarios answer LEVEL       the same by the kernels of a level: baseline, avx2 or avx512
 //! ```
 //!
 //! A request or a reply is a line. An empty line ends a scenario: the next one is executed by another
@@ -26,13 +26,12 @@ use std::fs::File;
 use std::io::{self, BufRead, BufWriter, Write};
 use std::path::Path;
 
-use jostle_physics::model::simd;
+use jostle_physics::model::simd::{self, Level};
 use jostle_wasm::Engine;
 
 use crate::scenario::Scenario;
 
-const USAGE: &str =
-    "usage: scenarios make a|b|random|large FOLDER | scenarios answer | scenarios level";
+const USAGE: &str = "usage: scenarios make a|b|random|large FOLDER | scenarios answer [LEVEL]";
 
 fn main() -> io::Result<()> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
@@ -40,7 +39,10 @@ fn main() -> io::Result<()> {
     match arguments[..] {
         ["make", set, folder] => make(set, Path::new(folder)),
         ["answer"] => answer(io::stdin().lock(), BufWriter::new(io::stdout().lock())),
-        ["level"] => writeln!(io::stdout(), "{:?}", simd::level().width()),
+        ["answer", level] => {
+            choose(level)?;
+            answer(io::stdin().lock(), BufWriter::new(io::stdout().lock()))
+        }
         _ => Err(io::Error::other(USAGE)),
     }
 }
@@ -80,6 +82,16 @@ fn make(set: &str, folder: &Path) -> io::Result<()> {
     }
     requests.flush()?;
     replies.flush()
+}
+
+/// Makes the kernels of this process those of the level with this name.
+fn choose(name: &str) -> io::Result<()> {
+    let level = Level::available()
+        .into_iter()
+        .find(|level| format!("{:?}", level.width()).eq_ignore_ascii_case(name))
+        .ok_or_else(|| io::Error::other(format!("this processor has no level {name}")))?;
+    simd::set_level(level)
+        .map_err(|used| io::Error::other(format!("the level is already {used:?}")))
 }
 
 fn answer(requests: impl BufRead, mut to: impl Write) -> io::Result<()> {
