@@ -53,6 +53,14 @@ test("changes have their steps, and the numbers of their draws leave out annotat
   ]);
 });
 
+test("set-points of a controller are told by no event", () => {
+  const events = [command(1, 8, "join", { controller: "ada" }), command(2, 9, "set", SET.args)];
+  assert.throws(
+    () => changesBetween({ seq: 7, annotations: 0 }, { seq: 9 }, events),
+    /a controller has joined, and no event tells its set-points/,
+  );
+});
+
 test("events that the daemon no longer has are an error", () => {
   const from = { seq: 7, annotations: 0 };
   assert.throws(

@@ -5,11 +5,13 @@
 
 #[cfg(feature = "files")]
 pub mod disk;
+mod encoded;
 
 use std::path::{Component, Path};
 
 #[cfg(feature = "files")]
 pub use self::disk::{EXPERIMENT, FilesError};
+pub use self::encoded::EncodedFiles;
 
 /// The name of the copy of the file of `points` there.
 pub const POINTS: &str = "experiment.points.csv";

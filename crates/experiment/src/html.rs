@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use crate::error::PlanError;
-use crate::files::{Files, disk};
+use crate::files::{EncodedFiles, Files, disk};
 use crate::plan::{Plan, PlannedRun};
 use crate::run::execute_run_from;
 
@@ -78,7 +78,7 @@ pub enum Content {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ClaimedRun {
     /// The files of the experiment.
-    pub files: EmbeddedFiles,
+    pub files: EncodedFiles,
     /// Which of its runs.
     pub run: RunOfPlan,
     /// The spec of that run, with its defaults and its seed, for the reader. The files determine the run.
@@ -89,22 +89,6 @@ pub struct ClaimedRun {
     /// Its frames, in a file without the module.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub frames: Option<EncodedFrames>,
-}
-
-/// The files of an experiment; that of `start` in base64.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct EmbeddedFiles {
-    /// The text of the TOML.
-    pub toml: String,
-    /// The text of the CSV that `points` names.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub points: Option<String>,
-    /// The snapshot that `start` names.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub start: Option<String>,
-    /// The text of the CSV that `setpoints` names.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub setpoints: Option<String>,
 }
 
 /// A run of a plan.
@@ -299,7 +283,7 @@ impl ClaimedRun {
     pub fn new(plan: &Plan, run: &PlannedRun, claim: Claim) -> Self {
         let spec = spec::to_proto(&plan.spec(run), run.seed);
         Self {
-            files: (&plan.files).into(),
+            files: plan.files.clone().into(),
             run: RunOfPlan {
                 index: plan.index(&run.name).unwrap_or(0),
                 name: run.name.clone(),
@@ -309,31 +293,6 @@ impl ClaimedRun {
             claim,
             frames: None,
         }
-    }
-}
-
-impl From<&Files> for EmbeddedFiles {
-    fn from(files: &Files) -> Self {
-        Self {
-            toml: files.toml.clone(),
-            points: files.points.clone(),
-            start: files.start.as_ref().map(|it| STANDARD.encode(it)),
-            setpoints: files.setpoints.clone(),
-        }
-    }
-}
-
-impl TryFrom<&EmbeddedFiles> for Files {
-    type Error = base64::DecodeError;
-
-    fn try_from(files: &EmbeddedFiles) -> Result<Self, Self::Error> {
-        let start = files.start.as_ref().map(|it| STANDARD.decode(it));
-        Ok(Self {
-            toml: files.toml.clone(),
-            points: files.points.clone(),
-            start: start.transpose()?,
-            setpoints: files.setpoints.clone(),
-        })
     }
 }
 
@@ -377,7 +336,7 @@ impl Check {
                 model: file.model_version,
             });
         }
-        let files = Files::try_from(&run.files);
+        let files = Files::try_from(run.files.clone());
         let files = files.map_err(|error| CheckError::Damaged(error.to_string()))?;
         let plan = Plan::of(files)?;
         let RunOfPlan { index, name } = &run.run;

@@ -54,7 +54,7 @@ pub use error::PlanError;
 pub use export::{
     AppliedChange, ExportError, ExportOptions, ExportedFiles, SwarmHistory, experiment_file,
 };
-pub use files::{Files, POINTS, SET_POINTS, START};
+pub use files::{EncodedFiles, Files, POINTS, SET_POINTS, START};
 pub use jostle_physics::model::MODEL_VERSION;
 pub use limits::{
     MAX_BLOCKS, MAX_ENTRIES, MAX_INDIVIDUALS, MAX_RUNS, MAX_SET_POINTS, MAX_STEPS,

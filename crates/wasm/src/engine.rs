@@ -61,13 +61,8 @@ impl Engine {
             Request::Step { steps } => self.swarm()?.step(steps),
             Request::Status {} => self.status(),
             Request::Measures { measures } => self.measures(&measures),
-            Request::Plan {
-                toml,
-                points,
-                start,
-                setpoints,
-            } => {
-                let experiment = Experiment::read(toml, points, start.as_deref(), setpoints)?;
+            Request::Plan(files) => {
+                let experiment = Experiment::read(files)?;
                 let answer = experiment.answer();
                 self.held = Held::Experiment(Box::new(experiment));
                 Ok(answer)

@@ -1,7 +1,7 @@
 //! Requests and replies.
 
 use jostle_convert::{ArgsError, MeasuresError, SnapshotError, WireCode, WireError};
-use jostle_experiment::PlanError;
+use jostle_experiment::{EncodedFiles, PlanError};
 use jostle_physics::simulation::ChangeError;
 use jostle_proto::verbs::{Change, Changed, SetPoints};
 use jostle_proto::{ErrorCode, Spec};
@@ -30,13 +30,7 @@ pub enum Request {
     /// Measures of the swarm or of the run, by name.
     Measures { measures: Vec<String> },
     /// Reads an experiment, in place of what the engine holds.
-    Plan {
-        toml: String,
-        points: Option<String>,
-        /// The snapshot, in base64.
-        start: Option<String>,
-        setpoints: Option<String>,
-    },
+    Plan(EncodedFiles),
     /// Begins a run of the experiment, by its index.
     Run { run: usize },
     /// Takes steps of the run.

@@ -1,12 +1,12 @@
 //! An experiment whose runs are executed in slices.
 
-use jostle_experiment::{CurrentRun, Files, FinishedRun, Plan};
+use jostle_experiment::{CurrentRun, EncodedFiles, Files, FinishedRun, Plan};
 use jostle_physics::simulation::Simulation;
 use jostle_proto::ErrorCode;
 use jostle_results::table;
 
 use crate::request::{Advanced, Answer, Rejection, Reply, RunEntry, Status};
-use crate::swarm::decode;
+use crate::swarm::no_base64;
 
 /// An experiment, and one of its runs.
 pub struct Experiment {
@@ -20,19 +20,9 @@ struct Current {
 }
 
 impl Experiment {
-    /// Reads an experiment's files. `start` is in base64.
-    pub fn read(
-        toml: String,
-        points: Option<String>,
-        start: Option<&str>,
-        setpoints: Option<String>,
-    ) -> Result<Self, Rejection> {
-        let files = Files {
-            toml,
-            points,
-            start: start.map(decode).transpose()?,
-            setpoints,
-        };
+    /// Reads an experiment's files.
+    pub fn read(files: EncodedFiles) -> Result<Self, Rejection> {
+        let files = Files::try_from(files).map_err(|error| no_base64(&error))?;
         Ok(Self {
             plan: Plan::of(files).map_err(|error| Rejection::from(&error))?,
             current: None,

@@ -1,7 +1,7 @@
 //! A swarm that is stepped by requests.
 
-use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
+use base64::{DecodeError, Engine as _};
 use jostle_convert::{change, hexadecimal, snapshot, spec};
 use jostle_experiment::MAX_INDIVIDUALS;
 use jostle_physics::simulation::Simulation;
@@ -38,7 +38,9 @@ impl Swarm {
 
     /// Restores a swarm from a snapshot in base64.
     pub fn restore(encoded: &str) -> Result<Self, Rejection> {
-        let bytes = decode(encoded)?;
+        let bytes = STANDARD
+            .decode(encoded)
+            .map_err(|error| no_base64(&error))?;
         let restored = Snapshot::from_file(&bytes).map_err(|error| Rejection::invalid(&error))?;
         let checkpoint = snapshot::from_proto(&restored)?;
         snapshot::check(&checkpoint)?;
@@ -119,8 +121,7 @@ impl Status {
     }
 }
 
-/// Reads base64.
-pub fn decode(encoded: &str) -> Result<Vec<u8>, Rejection> {
-    let decoded = STANDARD.decode(encoded);
-    decoded.map_err(|error| Rejection::invalid(&format!("it is no base64: {error}")))
+/// The rejection of a snapshot that is no base64.
+pub fn no_base64(error: &DecodeError) -> Rejection {
+    Rejection::invalid(&format!("it is no base64: {error}"))
 }

@@ -2,6 +2,7 @@
 
 use std::collections::HashMap;
 use std::io::Write;
+use std::iter;
 use std::sync::{Arc, LazyLock};
 
 use axum::body::Bytes;
@@ -29,6 +30,12 @@ const CACHING: &str = "no-cache";
 /// The header with the SHA-256 of the unpacked module, in hexadecimal.
 const MODULE_SHA256: HeaderName = HeaderName::from_static("jostle-wasm-sha256");
 
+/// The header with that of the module that was built with this program.
+const RELEASED_SHA256: HeaderName = HeaderName::from_static("jostle-wasm-release-sha256");
+
+/// The SHA-256 of the module that was built with this program. Only builds of packages state it.
+const RELEASED: Option<&str> = option_env!("JOSTLE_WASM_SHA256");
+
 #[derive(RustEmbed)]
 #[folder = "clients/web/dist"]
 struct Files;
@@ -39,8 +46,8 @@ struct File {
     plain: Body,
     /// Compressed by gzip.
     gzip: Option<Body>,
-    /// The SHA-256 of the module, of no other file.
-    sha256: Option<String>,
+    /// Headers of the module, of no other file.
+    more: Vec<(HeaderName, String)>,
 }
 
 struct Body {
@@ -64,12 +71,16 @@ impl File {
         Self::with_gzip(kind, data, gzip)
     }
 
-    /// The module, as it is compressed in its file.
-    fn module(module: Module) -> Self {
+    /// The module, as it is compressed in its file, and the hash of the release's.
+    fn module(module: Module, released: Option<&str>) -> Self {
         let hash = digest::digest(&digest::SHA256, &module.bytes);
-        let sha256 = hash.as_ref().iter().map(|it| format!("{it:02x}"));
+        let sha256 = hash.as_ref().iter().map(|it| format!("{it:02x}")).collect();
+        let released = released.filter(|it| !it.is_empty());
+        let released = released.map(|it| (RELEASED_SHA256, it.to_owned()));
         File {
-            sha256: Some(sha256.collect()),
+            more: iter::once((MODULE_SHA256, sha256))
+                .chain(released)
+                .collect(),
             ..Self::with_gzip("application/wasm", module.bytes, Some(module.gzip))
         }
     }
@@ -88,7 +99,7 @@ impl File {
             kind,
             plain,
             gzip,
-            sha256: None,
+            more: Vec::new(),
         }
     }
 
@@ -107,8 +118,8 @@ impl File {
         set(VARY, "Accept-Encoding");
         set(CONTENT_SECURITY_POLICY, POLICY);
         set(REFERRER_POLICY, "no-referrer");
-        if let Some(sha256) = &self.sha256 {
-            set(MODULE_SHA256, sha256);
+        for (name, value) in &self.more {
+            set(name.clone(), value);
         }
         if is_cached(request, &body.etag) {
             return (StatusCode::NOT_MODIFIED, headers).into_response();
@@ -137,7 +148,7 @@ async fn file(uri: Uri, headers: HeaderMap) -> Response {
 
 /// Serves the wasm module; without one the page does not offer to verify swarms.
 pub fn serve_module<S: Clone + Send + Sync + 'static>(module: Option<Module>) -> MethodRouter<S> {
-    let file = module.map(|module| Arc::new(File::module(module)));
+    let file = module.map(|module| Arc::new(File::module(module, RELEASED)));
     routing::get(move |headers: HeaderMap| {
         let response = respond(file.as_deref(), &headers);
         async { response }
@@ -200,5 +211,25 @@ fn kind(path: &str) -> &'static str {
         Some("json" | "webmanifest") => "application/json",
         Some("txt") => "text/plain; charset=utf-8",
         _ => "application/octet-stream",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_release_names_its_module_and_another_build_names_none() {
+        let named = |released: Option<&str>| {
+            let module = Module {
+                gzip: vec![1],
+                bytes: b"\0asm\x01\0\0\0".to_vec(),
+                licences: String::new(),
+            };
+            let response = File::module(module, released).respond(&HeaderMap::new());
+            response.headers().get(RELEASED_SHA256).cloned()
+        };
+        assert_eq!(named(Some("3f2a")).unwrap(), "3f2a");
+        assert_eq!((named(Some("")), named(None)), (None, None));
     }
 }

@@ -21,6 +21,11 @@ const SEVERAL = ["batch", "fired"];
 /** The verbs that count, but on whose number no draw depends. */
 const NOTES = ["annotate", "protect"];
 
+/** Why set-points cannot be executed again. */
+export function untold(why: string): string {
+  return `${why}, and no event tells its set-points: jostle verify replays them from the journal`;
+}
+
 /** The changes between two snapshots of one epoch; throws if the events do not tell them all. */
 export function changesBetween(
   from: Pick<Snapshot, "seq" | "annotations">,
@@ -35,6 +40,9 @@ export function changesBetween(
       continue;
     }
     const verb = String(event.verb);
+    if (verb === "join") {
+      throw new Error(untold("a controller has joined"));
+    }
     const args = (event.args ?? {}) as { commands?: Change[] | null; protocol?: boolean };
     if (args.protocol) {
       throw new Error("an experiment plays on this swarm: its draws have other numbers");

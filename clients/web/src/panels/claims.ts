@@ -1,8 +1,8 @@
 /** What a browser can compute again of a swarm, and what the daemon says the result is. */
-import { changesBetween } from "../engine/changes.ts";
+import { changesBetween, untold } from "../engine/changes.ts";
 import type { Task } from "../engine/job.ts";
 import { currentSnapshot, get, RequestError } from "../wire/http.ts";
-import type { ExperimentFile } from "../wire/messages.ts";
+import type { ControllerList, ExperimentFile } from "../wire/messages.ts";
 import type { EventsPage, SwarmEvent } from "../wire/page.ts";
 import type { Snapshot } from "../wire/snapshot.ts";
 
@@ -43,6 +43,10 @@ export async function requestClaim(swarm: string, waits: (reason: string) => voi
 
 async function claimFromNow(swarm: string): Promise<Claim> {
   const from = await currentSnapshot(swarm);
+  const { controllers } = (await get<ControllerList>(swarm, "controllers")).result;
+  if (controllers[0]) {
+    throw new Error(untold(`the controller ${controllers[0].controller} steers individuals`));
+  }
   const to = await laterSnapshot(swarm, from);
   const changes = changesBetween(from, to, await allEvents(swarm));
   const task: Task = { kind: "replay", snapshot: base64(from.bytes), changes, until: to.step };

@@ -16,6 +16,16 @@ const PROVES =
   "hashes show that these commands give this state on this computer, too. The engine comes from the same " +
   "daemon: against a daemon that lies it proves nothing, unless its SHA-256 is that of a release.";
 
+/** Where the hash of a module comes from, and whether the module is that of a release. */
+function originOf({ sha256, isComputed, released }: Module): string {
+  const told = isComputed ? "" : "according to the daemon";
+  const release =
+    released &&
+    (released === sha256 ? "that of the release" : `not that of the release, ${released}`);
+  const notes = [told, release].filter(Boolean).join("; ");
+  return notes && `(${notes})`;
+}
+
 type Verdict = "equal" | "different" | "none";
 
 export class Verify {
@@ -80,9 +90,10 @@ export class Verify {
     }
   }
 
-  private run(claim: Claim, { bytes, sha256, isComputed }: Module): void {
+  private run(claim: Claim, module: Module): void {
+    const { bytes, sha256 } = module;
     if (sha256) {
-      this.put("SHA-256 of the engine", sha256, isComputed ? "" : "(according to the daemon)");
+      this.put("SHA-256 of the engine", sha256, originOf(module));
     } else {
       this.put("SHA-256 of the engine", "this browser cannot compute it on a page without TLS");
     }
@@ -116,7 +127,6 @@ export class Verify {
 
   private compare(claim: Claim, step: number, state_hash: string, fault: string | null): void {
     const [steps, short] = [grouped(step), `${state_hash.slice(0, DIGITS)}…`];
-    const names = `jostle verify ${this.swarm} names the step`;
     if (step === claim.steps && state_hash === claim.state_hash) {
       const which =
         claim.from === null
@@ -129,13 +139,9 @@ export class Verify {
         `different: step ${steps} of ${grouped(claim.steps)} is the last: ${why}`,
         "different",
       );
-    } else if (claim.from === null) {
-      this.stop(`different at the end: ${names}`, "different");
     } else {
-      this.stop(
-        `different at step ${steps}: ${names}, unless a controller has set individuals, which no event tells`,
-        "different",
-      );
+      const where = claim.from === null ? "the end" : `step ${steps}`;
+      this.stop(`different at ${where}: jostle verify ${this.swarm} names the step`, "different");
     }
   }
 

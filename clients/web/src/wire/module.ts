@@ -3,6 +3,8 @@
 const PATH = "jostle.wasm";
 /** The header with the SHA-256 of the module, which the daemon computes. */
 const HASH_HEADER = "Jostle-Wasm-Sha256";
+/** The header with that of the module that was built with the daemon; only a release sends it. */
+const RELEASED_HEADER = "Jostle-Wasm-Release-Sha256";
 
 export interface Module {
   bytes: ArrayBuffer;
@@ -10,6 +12,8 @@ export interface Module {
   sha256: string | null;
   /** Whether this browser computed it. Without a secure context it cannot. */
   isComputed: boolean;
+  /** The SHA-256 of the module of the daemon's release; null if the daemon is not of a release. */
+  released: string | null;
 }
 
 let served: Promise<boolean> | null = null;
@@ -36,7 +40,8 @@ export async function readModule(): Promise<Module> {
   const bytes = await response.arrayBuffer();
   const told = response.headers.get(HASH_HEADER);
   const computed = await sha256(bytes);
-  return { bytes, sha256: computed ?? told, isComputed: computed !== null };
+  const released = response.headers.get(RELEASED_HEADER);
+  return { bytes, sha256: computed ?? told, isComputed: computed !== null, released };
 }
 
 /** The SHA-256 of some bytes, in hexadecimal; null where the browser has no such function, as on a page

@@ -158,6 +158,46 @@ test("a fork is verified from a snapshot on, with the changes since", { skip }, 
   assert.match(await running, /^equal from step [\d,]+ to step [\d,]+: [0-9a-f]{8}…$/);
 });
 
+test("a fork that a controller steers is not verified from a snapshot on", { skip }, async () => {
+  await site.daemon.create("steered", { n: 20, seed: 1 });
+  await site.daemon.command("steered", "step", { steps: 5 });
+  await site.daemon.command("steered", "fork", { name: "steered-fork" });
+  const tab = await site.openTabAt("/swarm/steered-fork", false);
+  tab.expectsError(/^409 GET \/api\/get\/steered-fork\/get\/experiment$/);
+  // A controller needs a token of a zenoh session, which a page does not have.
+  await tab.page.route("**/steered-fork/get/controllers", async (route: Route) => {
+    const reply = (await (await route.fetch()).json()) as { result: { controllers: object[] } };
+    reply.result.controllers.push({ controller: "ada" });
+    await route.fulfill({ json: reply });
+  });
+  assert.equal(
+    await end(tab.page),
+    "not verified: the controller ada steers individuals, and no event tells its set-points: " +
+      "jostle verify replays them from the journal",
+  );
+});
+
+test("a release says whether the engine is its own", { skip }, async () => {
+  const page = await openDemo();
+  const sha256 = createHash("sha256").update(readEngine()).digest("hex");
+  const digest = page.locator(".verify dt").first();
+  for (const [released, said] of [
+    [null, "SHA-256 of the engine"],
+    [sha256, "SHA-256 of the engine (that of the release)"],
+    ["3f2a", "SHA-256 of the engine (not that of the release, 3f2a)"],
+  ] as const) {
+    await page.route("**/jostle.wasm", async (route: Route) => {
+      const response = await route.fetch();
+      const headers = response.headers();
+      const more = released === null ? {} : { "jostle-wasm-release-sha256": released };
+      await route.fulfill({ response, headers: { ...headers, ...more } });
+    });
+    assert.match(await end(page), /^equal/);
+    assert.equal(await digest.textContent(), said);
+    await page.unroute("**/jostle.wasm");
+  }
+});
+
 test("without an engine there is no button", async () => {
   const { page } = await site.openTab();
   await page.route("**/jostle.wasm", (route) => route.fulfill({ status: 404 }));
