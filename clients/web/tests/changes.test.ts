@@ -111,7 +111,7 @@ test("a replay applies each change before its step, and the last ones after all"
     [140, 3],
   ]);
   assert.deepEqual(found, [
-    { kind: "begun", step: 100, steps: 40 },
+    { kind: "begun", step: 100, steps: 40, spec: null },
     { kind: "finished", step: 140, state_hash: "140/3", fault: null },
   ]);
 });

@@ -45,6 +45,7 @@ test("columns are read although the memory grows in between", async () => {
   assert.deepEqual([...id], [7]);
 });
 
+const SPEC = { n: 2, dt: 0.1 };
 const END = { state_hash: "ab", order: 0.5, drift: null, contacts: 3 };
 
 /** An engine whose run takes `total` steps, each of `step_ms` of a clock. */
@@ -55,6 +56,9 @@ function engineOf(total: number, step_ms: number, n = 2) {
   const answer = (name: string, args: unknown): unknown => {
     if (name === "plan") {
       return { name: "e", runs: [{ name: "e #0", steps: total, n }] };
+    }
+    if (name === "spec") {
+      return { spec: SPEC };
     }
     const isLast = step === total;
     if (name === "advance") {
@@ -88,11 +92,11 @@ function reports(job: RunTask, total: number, step_ms: number, n = 2) {
   return { found, asked };
 }
 
-const JOB = { kind: "run" as const, files: { toml: "" }, run: 0, spacing: 0 };
+const JOB = { kind: "run" as const, files: { toml: "" }, run: 0, spacing: null };
 
 test("a run reports its length, its progress and its hash", () => {
   const { found, asked } = reports(JOB, 1000, 0.1);
-  assert.deepEqual(found[0], { kind: "begun", step: 0, steps: 1000 });
+  assert.deepEqual(found[0], { kind: "begun", step: 0, steps: 1000, spec: SPEC });
   assert.deepEqual(found.at(-1), { kind: "finished", step: 1000, state_hash: "ab", fault: null });
   // Slices grow to about 50 ms, and a progress follows about each of them.
   assert(asked.length < 15, `${asked}`);
@@ -108,7 +112,7 @@ test("a slow step is reported after each slice", () => {
 });
 
 test("frames begin with the start, are evenly spaced, and end with the last state", () => {
-  const { found } = reports({ ...JOB, spacing: 4 }, 10, 1);
+  const { found } = reports({ ...JOB, spacing: 0.4 }, 10, 1);
   const frames = found.flatMap((it) => (it.kind === "progress" ? it.frames : []));
   assert.deepEqual(
     frames.map((it) => [it.step, it.x[0]]),
@@ -163,7 +167,7 @@ test("the remaining time is that at the rate so far, and nothing follows a cance
   assert.deepEqual(worker.posted, [job]);
   const send = (data: Report) => worker.onmessage?.({ data });
   clock.ms = 5000;
-  send({ kind: "begun", step: 0, steps: 100 });
+  send({ kind: "begun", step: 0, steps: 100, spec: null });
   assert.equal(runner.remaining, null);
   clock.ms = 7000;
   send({ kind: "progress", step: 40, frames: [] });

@@ -11,7 +11,6 @@ use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use flate2::Compression;
 use flate2::write::GzEncoder;
-use jostle_convert::spec;
 use jostle_physics::model::{MODEL_VERSION, State};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
@@ -81,9 +80,6 @@ pub struct ClaimedRun {
     pub files: EncodedFiles,
     /// Which of its runs.
     pub run: RunOfPlan,
-    /// The spec of that run, with its defaults and its seed, for the reader. The files determine the run.
-    #[serde(default)]
-    pub spec: serde_json::Value,
     /// How it ends.
     pub claim: Claim,
     /// Its frames, in a file without the module.
@@ -281,15 +277,12 @@ impl ClaimedRun {
     /// Returns a run that ends in this way.
     #[must_use]
     pub fn new(plan: &Plan, run: &PlannedRun, claim: Claim) -> Self {
-        let spec = spec::to_proto(&plan.spec(run), run.seed);
         Self {
             files: plan.files.clone().into(),
             run: RunOfPlan {
                 index: plan.index(&run.name).unwrap_or(0),
                 name: run.name.clone(),
             },
-            // A spec is a struct of numbers and texts, which JSON has.
-            spec: serde_json::to_value(spec).unwrap_or_default(),
             claim,
             frames: None,
         }

@@ -67,6 +67,7 @@ impl Engine {
                 self.held = Held::Experiment(Box::new(experiment));
                 Ok(answer)
             }
+            Request::Spec { run } => self.experiment()?.spec(run),
             Request::Run { run } => self.experiment()?.run(run),
             Request::Advance { steps } => self.experiment()?.advance(steps),
         }

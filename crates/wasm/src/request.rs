@@ -31,6 +31,8 @@ pub enum Request {
     Measures { measures: Vec<String> },
     /// Reads an experiment, in place of what the engine holds.
     Plan(EncodedFiles),
+    /// The spec of a run, by its index.
+    Spec { run: usize },
     /// Begins a run of the experiment, by its index.
     Run { run: usize },
     /// Takes steps of the run.
@@ -95,6 +97,11 @@ pub enum Answer {
         name: String,
         /// Its runs.
         runs: Vec<RunEntry>,
+    },
+    /// Of `spec`.
+    Spec {
+        /// With its defaults, and the seed of the run.
+        spec: Box<Spec>,
     },
     /// Of `advance`.
     Advanced(Advanced),

@@ -1,6 +1,7 @@
 //! An experiment whose runs are executed in slices.
 
-use jostle_experiment::{CurrentRun, EncodedFiles, Files, FinishedRun, Plan};
+use jostle_convert::spec;
+use jostle_experiment::{CurrentRun, EncodedFiles, Files, FinishedRun, Plan, PlannedRun};
 use jostle_physics::simulation::Simulation;
 use jostle_proto::ErrorCode;
 use jostle_results::table;
@@ -45,20 +46,31 @@ impl Experiment {
         }
     }
 
+    /// Returns the spec of a run.
+    pub fn spec(&self, index: usize) -> Reply {
+        let run = self.planned(index)?;
+        Ok(Answer::Spec {
+            spec: Box::new(spec::to_proto(&self.plan.spec(run), run.seed)),
+        })
+    }
+
     /// Begins a run.
     pub fn run(&mut self, index: usize) -> Reply {
-        let runs = self.plan.runs();
-        let run = runs.get(index).ok_or_else(|| {
-            let message = format!("there is no run {index}: the experiment has {}", runs.len());
-            Rejection::of(ErrorCode::NotFound, &message)
-        })?;
-        let run = CurrentRun::start(&self.plan, run)?;
+        let run = CurrentRun::start(&self.plan, self.planned(index)?)?;
         let status = Status::of(run.simulation(), None);
         self.current = Some(Current {
             run,
             finished: None,
         });
         Ok(Answer::Status(status))
+    }
+
+    fn planned(&self, index: usize) -> Result<&PlannedRun, Rejection> {
+        let runs = self.plan.runs();
+        runs.get(index).ok_or_else(|| {
+            let message = format!("there is no run {index}: the experiment has {}", runs.len());
+            Rejection::of(ErrorCode::NotFound, &message)
+        })
     }
 
     /// Takes steps of the run, until it ends.

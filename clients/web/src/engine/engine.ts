@@ -74,6 +74,9 @@ export interface Advance extends Status {
   csv: string | null;
 }
 
+/** A spec with its defaults. */
+export type FullSpec = Required<Spec>;
+
 /** The requests, with their arguments and replies. */
 export interface Requests {
   version: [Record<string, never>, Version];
@@ -85,6 +88,7 @@ export interface Requests {
   status: [Record<string, never>, Status];
   measures: [{ measures: string[] }, { values: (number | null)[] }];
   plan: [PlanFiles, Plan];
+  spec: [{ run: number }, { spec: FullSpec }];
   run: [{ run: number }, Status];
   advance: [{ steps: number }, Advance];
 }

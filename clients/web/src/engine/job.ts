@@ -4,7 +4,7 @@
  */
 import type { Columns } from "../wire/state.ts";
 import type { Applied } from "./changes.ts";
-import { type Engine, EngineError, type PlanFiles, type Status } from "./engine.ts";
+import { type Engine, EngineError, type FullSpec, type PlanFiles, type Status } from "./engine.ts";
 
 /** A job, and the module that executes it, uncompressed. */
 export type Job = Task & { module: ArrayBuffer };
@@ -15,8 +15,8 @@ export interface RunTask {
   files: PlanFiles;
   /** The index of the run. */
   run: number;
-  /** The least number of steps between two frames; 0 if no frames are wanted. */
-  spacing: number;
+  /** The least time between two frames, time units; null if no frames are wanted. */
+  spacing: number | null;
 }
 
 export interface ReplayTask {
@@ -35,8 +35,8 @@ export interface Frame
     Pick<Status, "step" | "pi1" | "order" | "drift" | "contacts"> {}
 
 export type Report =
-  /** It has begun at a step, and takes as many steps, at most. */
-  | { kind: "begun"; step: number; steps: number }
+  /** It has begun at a step, and takes as many steps, at most; null in place of the spec in a replay. */
+  | { kind: "begun"; step: number; steps: number; spec: FullSpec | null }
   | { kind: "progress"; step: number; frames: Frame[] }
   | { kind: "finished"; step: number; state_hash: string; fault: string | null }
   | { kind: "failed"; code: string; message: string; details: Record<string, unknown> };
@@ -89,9 +89,11 @@ function run(
   if (!planned) {
     throw new EngineError("not_found", `the experiment has no run ${task.run}`);
   }
+  const { spec } = engine.request("spec", { run: task.run });
   let status: Status = engine.request("run", { run: task.run });
-  report({ kind: "begun", step: 0, steps: planned.steps });
-  const spacing = task.spacing === 0 ? 0 : spacingOf(task.spacing, planned.steps, planned.n);
+  report({ kind: "begun", step: 0, steps: planned.steps, spec });
+  const least = task.spacing === null ? 0 : Math.max(1, Math.round(task.spacing / spec.dt));
+  const spacing = least && spacingOf(least, planned.steps, planned.n);
   let frames: Frame[] = [];
   const keep = () => {
     const { step, pi1, order, drift, contacts } = status;
@@ -126,7 +128,7 @@ function replay(
   now: () => number,
 ): void {
   let status = engine.request("restore", { snapshot });
-  report({ kind: "begun", step: status.step, steps: until - status.step });
+  report({ kind: "begun", step: status.step, steps: until - status.step, spec: null });
   const pace = new Pace(now);
   const stepTo = (step: number) => {
     while (status.step < step && status.fault === null) {

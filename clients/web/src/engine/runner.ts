@@ -1,7 +1,10 @@
 /** Executes a job in a worker, and knows how far it is. */
+import type { FullSpec } from "./engine.ts";
 import type { Frame, Job, Report } from "./job.ts";
 
 export interface RunnerEvents {
+  /** The run of this spec begins; null in place of it in a replay. */
+  begun?(spec: FullSpec | null): void;
   /** The run is as far as `runner` tells; these frames are new. */
   progress(frames: Frame[]): void;
   finished(end: Extract<Report, { kind: "finished" }>): void;
@@ -68,6 +71,7 @@ export class Runner {
         this.step = report.step;
         this.start = report.step;
         this.began = this.now();
+        this.events.begun?.(report.spec);
         this.events.progress([]);
         break;
       case "progress":

@@ -31,7 +31,7 @@ export async function requestClaim(swarm: string, waits: (reason: string) => voi
     const { result } = await get<ExperimentFile>(swarm, "experiment");
     const { file: toml, setpoints, steps, state_hash } = result;
     const files = setpoints ? { toml, setpoints } : { toml };
-    return { task: { kind: "run", files, run: 0, spacing: 0 }, from: null, steps, state_hash };
+    return { task: { kind: "run", files, run: 0, spacing: null }, from: null, steps, state_hash };
   } catch (error) {
     if (!(error instanceof RequestError && NO_FILE.includes(error.code))) {
       throw error;

@@ -1,6 +1,5 @@
 /** The content of the file: what `jostle export` writes into the page. */
 import type { PlanFiles } from "../engine/engine.ts";
-import type { Spec } from "../wire/requests.ts";
 
 /** How base64 of gzip begins. */
 const GZIP = "H4sI";
@@ -41,7 +40,6 @@ export interface Content {
   licences: string;
   files?: PlanFiles;
   run?: { index: number; name: string };
-  spec?: Spec;
   claim?: Claim;
   frames?: StoredFrames;
 }

@@ -11,6 +11,7 @@ import { RunPlayer } from "./run.ts";
 import { Stage } from "./stage.ts";
 import { Timeline } from "./timeline.ts";
 
+document.getElementById("reading")?.remove();
 startTheme();
 const themeButton = button("", switchTheme, "plain");
 const showTheme = () => {

@@ -1,4 +1,6 @@
 /** The form that changes a parameter of the run: the reader's variant. */
+
+import type { FullSpec } from "../engine/engine.ts";
 import { button, el, setText } from "../ui/dom.ts";
 import { form, numberField, numberIn } from "../ui/field.ts";
 import { grouped } from "../ui/format.ts";
@@ -34,19 +36,29 @@ export class Parameters {
     this.events.back();
   });
   private readonly form: HTMLFormElement;
-  private readonly fields: { name: Varied; input: HTMLInputElement; was: number | null }[];
+  private fields: { name: Varied; input: HTMLInputElement; was: number | null }[] = [];
 
   constructor(
     private readonly content: Content,
     private readonly events: ParametersEvents,
   ) {
-    const { files, spec } = content;
+    this.back.hidden = true;
+    this.form = form(
+      "grid-form",
+      async () => this.submit(),
+      el("button", { type: "submit", class: "primary" }, "Run your variant"),
+    );
+    this.form.hidden = true;
+    this.element = el("div", { class: "controls" }, this.form, this.status, el("p", {}, this.back));
+  }
+
+  /** Offers the parameters of a run with this spec. */
+  offer(spec: FullSpec): void {
+    const { files } = this.content;
     const offered = files ? VARIED.filter((name) => mayVary(files, name)) : [];
     const labels: HTMLElement[] = [];
     this.fields = offered.map((name) => {
-      const stated = files ? valueIn(files.toml, name) : null;
-      const resolved = name === "duration" ? null : spec?.[name];
-      const was = resolved ?? stated;
+      const was = name === "duration" ? valueIn(files!.toml, name) : spec[name];
       const isWhole = name === "n" || name === "seed";
       const { label, input } = numberField({
         label: name,
@@ -59,14 +71,8 @@ export class Parameters {
       labels.push(label);
       return { name, input, was };
     });
-    this.back.hidden = true;
-    this.form = form(
-      "grid-form",
-      async () => this.submit(),
-      ...labels,
-      el("button", { type: "submit", class: "primary" }, "Run your variant"),
-    );
-    this.element = el("div", { class: "controls" }, this.form, this.status, el("p", {}, this.back));
+    this.form.prepend(...labels);
+    this.form.hidden = false;
   }
 
   /** What is said about the variant. */

@@ -1,4 +1,5 @@
 /** Executes the run of a file, and variants of it, and plays them. */
+import type { FullSpec } from "../engine/engine.ts";
 import type { Job } from "../engine/job.ts";
 import { Runner } from "../engine/runner.ts";
 import EngineWorker from "../engine/worker.ts?worker&inline";
@@ -7,17 +8,13 @@ import { type Content, unpack } from "./file.ts";
 import { Parameters } from "./parameters.ts";
 import type { Stage } from "./stage.ts";
 import { Timeline } from "./timeline.ts";
-import { valueIn } from "./variant.ts";
 
 /** The time between two frames of a run, time units. */
 const SPACING = 0.1;
-/** The time step of a spec without one. */
-const USUAL_DT = 0.02;
-
 /** Executes the run of the file, and the reader's variants. */
 export class RunPlayer {
   readonly parameters: Parameters;
-  private readonly published: Timeline;
+  private published: Timeline | null = null;
   private module: ArrayBuffer | null = null;
   private variant: Runner | null = null;
 
@@ -32,15 +29,16 @@ export class RunPlayer {
         this.variant?.end();
         this.variant = null;
         panel.showVariant(false);
-        stage.open(this.published);
+        if (this.published) {
+          stage.open(this.published);
+        }
       },
     });
-    this.published = this.timelineOf(content.files?.toml ?? "");
   }
 
   /** Begins the run; returns the module. */
   async begin(module: string): Promise<ArrayBuffer | null> {
-    const { content, panel, published, stage } = this;
+    const { content, panel, parameters, stage } = this;
     const { claim } = content;
     panel.say("computing …");
     panel.publish(claim ?? null);
@@ -50,8 +48,12 @@ export class RunPlayer {
       panel.say("not computed: the engine in this file is damaged, or this browser is too old");
       return null;
     }
-    stage.open(published);
-    const runner = this.start(content.files?.toml ?? "", published, {
+    const runner = this.start(content.files?.toml ?? "", {
+      begun: (timeline, spec) => {
+        this.published = timeline;
+        parameters.offer(spec);
+        stage.open(timeline);
+      },
       progress: () => panel.progress(runner.step, runner.steps, runner.remaining),
       finished: (end) => {
         if (claim) {
@@ -68,10 +70,11 @@ export class RunPlayer {
   private vary(toml: string, change: string): void {
     const { panel, parameters, stage } = this;
     this.variant?.end();
-    panel.showVariant(true);
-    const timeline = this.timelineOf(toml);
-    stage.open(timeline);
-    const runner = this.start(toml, timeline, {
+    const runner = this.start(toml, {
+      begun: (timeline) => {
+        panel.showVariant(true);
+        stage.open(timeline);
+      },
       progress: () => parameters.progress(runner.step, runner.steps),
       finished: ({ state_hash, fault }) =>
         parameters.say(
@@ -83,34 +86,31 @@ export class RunPlayer {
     this.variant = runner;
   }
 
-  private timelineOf(toml: string): Timeline {
-    const { spec } = this.content;
-    return new Timeline(spec?.dt ?? valueIn(toml, "dt") ?? USUAL_DT, 0);
-  }
-
-  private start(
-    toml: string,
-    timeline: Timeline,
-    events: { progress(): void; finished(end: End): void; failed(message: string): void },
-  ): Runner {
+  private start(toml: string, events: RunEvents): Runner {
     const { content, stage } = this;
     const job: Job = {
       kind: "run",
       module: this.module!,
       files: { ...content.files!, toml },
       run: content.run?.index ?? 0,
-      spacing: Math.max(1, Math.round(SPACING / timeline.dt)),
+      spacing: SPACING,
     };
+    let timeline: Timeline | null = null;
     const runner: Runner = new Runner(new EngineWorker(), job, {
+      begun: (spec) => {
+        timeline = new Timeline(spec!.dt, runner.steps * spec!.dt);
+        events.begun(timeline, spec!);
+      },
       progress: (frames) => {
-        timeline.total = runner.steps * timeline.dt;
-        timeline.add(frames);
+        timeline?.add(frames);
         stage.grown();
         events.progress();
       },
       finished: (end) => {
-        timeline.total = timeline.end;
-        timeline.fault = end.fault;
+        if (timeline) {
+          timeline.total = timeline.end;
+          timeline.fault = end.fault;
+        }
         stage.grown();
         events.finished(end);
       },
@@ -118,4 +118,11 @@ export class RunPlayer {
     });
     return runner;
   }
+}
+
+interface RunEvents {
+  begun(timeline: Timeline, spec: FullSpec): void;
+  progress(): void;
+  finished(end: End): void;
+  failed(message: string): void;
 }

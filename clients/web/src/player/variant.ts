@@ -34,7 +34,7 @@ function find(lines: readonly string[], table: string, key: string): Place {
 }
 
 /** The number that a file states for a parameter; null if it states none. */
-export function valueIn(toml: string, name: Varied | "dt"): number | null {
+export function valueIn(toml: string, name: Varied): number | null {
   const lines = toml.split("\n");
   const top = TOP[name];
   const { line } = find(lines, top ? "" : "spec", top ?? name);

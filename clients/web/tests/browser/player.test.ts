@@ -1,6 +1,6 @@
 /** The files of `jostle export` play from a disk, without network. */
 import assert from "node:assert/strict";
-import { mkdtempSync, rmSync } from "node:fs";
+import { mkdtempSync, readFileSync, rmSync, truncateSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
 import { after, test } from "node:test";
@@ -111,6 +111,9 @@ test("a run is equal, a variant claims nothing, and an altered file is different
   assert.deepEqual(hashes, [content.claim!.state_hash, content.claim!.state_hash]);
   await slider(page).press("End");
   assert.equal(await slider(page).getAttribute("aria-valuetext"), "t 100.00 · step 5,000");
+  for (const [name, value] of Object.entries({ n: "50", seed: "3", pi1: "4", duration: "100" })) {
+    assert.equal(await page.getByLabel(name, { exact: true }).inputValue(), value, name);
+  }
   await page.getByLabel("pi3").fill("5");
   await page.getByRole("button", { name: "Run your variant" }).click();
   const variant = page.getByText("your variant, pi3 = 5: computed. Nothing is claimed about it");
@@ -136,6 +139,15 @@ test("a run is equal, a variant claims nothing, and an altered file is different
   const text = verdict(altered);
   await until("different", async () => /^different/.test((await text.textContent()) ?? ""));
   assert.equal(await text.textContent(), "different after 5,000 steps");
+});
+
+test("a file that was cut off says so, and a whole one does not", async () => {
+  const page = await open({ ...RECORDING, name: "whole" }, null);
+  assert.equal(await page.getByText("Reading the file").count(), 0);
+  const path = join(folder, "whole.html");
+  truncateSync(path, readFileSync(path).indexOf("jostle-module"));
+  await page.reload();
+  await page.getByText("the file is incomplete or was altered: copy it again").waitFor();
 });
 
 test("a damaged engine is an error that is said", { skip }, async () => {

@@ -67,7 +67,6 @@ fn the_data_have_the_members_that_the_player_reads() {
         "model_version",
         "name",
         "run",
-        "spec",
         "version",
     ];
     assert_eq!(members, expected);
@@ -82,10 +81,6 @@ fn the_data_have_the_members_that_the_player_reads() {
         "MIT"
     );
     assert_eq!(value["files"]["toml"], TOML);
-    assert_eq!(
-        (&value["spec"]["n"], &value["spec"]["dt"]),
-        (&5.into(), &0.02.into())
-    );
     let mut encoder = FrameEncoder::new(0.02);
     let frame = FrameOfBodies {
         step: 0,

@@ -66,6 +66,7 @@ fn executed(plan: &Value, runs: u64, slice: u64) -> Scenario {
     let reply = scenario.send(plan);
     assert!(reply.get("ok").is_some(), "{reply}");
     for run in 0..runs {
+        scenario.send(&json!({"spec": {"run": run}}));
         let mut reply = scenario.send(&json!({"run": {"run": run}}));
         assert!(reply.get("ok").is_some(), "{reply}");
         while reply["ok"]["finished"] != true {
