@@ -116,8 +116,12 @@ fn for_each_unfinished(path: &Path, each: impl Fn(&Path) -> io::Result<()>) -> i
 ///
 /// # Errors
 ///
-/// If one of these fails. Unless only the last did, a file that existed at `path` is as it was.
+/// If one of these fails, or `path` is a folder, a device or a pipe, which a renamed file would replace. Unless only the last did, a file that existed at `path` is as it was.
 pub fn publish(file: NamedTempFile, path: &Path) -> io::Result<()> {
+    if fs::metadata(path).is_ok_and(|it| !it.is_file()) {
+        let problem = "it is a folder, a device or a pipe: name a file";
+        return Err(io::Error::new(ErrorKind::InvalidInput, problem));
+    }
     file.as_file().sync_all()?;
     file.persist(path).map_err(|error| error.error)?;
     sync_folder_of(path)
@@ -183,6 +187,24 @@ mod tests {
         assert_eq!(error.kind(), ErrorKind::AlreadyExists);
         assert_eq!(fs::read(&path).unwrap(), b"one");
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn what_is_no_file_is_not_replaced() {
+        use std::os::unix::fs::{FileTypeExt, symlink};
+        use std::os::unix::net::UnixListener;
+
+        let folder = tempfile::tempdir().unwrap();
+        let [socket, link] = ["socket", "link"].map(|name| folder.path().join(name));
+        let _listener = UnixListener::bind(&socket).unwrap();
+        symlink(&socket, &link).unwrap();
+        for path in [&socket, &link] {
+            let error = write(path, b"new").unwrap_err();
+            assert!(error.to_string().contains("name a file"), "{error}");
+        }
+        assert!(fs::metadata(&link).unwrap().file_type().is_socket());
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 2);
     }
 
     #[test]

@@ -177,6 +177,7 @@ async fn a_recording_is_played_and_states_nothing() {
     let recording_line = daemon.begin(&format!(
         "record school -o {recording} --every 10 --steps 1900"
     ));
+    daemon.until_recording().await;
     daemon.said("run school --rate max --until-step 2000").await;
     let ended = recording_line.end().await;
     assert_eq!(ended.code, Some(0), "{ended:?}");

@@ -15,22 +15,6 @@ use serde_json::{Value, json};
 use crate::recording::{assert_impossible_is_rejected, file, is_whole};
 use crate::support::{Daemon, Ended, Link, Running, TIMEOUT, object, until};
 
-/// Waits until the daemon records, and returns the recording's name.
-async fn begun(daemon: &Daemon) -> String {
-    let mut name = String::new();
-    until("the recording has begun", async || {
-        let list = daemon.reply("record --list").await;
-        let mut recordings = list["result"]["recordings"].as_array().unwrap().iter();
-        let going = recordings.find(|it| it["phase"] == "recording");
-        name = going.map_or_else(String::new, |it| {
-            it["recording"].as_str().unwrap().to_owned()
-        });
-        !name.is_empty()
-    })
-    .await;
-    name
-}
-
 /// The names of the daemon's recordings.
 async fn listed(daemon: &Daemon) -> Vec<String> {
     let list = daemon.reply("record --list").await;
@@ -59,7 +43,7 @@ async fn a_recording_of_so_many_steps_is_a_whole_file() {
     for name in ["take.parquet", "take.mcap"] {
         let (folder, path) = file(name);
         let recording = daemon.begin(&format!("--json record demo -o {path} --steps 20"));
-        begun(&daemon).await;
+        daemon.until_recording().await;
         daemon.jostle("run demo").await;
         let shown = object(&recording.end().await);
         daemon.jostle("pause demo").await;
@@ -83,7 +67,7 @@ async fn a_file_that_is_cut_keeps_its_spec() {
         let (_folder, path) = file(name);
         let line = format!("record demo -o {path} --every 1 --steps 3000");
         let recording = daemon.begin(&line);
-        begun(&daemon).await;
+        daemon.until_recording().await;
         daemon.said("step demo 3000 --timeout 60").await;
         assert_eq!(recording.end().await.code, Some(0));
         let whole = fs::OpenOptions::new().write(true).open(&path).unwrap();
@@ -111,7 +95,7 @@ async fn ctrl_c_and_the_swarms_deletion_end_a_recording_whole() {
         let (_folder, path) = file(name);
         daemon.jostle("create demo --n 10").await;
         let recording = daemon.begin(&format!("record demo -o {path}"));
-        begun(&daemon).await;
+        daemon.until_recording().await;
         recording.interrupt();
         let ended = recording.end().await;
         ended.assert_stderr(0, "fetching the rest");
@@ -119,7 +103,7 @@ async fn ctrl_c_and_the_swarms_deletion_end_a_recording_whole() {
         assert!(is_whole(&path));
 
         let recording = daemon.begin(&format!("record demo -o {path} --force"));
-        begun(&daemon).await;
+        daemon.until_recording().await;
         daemon.jostle("delete demo").await;
         let ended = recording.end().await;
         assert_eq!(ended.code, Some(0), "{ended:?}");
@@ -164,7 +148,7 @@ async fn a_signal_completes_the_file() {
     for signal in ["-TERM", "-HUP"] {
         let (_folder, path) = file("take.parquet");
         let recording = daemon.begin(&format!("record demo -o {path}"));
-        begun(&daemon).await;
+        daemon.until_recording().await;
         recording.signal(signal);
         let ended = recording.end().await;
         assert_eq!(ended.code, Some(0), "{signal}: {ended:?}");
@@ -181,7 +165,7 @@ async fn at_rate_max_every_state_is_in_the_file_and_the_daemon_keeps_no_copy() {
         let (folder, path) = file(name);
         let line = format!("--json record demo -o {path} --steps 2000");
         let recording = daemon.begin(&line);
-        begun(&daemon).await;
+        daemon.until_recording().await;
         daemon.said("run demo --rate max --until-step 2500").await;
         let shown = object(&recording.end().await);
         assert_eq!(
@@ -219,7 +203,7 @@ async fn a_client_that_is_killed_leaves_its_recording_with_the_daemon() {
     daemon.jostle("create demo --n 10 --publish-every 1").await;
     let (folder, path) = file("take.mcap");
     let recording = daemon.begin(&format!("record demo -o {path}"));
-    let name = begun(&daemon).await;
+    let name = daemon.until_recording().await;
     daemon.said("step demo 50").await;
     recording.signal("-KILL");
     recording.end().await;
@@ -346,10 +330,10 @@ async fn a_recording_continues_after_a_restart_of_the_daemon_and_is_fetched_comp
     daemon.jostle("create demo --n 10 --publish-every 1").await;
     let (folder, path) = file("take.mcap");
     let recording = daemon.begin(&format!("record demo -o {path}"));
-    begun(&daemon).await;
+    daemon.until_recording().await;
     daemon.said("step demo 30").await;
     let daemon = daemon.restart().await;
-    begun(&daemon).await;
+    daemon.until_recording().await;
     daemon.said("step demo 30").await;
     // The part that `stop` completed is fetched while the daemon records.
     until("the first part is fetched", async || {
@@ -483,7 +467,7 @@ async fn a_second_ctrl_c_says_what_the_daemon_may_go_on_with_and_how_to_end_it()
     // A daemon that is suspended before it stops the recording, or before it has begun it.
     let link = Link::to(&daemon.endpoint);
     let mut recording = Running::begin(&link.endpoint, &format!("record demo -o {path}"), "");
-    let name = begun(&daemon).await;
+    let name = daemon.until_recording().await;
     link.lose_answers();
     recording.interrupt();
     while !recording.complaint().contains("fetching the rest") {}

@@ -151,6 +151,22 @@ impl Daemon {
         serde_json::from_str(&ended.stderr).unwrap()
     }
 
+    /// Waits until the daemon records, and returns the recording's name.
+    pub async fn until_recording(&self) -> String {
+        let mut name = String::new();
+        until("the recording has begun", async || {
+            let list = self.reply("record --list").await;
+            let mut recordings = list["result"]["recordings"].as_array().unwrap().iter();
+            let going = recordings.find(|it| it["phase"] == "recording");
+            name = going.map_or_else(String::new, |it| {
+                it["recording"].as_str().unwrap().to_owned()
+            });
+            !name.is_empty()
+        })
+        .await;
+        name
+    }
+
     /// Waits until a swarm runs.
     pub async fn until_running(&self, swarm: &str) {
         until("the swarm runs", async || {
