@@ -99,8 +99,9 @@ impl History {
                     .to_owned()
             }
             _ => format!(
-                "its commands are stored from step {step} on: the run of a file begins with step 0. \
-                 Export the swarm that it is a copy of, or name a snapshot of it as start of a file"
+                "its commands are stored from step {step} on, since it is a copy or older ones were removed \
+                 (quota_mb): the run of a file begins with step 0. Export the swarm that it is a copy \
+                 of, or name a snapshot of it as start of a file"
             ),
         });
         History {

@@ -133,10 +133,15 @@ test("the frames of a long run of many fit in the memory", () => {
 });
 
 test("an experiment without that run is an error", () => {
-  const { found } = reports({ ...JOB, run: 3 }, 10, 1);
-  assert.deepEqual(found, [
-    { kind: "failed", code: "not_found", message: "the experiment has no run 3", details: {} },
-  ]);
+  for (const [run, named] of [
+    [{ run: 3 }, ""],
+    [{ run: 0, name: "e #1" }, ' "e #1"'],
+  ] as const) {
+    const { found } = reports({ ...JOB, ...run }, 10, 1);
+    const message = `the experiment has no run${named} with the number ${run.run + 1}`;
+    assert.deepEqual(found, [{ kind: "failed", code: "not_found", message, details: {} }]);
+  }
+  assert.equal(reports({ ...JOB, name: "e #0" }, 10, 1).found.at(-1)?.kind, "finished");
 });
 
 /** A worker of which the test is the other side. */

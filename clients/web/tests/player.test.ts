@@ -134,7 +134,11 @@ test("two frames of one step are a step apart", () => {
   const timeline = new Timeline(0.02, 1);
   const frames = decodeFrames(encodeFrames(POSES), storeFrames(POSES, [[0, 4]]));
   timeline.add([frames[1]!, frames[1]!]);
-  assert.deepEqual(timeline.times, [0, 0.02]);
+  assert.deepEqual(
+    timeline.times.map((it) => it.toFixed(2)),
+    ["0.10", "0.12"],
+  );
+  assert.equal(timeline.start, timeline.times[0]);
 });
 
 test("equal are step, hash and fault", () => {

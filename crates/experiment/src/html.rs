@@ -29,6 +29,9 @@ mod module;
 /// The number of the format of the data; a reader rejects a larger one.
 pub const FORMAT: u32 = 1;
 
+/// What the page of the player begins with.
+const GENERATOR: &str = "<meta name=\"generator\" content=\"jostle export\"";
+
 /// The tag before the data.
 const BEFORE_DATA: &str = "<script type=\"application/json\" id=\"jostle-file\">";
 
@@ -218,7 +221,11 @@ impl HtmlFile {
     ///
     /// [`HtmlError`].
     pub fn parse(html: &str) -> Result<Self, HtmlError> {
-        let (_, data) = html.split_once(BEFORE_DATA).ok_or(HtmlError::NoData)?;
+        let none = match html.contains(GENERATOR) {
+            true => HtmlError::Truncated,
+            false => HtmlError::NoData,
+        };
+        let (_, data) = html.split_once(BEFORE_DATA).ok_or(none)?;
         let (data, _) = data.split_once(AFTER_DATA).ok_or(HtmlError::Truncated)?;
         if !html.trim_end().ends_with(END) {
             return Err(HtmlError::Truncated);

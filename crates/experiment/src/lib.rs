@@ -74,7 +74,7 @@ pub use self::{
     disk::DiskWatch,
     dry_run::{DiskNeed, DryRun, Estimate, Measured},
     execute::{ExecuteError, Execution, Outcome, execute},
-    files::FilesError,
+    files::{EXPERIMENT, FilesError},
     folder::{FinishedRuns, Folder, FolderError, MissingFiles, SeriesSource, unfinished},
     merge::{Difference, MergeError, Parts, missing},
     progress::{ExecutionControl, Progress},

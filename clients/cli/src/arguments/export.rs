@@ -15,6 +15,8 @@ What can be exported:
   jostle export results --run 17 -o run.html          # a run that `jostled run -o results` executed
   jostle export school.mcap -o school.html            # a recording, whose frames are in the file
 
+A folder of results comes before a swarm of its name.
+
 The file needs no network and no daemon. It has the commands or the experiment, the wasm module
 that steps swarms, and the state hash at the end: the browser computes it and says whether it is
 equal, as `jostle check FILE` does without a browser.";

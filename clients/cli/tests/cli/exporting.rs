@@ -209,6 +209,12 @@ async fn a_recording_is_played_and_states_nothing() {
     checked(&path).await.assert_stderr(2, "is a recording");
     let ended = alone(&format!("{line}.2 --run 1")).await;
     ended.assert_stderr(2, "only an experiment has runs");
+    let ended = alone(&format!("export {recording}.mcap -o {recording}.html")).await;
+    assert_eq!(
+        ended.stderr.matches("school.mcap.mcap").count(),
+        1,
+        "{ended:?}"
+    );
     let other = files.write("other.mcap", "no recording");
     alone(&format!("export {other} -o {other}.html"))
         .await
@@ -256,6 +262,10 @@ async fn a_run_of_an_experiment_is_exported_from_its_file_or_its_results() {
     assert_eq!(data_of_other["frames"]["count"], 151);
     let html = fs::read_to_string(&other).unwrap();
     assert!(html.contains("id=\"jostle-module\"></script>"));
+    assert!(
+        ended.stdout.contains("run 2, \"#1\", of order"),
+        "{ended:?}"
+    );
     assert_eq!(checked(&other).await.code, Some(0));
     let ended = alone(&format!("export {toml} --run 3 -o {}.3", one.display())).await;
     ended.assert_stderr(2, "there is no run \"3\"");
@@ -265,6 +275,10 @@ async fn a_run_of_an_experiment_is_exported_from_its_file_or_its_results() {
     ))
     .await;
     ended.assert_stderr(2, "no module compressed by gzip");
+    for out in [files.folder.path().to_str().unwrap(), "-"] {
+        let ended = alone(&format!("export {toml} -o {out} --force")).await;
+        ended.assert_stderr(2, &format!("{out}: name a file, FILE.html"));
+    }
     let ended = alone(&format!("export No.Name -o {}.5", one.display())).await;
     ended.assert_stderr(2, "name a swarm, an experiment file");
 }

@@ -15,6 +15,8 @@ export interface RunTask {
   files: PlanFiles;
   /** The index of the run. */
   run: number;
+  /** Its name, if that is known: a run of another name is an error. */
+  name?: string | undefined;
   /** The least time between two frames, time units; null if no frames are wanted. */
   spacing: number | null;
 }
@@ -86,8 +88,10 @@ function run(
   now: () => number,
 ): void {
   const planned = engine.request("plan", task.files).runs[task.run];
-  if (!planned) {
-    throw new EngineError("not_found", `the experiment has no run ${task.run}`);
+  if (!planned || planned.name !== (task.name ?? planned.name)) {
+    const name = task.name === undefined ? "" : ` "${task.name}"`;
+    const message = `the experiment has no run${name} with the number ${task.run + 1}`;
+    throw new EngineError("not_found", message);
   }
   const { spec } = engine.request("spec", { run: task.run });
   let status: Status = engine.request("run", { run: task.run });

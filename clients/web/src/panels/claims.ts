@@ -2,7 +2,7 @@
 import { changesBetween, untold } from "../engine/changes.ts";
 import type { Task } from "../engine/job.ts";
 import { currentSnapshot, get, RequestError } from "../wire/http.ts";
-import type { ControllerList, ExperimentFile } from "../wire/messages.ts";
+import type { ControllerList, ExperimentFile, Status } from "../wire/messages.ts";
 import type { EventsPage, SwarmEvent } from "../wire/page.ts";
 import type { Snapshot } from "../wire/snapshot.ts";
 
@@ -21,6 +21,7 @@ const NO_FILE = ["conflict", "resource_exhausted"];
 const SPAN_MS = 3000;
 /** The longest time in which a swarm must take a step. */
 const WAIT_MS = 10_000;
+const NO_STEPS = "the swarm takes no steps: run it, and verify it while it runs";
 const POLL_MS = 500;
 const MAX_EVENTS = 1000;
 
@@ -42,6 +43,13 @@ export async function requestClaim(swarm: string, waits: (reason: string) => voi
 }
 
 async function claimFromNow(swarm: string): Promise<Claim> {
+  const { phase } = await get<Status>(swarm, "status");
+  if (phase === "faulted") {
+    throw new Error("the swarm takes no steps: it is faulted. jostle verify replays its journal");
+  }
+  if (phase === "paused") {
+    throw new Error(NO_STEPS);
+  }
   const from = await currentSnapshot(swarm);
   const { controllers } = (await get<ControllerList>(swarm, "controllers")).result;
   if (controllers[0]) {
@@ -67,7 +75,7 @@ async function laterSnapshot(swarm: string, from: Snapshot): Promise<Snapshot> {
       return to;
     }
     if (passed >= WAIT_MS) {
-      throw new Error("the swarm takes no steps: run it, and verify it while it runs");
+      throw new Error(NO_STEPS);
     }
   }
 }

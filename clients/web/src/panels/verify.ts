@@ -4,7 +4,8 @@
  */
 import { Runner } from "../engine/runner.ts";
 import { button, el, setText } from "../ui/dom.ts";
-import { grouped, seconds } from "../ui/format.ts";
+import { grouped, inSteps, seconds } from "../ui/format.ts";
+import { RequestError } from "../wire/http.ts";
 import { isModuleServed, type Module, readModule } from "../wire/module.ts";
 import { type Claim, requestClaim } from "./claims.ts";
 
@@ -85,7 +86,9 @@ export class Verify {
       }
     } catch (error) {
       if (begun === this.begun) {
-        this.stop(`not verified: ${error instanceof Error ? error.message : String(error)}`);
+        const isGone = error instanceof RequestError && error.code === "not_found";
+        const reason = error instanceof Error ? error.message : String(error);
+        this.stop(`not verified: ${isGone ? "the daemon has this swarm no longer" : reason}`);
       }
     }
   }
@@ -126,21 +129,21 @@ export class Verify {
   }
 
   private compare(claim: Claim, step: number, state_hash: string, fault: string | null): void {
-    const [steps, short] = [grouped(step), `${state_hash.slice(0, DIGITS)}…`];
+    const [at, short] = [grouped(step), `${state_hash.slice(0, DIGITS)}…`];
     if (step === claim.steps && state_hash === claim.state_hash) {
       const which =
         claim.from === null
-          ? `after ${steps} steps`
-          : `from step ${grouped(claim.from)} to step ${steps}`;
+          ? `after ${inSteps(step)}`
+          : `from step ${grouped(claim.from)} to step ${at}`;
       this.stop(`equal ${which}: ${short}`, "equal");
     } else if (step < claim.steps) {
       const why = fault ?? "the run ended";
       this.stop(
-        `different: step ${steps} of ${grouped(claim.steps)} is the last: ${why}`,
+        `different: step ${at} of ${grouped(claim.steps)} is the last: ${why}`,
         "different",
       );
     } else {
-      const where = claim.from === null ? "the end" : `step ${steps}`;
+      const where = claim.from === null ? "the end" : `step ${at}`;
       this.stop(`different at ${where}: jostle verify ${this.swarm} names the step`, "different");
     }
   }

@@ -1,6 +1,6 @@
 /** The panel that says whether the run has the hash that was published. */
 import { el, setText } from "../ui/dom.ts";
-import { grouped, seconds } from "../ui/format.ts";
+import { grouped, inSteps, seconds } from "../ui/format.ts";
 import type { Claim } from "./file.ts";
 
 /** The end of a run in this browser. */
@@ -70,7 +70,7 @@ export class ClaimPanel {
 
   /** The published run has ended. */
   compare(claim: Claim, end: End): void {
-    const steps = grouped(end.step);
+    const steps = inSteps(end.step);
     this.hashes.replaceChildren(
       ...hash("published", claim.state_hash),
       ...hash("in this browser", end.state_hash),
@@ -78,21 +78,24 @@ export class ClaimPanel {
     if (isEqual(claim, end)) {
       this.put(
         "equal",
-        `equal after ${steps} steps`,
+        `equal after ${steps}`,
         "This browser has executed the commands in this file, and its last state has the hash that was " +
-          "published: every position and heading is the same to the last bit.",
+          "published: every position and heading is the same to the last bit." +
+          (end.fault ? ` Both runs ended early: ${end.fault}.` : ""),
       );
-    } else if (end.step !== claim.steps || end.fault) {
-      const why = end.fault ? `: ${end.fault}` : "";
+    } else if (end.step !== claim.steps || (end.fault ?? "") !== (claim.fault ?? "")) {
+      const ended = (step: number, fault?: string | null) =>
+        `after ${inSteps(step)}${fault ? ` (${fault})` : ""}`;
       this.put(
         "different",
-        `different: the run ended at step ${steps}, the published one at ${grouped(claim.steps)}${why}`,
+        `different: the run ended ${ended(end.step, end.fault)}, the published one ` +
+          ended(claim.steps, claim.fault),
         "This file does not give the published result.",
       );
     } else {
       this.put(
         "different",
-        `different after ${steps} steps`,
+        `different after ${steps}`,
         "The commands in this file do not give the hash that was published: the file was changed, or " +
           "this browser computes otherwise. Compare with jostle check FILE.html.",
       );

@@ -61,7 +61,9 @@ function open({ content, module }: Contents): void {
         "header",
         { class: "page-head" },
         el("h1", {}, name),
-        run && run.name !== name ? el("span", { class: "soft" }, run.name) : null,
+        run && run.name !== name
+          ? el("span", { class: "soft" }, `run ${run.index + 1}, ${run.name}`)
+          : null,
         content.kind === "run" && claim.chip,
       ),
       stage.element,

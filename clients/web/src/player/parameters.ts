@@ -35,6 +35,7 @@ export class Parameters {
     this.form.reset();
     this.events.back();
   });
+  private readonly others = el("p", { class: "soft" });
   private readonly form: HTMLFormElement;
   private fields: { name: Varied; input: HTMLInputElement; was: number | null }[] = [];
 
@@ -49,7 +50,14 @@ export class Parameters {
       el("button", { type: "submit", class: "primary" }, "Run your variant"),
     );
     this.form.hidden = true;
-    this.element = el("div", { class: "controls" }, this.form, this.status, el("p", {}, this.back));
+    this.element = el(
+      "div",
+      { class: "controls" },
+      this.form,
+      this.others,
+      this.status,
+      el("p", {}, this.back),
+    );
   }
 
   /** Offers the parameters of a run with this spec. */
@@ -72,6 +80,8 @@ export class Parameters {
       return { name, input, was };
     });
     this.form.prepend(...labels);
+    const others = VARIED.filter((name) => !offered.includes(name));
+    setText(this.others, others.length > 0 ? `set by the experiment: ${others.join(", ")}` : "");
     this.form.hidden = false;
   }
 

@@ -25,14 +25,7 @@ export class RunPlayer {
   ) {
     this.parameters = new Parameters(content, {
       vary: (toml, change) => this.vary(toml, change),
-      back: () => {
-        this.variant?.end();
-        this.variant = null;
-        panel.showVariant(false);
-        if (this.published) {
-          stage.open(this.published);
-        }
-      },
+      back: () => this.back(),
     });
   }
 
@@ -67,6 +60,16 @@ export class RunPlayer {
     return this.module;
   }
 
+  /** Shows the published run. */
+  private back(): void {
+    this.variant?.end();
+    this.variant = null;
+    this.panel.showVariant(false);
+    if (this.published) {
+      this.stage.open(this.published);
+    }
+  }
+
   private vary(toml: string, change: string): void {
     const { panel, parameters, stage } = this;
     this.variant?.end();
@@ -81,7 +84,10 @@ export class RunPlayer {
           `your variant, ${change}: ${fault ?? "computed"}. Nothing is claimed about it; its hash is ` +
             `${state_hash}`,
         ),
-      failed: (message) => parameters.say(`not computed: ${message}`),
+      failed: (message) => {
+        this.back();
+        parameters.say(`not computed: ${message}`);
+      },
     });
     this.variant = runner;
   }
@@ -93,6 +99,7 @@ export class RunPlayer {
       module: this.module!,
       files: { ...content.files!, toml },
       run: content.run?.index ?? 0,
+      name: content.run?.name,
       spacing: SPACING,
     };
     let timeline: Timeline | null = null;

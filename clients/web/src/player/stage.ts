@@ -93,8 +93,8 @@ export class Stage {
     );
     this.rate.title = "time units a second";
     this.slider.addEventListener("input", () => {
-      const share = Number(this.slider.value) / STEPS;
-      this.seek(share * (this.timeline?.total ?? 0));
+      const { start, total } = this.timeline ?? { start: 0, total: 0 };
+      this.seek(start + (Number(this.slider.value) / STEPS) * (total - start));
     });
     this.play.setAttribute("aria-keyshortcuts", "Space");
     for (const [, plot] of this.plots) {
@@ -135,7 +135,7 @@ export class Stage {
   open(timeline: Timeline): void {
     this.timeline = timeline;
     this.epoch += 1;
-    this.position = 0;
+    this.position = timeline.start;
     this.shown = -1;
     this.playing = false;
     if (!reduced.matches) {
@@ -158,7 +158,7 @@ export class Stage {
     const { timeline } = this;
     this.playing = !this.playing;
     if (this.playing && timeline && this.position >= timeline.total && timeline.total > 0) {
-      this.seek(0);
+      this.seek(timeline.start);
     }
     this.ticked = performance.now();
     this.showPlaying();
@@ -195,7 +195,8 @@ export class Stage {
 
   /** Shows the time `to`, or the last one that is computed. */
   private seek(to: number): void {
-    this.position = Math.max(0, Math.min(to, this.timeline?.end ?? 0));
+    const { start, end } = this.timeline ?? { start: 0, end: 0 };
+    this.position = Math.max(start, Math.min(to, end));
     this.show();
   }
 
@@ -243,16 +244,16 @@ export class Stage {
   }
 
   private showPosition(timeline: Timeline, frame: Shown): void {
-    const { total, end } = timeline;
-    this.slider.value = String(total > 0 ? (STEPS * this.position) / total : 0);
+    const { start, total, end } = timeline;
+    const share = (to: number) => (total > start ? Math.min(1, (to - start) / (total - start)) : 0);
+    this.slider.value = String(STEPS * share(this.position));
     const text = `t ${time(frame.step * timeline.dt)} · step ${grouped(frame.step)}`;
     this.slider.setAttribute("aria-valuetext", text);
     setText(this.place, text);
     for (const [, plot] of this.plots) {
       plot.mark(this.position);
     }
-    const share = total > 0 ? Math.min(1, end / total) : 0;
-    this.slider.style.setProperty("--computed", `${100 * share}%`);
+    this.slider.style.setProperty("--computed", `${100 * share(end)}%`);
   }
 
   private showPlaying(): void {

@@ -3,14 +3,14 @@ import type { Shown } from "./frames.ts";
 
 export class Timeline {
   readonly frames: Shown[] = [];
-  /** When each frame is played: simulated time since the first, which no reset sets back. */
+  /** When each frame is played: its simulated time, which no reset sets back. */
   readonly times: number[] = [];
   readonly order: number[] = [];
   readonly drift: (number | null)[] = [];
   /** Why its last step failed. */
   fault: string | null = null;
 
-  /** `total` is its length in time units, once all frames are there. */
+  /** `total` is the time at which it ends, once all frames are there. */
   constructor(
     readonly dt: number,
     public total: number,
@@ -19,14 +19,18 @@ export class Timeline {
   add(frames: readonly Shown[]): void {
     for (const frame of frames) {
       const last = this.frames.at(-1);
-      const end = this.times.at(-1) ?? 0;
       // After a reset the step is lower: as far on as the run is since.
-      const steps = !last ? 0 : frame.step >= last.step ? frame.step - last.step : frame.step;
-      this.times.push(end + Math.max(steps, last ? 1 : 0) * this.dt);
+      const steps = last && frame.step >= last.step ? frame.step - last.step : frame.step;
+      this.times.push(this.end + Math.max(steps, last ? 1 : 0) * this.dt);
       this.frames.push(frame);
       this.order.push(frame.order);
       this.drift.push(frame.drift);
     }
+  }
+
+  /** The time of the first frame. */
+  get start(): number {
+    return this.times[0] ?? 0;
   }
 
   /** The time of the last frame so far. */

@@ -43,8 +43,15 @@ export function valueIn(toml: string, name: Varied): number | null {
   return found === undefined ? null : Number(found.replaceAll("_", ""));
 }
 
-/** Whether a changed value of a parameter is that of each run: not if a grid or points vary it. */
-export function mayVary({ toml, points }: PlanFiles, name: Varied): boolean {
+/** The parameters that a snapshot determines. */
+const FIXED: readonly Varied[] = ["n", "pi1"];
+
+/** Whether a changed value of a parameter is that of each run: not if a grid or points vary it, or if the
+ * runs start from a snapshot that determines it. */
+export function mayVary({ toml, points, start }: PlanFiles, name: Varied): boolean {
+  if (start !== undefined && FIXED.includes(name)) {
+    return false;
+  }
   const lines = toml.split("\n");
   if (name === "seed") {
     // Of several seeds or replicates it would be another run.

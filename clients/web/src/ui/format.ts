@@ -80,6 +80,11 @@ export function plural(count: number, one: string, many = `${one}s`): string {
   return `${count} ${count === 1 ? one : many}`;
 }
 
+/** `1 step`, `5,000 steps`. */
+export function inSteps(count: number): string {
+  return `${grouped(count)} ${count === 1 ? "step" : "steps"}`;
+}
+
 /** A whole number with a comma between thousands: 5,000. */
 export function grouped(value: number): string {
   return value.toLocaleString("en");

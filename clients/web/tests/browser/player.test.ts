@@ -141,6 +141,33 @@ test("a run is equal, a variant claims nothing, and an altered file is different
   assert.equal(await text.textContent(), "different after 5,000 steps");
 });
 
+test("a fault that ends a run is said, and is a part of what is compared", { skip }, async () => {
+  const toml =
+    'name = "fault"\nseeds = [0]\nduration = 10\n[spec]\nn = 60\npi1 = 16.0\n' +
+    'attraction = { kind = "power", exponent = 8.0 }\n';
+  const base: Content = { ...BASE, kind: "run", name: "fault", files: { toml } };
+  const run = { index: 0, name: "#0" };
+  const claim = { steps: 1, state_hash: "ab" };
+  const said = async (content: Content) => {
+    const page = await open(content, readEngine());
+    const text = await until("a verdict", async () => {
+      const text = await verdict(page).textContent();
+      return /^(equal|different)/.test(text ?? "") && text;
+    });
+    return { text, panel: (await page.locator(".claim .verify").textContent()) ?? "", page };
+  };
+  const { text, page } = await said({ ...base, run, claim });
+  const found = /^different: the run ended after 1 step \((.*)\), the published one after 1 step$/;
+  const fault = found.exec(text)?.[1];
+  assert(fault, text);
+  const state_hash = (await page.locator(".claim code").allTextContents())[1]!;
+  const equal = await said({ ...base, run, claim: { ...claim, state_hash, fault } });
+  assert.equal(equal.text, "equal after 1 step");
+  assert(equal.panel.includes(`Both runs ended early: ${fault}.`), equal.panel);
+  const named = await open({ ...base, run: { index: 0, name: "#1" }, claim }, readEngine());
+  await named.getByText('not computed: the experiment has no run "#1" with the number 1').first().waitFor();
+});
+
 test("a file that was cut off says so, and a whole one does not", async () => {
   const page = await open({ ...RECORDING, name: "whole" }, null);
   assert.equal(await page.getByText("Reading the file").count(), 0);

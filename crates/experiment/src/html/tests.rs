@@ -148,6 +148,8 @@ fn a_file_that_cannot_be_checked_says_why() {
     assert!(error(&html[..html.len() - 20]).contains("ends early"));
     let (start, _) = html.split_once("</script>").unwrap();
     assert!(error(&start[..start.len() - 9]).contains("ends early"));
+    let head = "<!doctype html><meta name=\"generator\" content=\"jostle export\" /><style>";
+    assert!(error(head).contains("ends early"));
     let later = html.replacen("\"format\":1", "\"format\":2", 1);
     assert!(error(&later).contains("format 2"), "{}", error(&later));
     let damaged = html.replacen("\"claim\":{", "\"claim\":[", 1);

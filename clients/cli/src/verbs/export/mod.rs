@@ -8,7 +8,7 @@ use std::path::Path;
 use jostle_experiment::html::{
     Claim, ClaimedRun, Content, EncodedFrames, FrameEncoder, HtmlFile, Module,
 };
-use jostle_experiment::{Files, Folder, MODEL_VERSION, Plan, PlannedRun, start};
+use jostle_experiment::{EXPERIMENT, Files, Folder, MODEL_VERSION, Plan, PlannedRun, start};
 use jostle_physics::model::State;
 use jostle_proto::{ErrorCode, ExperimentFile, Reply};
 use serde_json::json;
@@ -43,8 +43,12 @@ enum Source<'a> {
 /// Exports what needs no daemon; returns whether that is all.
 pub fn without_daemon(output: Output, arguments: &ExportArguments) -> Result<bool, Failure> {
     let source = source(arguments)?;
-    if !arguments.force && arguments.out.exists() {
-        return Err(snapshot::exists(&arguments.out));
+    let out = &arguments.out;
+    if out.is_dir() || out.as_os_str() == "-" {
+        return Err(Failure::argument(out.display(), "name a file, FILE.html"));
+    }
+    if !arguments.force && out.exists() {
+        return Err(snapshot::exists(out));
     }
     let content = match source {
         Source::Swarm(_) => return Ok(false),
@@ -62,6 +66,12 @@ pub fn without_daemon(output: Output, arguments: &ExportArguments) -> Result<boo
             Exported::execute(output, arguments, &plan, run)?
         }
         Source::Results(path) => {
+            if arguments.run.is_none() && values::name(&arguments.what).is_ok() {
+                output.note(&format!(
+                    "{0} is a folder of results here: its first run is exported, and no swarm {0}",
+                    arguments.what
+                ));
+            }
             let wrong = |error: &dyn std::error::Error| Failure::argument(path.display(), error);
             let files = Files::stored(path).map_err(|error| wrong(&error))?;
             let plan = Plan::of(files).map_err(|error| wrong(&error))?;
@@ -115,8 +125,9 @@ fn source(arguments: &ExportArguments) -> Result<Source<'_>, Failure> {
     let source = match path.extension().and_then(|extension| extension.to_str()) {
         Some("mcap") => Source::Recording(path),
         Some("toml") => Source::Experiment(path),
-        _ if path.is_dir() => Source::Results(path),
+        _ if path.join(EXPERIMENT).exists() => Source::Results(path),
         _ if values::name(what).is_ok() => Source::Swarm(what),
+        _ if path.is_dir() => Source::Results(path),
         _ => {
             let problem = "name a swarm, an experiment file FILE.toml, a folder of its results, or a \
                            recording FILE.mcap";
@@ -135,12 +146,14 @@ fn source(arguments: &ExportArguments) -> Result<Source<'_>, Failure> {
 
 /// The rejection of a swarm whose commands since its start are no experiment, with the remedy.
 fn with_remedy(failure: Failure) -> Failure {
-    let is_history = failure.rejection().is_some_and(|error| {
-        error.code == ErrorCode::Conflict && error.message.contains("snapshot")
+    let advice = failure.rejection().and_then(|error| match error.code {
+        ErrorCode::Conflict if error.message.contains("snapshot") => Some(
+            "`jostle export FILE.toml` exports that file, and `jostle export FILE.mcap` a recording",
+        ),
+        ErrorCode::IncorrectState => Some("`jostle export FILE.mcap` exports the recording itself"),
+        _ => None,
     });
-    let advice =
-        "`jostle export FILE.toml` exports that file, and `jostle export FILE.mcap` a recording";
-    failure.with_advice(is_history.then(|| advice.to_owned()))
+    failure.with_advice(advice.map(str::to_owned))
 }
 
 /// How a run in a folder of results ended.
@@ -291,8 +304,11 @@ fn write(
         Content::Run(run) => (
             Some(&run.claim),
             format!(
-                "run {:?} of {}, which ends {}",
-                run.run.name, file.name, run.claim
+                "run {}, {:?}, of {}, which ends {}",
+                run.run.index + 1,
+                run.run.name,
+                file.name,
+                run.claim
             ),
         ),
         Content::Recording { frames } => {
@@ -324,5 +340,9 @@ mod tests {
         let file = HtmlFile::new("a".to_owned(), "", content);
         let html = file.fill(PLAYER, None).expect("a player");
         assert_eq!(HtmlFile::parse(&html).expect("whole"), file);
+        for length in [1000, html.len() - 1000] {
+            let error = HtmlFile::parse(&html[..length]).expect_err("cut off");
+            assert!(error.to_string().contains("ends early"), "{error}");
+        }
     }
 }

@@ -5,7 +5,7 @@ use std::path::Path;
 use jostle_experiment::html::{EncodedFrames, FrameEncoder, FrameOfBodies};
 use jostle_physics::model::CELL;
 use jostle_proto::{Event, EventKind, State};
-use jostle_results::recording::{self, About};
+use jostle_results::recording::{self, About, RecordingError};
 use serde_json::Value;
 
 use crate::failure::Failure;
@@ -16,7 +16,9 @@ const MAX_BYTES: usize = 100_000_000;
 /// Reads a recording; returns the name of its swarm and its frames.
 pub fn frames(path: &Path) -> Result<(String, EncodedFrames), Failure> {
     let wrong = |problem: String| Failure::argument(path.display(), problem);
-    let about = recording::metadata(path).map_err(|error| wrong(error.to_string()))?;
+    // These errors name the file.
+    let unread = |error: RecordingError| Failure::new("invalid_argument", error.to_string());
+    let about = recording::metadata(path).map_err(unread)?;
     let dt = number(&about, "spec", "dt").map_err(wrong)?;
     let at_start = number(&about, "spec", "pi1").map_err(wrong)?;
     let mut pi1 = number(&about, "parameters", "pi1").map_err(wrong)?;
@@ -50,7 +52,7 @@ pub fn frames(path: &Path) -> Result<(String, EncodedFrames), Failure> {
             false => Ok(()),
         }
     });
-    read.map_err(|error| wrong(error.to_string()))?;
+    read.map_err(unread)?;
     if count == 0 {
         return Err(wrong("it has no frame".to_owned()));
     }
