@@ -162,6 +162,7 @@ test("a fork that a controller steers is not verified from a snapshot on", { ski
   await site.daemon.create("steered", { n: 20, seed: 1 });
   await site.daemon.command("steered", "step", { steps: 5 });
   await site.daemon.command("steered", "fork", { name: "steered-fork" });
+  await site.daemon.command("steered-fork", "run", { rate: 2 });
   const tab = await site.openTabAt("/swarm/steered-fork", false);
   tab.expectsError(/^409 GET \/api\/get\/steered-fork\/get\/experiment$/);
   // A controller needs a token of a zenoh session, which a page does not have.
@@ -196,6 +197,17 @@ test("a release says whether the engine is its own", { skip }, async () => {
     assert.equal(await digest.textContent(), said);
     await page.unroute("**/jostle.wasm");
   }
+});
+
+test("a swarm whose file would be too long is verified from a snapshot on", { skip }, async () => {
+  await site.daemon.create("long", { n: 20, seed: 1 });
+  await site.daemon.command("long", "run", { rate: 2 });
+  const tab = await site.openTabAt("/swarm/long", false);
+  tab.expectsError(/^429 GET \/api\/get\/long\/get\/experiment$/);
+  const { page } = tab;
+  const json = { code: "resource_exhausted", message: "it is too long", details: {}, step: null };
+  await page.route("**/long/get/experiment", (route) => route.fulfill({ status: 429, json }));
+  assert.match(await end(page), /^equal from step [\d,]+ to step [\d,]+: [0-9a-f]{8}…$/);
 });
 
 test("without an engine there is no button", async () => {
