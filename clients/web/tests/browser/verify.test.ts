@@ -98,6 +98,28 @@ test("progress is shown, and a cancel ends it", { skip }, async () => {
   assert(await verify(page).isEnabled());
 });
 
+test("a cancel while the commands are requested ends it", { skip }, async () => {
+  const page = await openDemo();
+  let answer = () => {};
+  const mayAnswer = new Promise<void>((resolve) => {
+    answer = resolve;
+  });
+  await page.route(EXPERIMENT, async (route) => {
+    await mayAnswer;
+    await route.continue();
+  });
+  const asked = page.waitForRequest(EXPERIMENT);
+  await verify(page).click();
+  await asked;
+  await page.getByRole("button", { name: "Cancel", exact: true }).click();
+  const answered = page.waitForResponse(EXPERIMENT);
+  answer();
+  await (await answered).finished();
+  await page.waitForTimeout(500);
+  assert.equal(await verdict(page).textContent(), "cancelled");
+  assert.deepEqual(page.workers(), []);
+});
+
 test("leaving the page ends the worker", { skip }, async () => {
   const page = await openDemo();
   await change(page, (it) => {
