@@ -177,6 +177,22 @@ test("a file that was cut off says so, and a whole one does not", async () => {
   await page.getByText("the file is incomplete or was altered: copy it again").waitFor();
 });
 
+test("a second variant ends the first one", { skip }, async () => {
+  const content = await exportRun();
+  const page = await open(content, readEngine());
+  const run = async (duration: string) => {
+    await page.getByLabel("duration").fill(duration);
+    await page.getByRole("button", { name: "Run your variant" }).click();
+  };
+  await run("19999");
+  await page.getByText(/^your variant: step \d/).waitFor();
+  await run("1");
+  const computed = page.getByText("your variant, duration = 1: computed");
+  await computed.waitFor();
+  await page.waitForTimeout(300);
+  assert(await computed.isVisible());
+});
+
 test("a damaged engine is an error that is said", { skip }, async () => {
   const page = await open(await exportRun(), readEngine().subarray(0, 5000));
   await until("an error", async () =>
