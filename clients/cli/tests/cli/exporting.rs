@@ -284,6 +284,36 @@ async fn a_run_of_an_experiment_is_exported_from_its_file_or_its_results() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn the_bodies_of_a_recording_have_their_shape_again_after_a_reset() {
+    let (daemon, files) = (Daemon::start().await, Files::new());
+    daemon
+        .said("create school --n 6 --seed 3 --publish-every 1")
+        .await;
+    let recording = files.path("school.mcap").display().to_string();
+    let recording_line = daemon.begin(&format!("record school -o {recording}"));
+    begun(&daemon).await;
+    for line in [
+        "step school 3",
+        "set school pi1=3",
+        "step school 3",
+        "reset school",
+        "step school 3",
+    ] {
+        daemon.said(line).await;
+    }
+    recording_line.interrupt();
+    let ended = recording_line.end().await;
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+    daemon.stop().await;
+    let path = files.path("school.html");
+    let ended = alone(&format!("export {recording} -o {}", path.display())).await;
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+    let pi1 = data(&path)["frames"]["pi1"].clone();
+    let ratios: Vec<_> = pi1.as_array().unwrap().iter().map(|it| &it[1]).collect();
+    assert_eq!(ratios, [4.0, 3.0, 4.0], "{pi1}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn what_is_no_whole_file_of_this_model_is_not_checked() {
     let files = Files::new();
     let html = claimed("name = 'order'\nreplicates = 2\nduration = 1\n[spec]\nn = 4\n");
