@@ -284,6 +284,23 @@ async fn a_run_of_an_experiment_is_exported_from_its_file_or_its_results() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_file_without_a_module_has_at_most_501_frames_with_the_last_state() {
+    let files = Files::new();
+    let toml = files.write(
+        "long.toml",
+        "name = 'long'\nduration = 19.98\nspec = { n = 2 }\n",
+    );
+    let path = files.path("long.html");
+    let line = format!("export {toml} --no-engine -o {}", path.display());
+    let ended = alone(&line).await;
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+    let data = data(&path);
+    assert_eq!(data["claim"]["steps"], 999);
+    // Each second one, and the last.
+    assert_eq!(data["frames"]["count"], 501);
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn the_bodies_of_a_recording_have_their_shape_again_after_a_reset() {
     let (daemon, files) = (Daemon::start().await, Files::new());
     daemon
