@@ -26,6 +26,10 @@ pub fn claimed(toml: &str) -> String {
         .unwrap()
 }
 
+/// A run of up to 2,000 steps that ends after 10: then there is no individual 3 yet.
+const EARLY: &str = "name = 'early'\nduration = 40\nspec = { n = 3 }\n\
+    setpoints = \"\"\"\nstep,id,direction\n10,3,1\n\"\"\"\n[[at]]\nstep = 40\ninject = { count = 1 }\n";
+
 /// Files of a test, and the options of the module.
 struct Files {
     folder: tempfile::TempDir,
@@ -298,6 +302,27 @@ async fn a_file_without_a_module_has_at_most_501_frames_with_the_last_state() {
     assert_eq!(data["claim"]["steps"], 999);
     // Each second one, and the last.
     assert_eq!(data["frames"]["count"], 501);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_result_that_ended_early_is_exported_with_the_reason() {
+    let files = Files::new();
+    let results = executed(&files, &Plan::parse(EARLY).unwrap(), "1");
+    let path = files.path("early.html");
+    let line = format!(
+        "export {} -o {} {}",
+        results.display(),
+        path.display(),
+        files.wasm
+    );
+    let ended = alone(&line).await;
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+    let claim = &data(&path)["claim"];
+    assert_eq!(claim["steps"], 10);
+    assert!(claim["fault"].is_string(), "{claim}");
+    let ended = checked(&path).await;
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+    assert!(ended.stdout.contains("(ended early: "), "{ended:?}");
 }
 
 #[tokio::test(flavor = "multi_thread")]
