@@ -326,6 +326,32 @@ async fn a_result_that_ended_early_is_exported_with_the_reason() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn frames_of_a_run_that_ends_otherwise_than_its_result_are_not_exported() {
+    let toml = "name = 'order'\nduration = 1\nspec = { n = 3 }\n";
+    let files = Files::new();
+    let results = executed(&files, &Plan::parse(toml).unwrap(), "1");
+    let list = results.join("runs.jsonl");
+    let text = fs::read_to_string(&list).unwrap();
+    let (before, hash) = text.split_once("\"state_hash\":\"").unwrap();
+    let altered = format!(
+        "{before}\"state_hash\":\"{}{}",
+        "ab".repeat(32),
+        &hash[64..]
+    );
+    fs::write(&list, altered).unwrap();
+    let path = files.path("order.html");
+    let line = format!(
+        "export {} --no-engine -o {}",
+        results.display(),
+        path.display()
+    );
+    let ended = alone(&line).await;
+    ended.assert_stderr(1, "the run ends after 50 steps: ");
+    ended.assert_stderr(1, "and not after 50 steps: abab");
+    assert!(!path.exists());
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn the_bodies_of_a_recording_have_their_shape_again_after_a_reset() {
     let (daemon, files) = (Daemon::start().await, Files::new());
     daemon
