@@ -326,6 +326,20 @@ async fn a_result_that_ended_early_is_exported_with_the_reason() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn the_frames_of_a_run_that_ends_early_end_with_its_last_state() {
+    let files = Files::new();
+    let toml = files.write("early.toml", EARLY);
+    let path = files.path("early.html");
+    let line = format!("export {toml} --no-engine -o {}", path.display());
+    let ended = alone(&line).await;
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+    let data = data(&path);
+    assert_eq!(data["claim"]["steps"], 10);
+    // Those of steps 0, 4, 8 and 10.
+    assert_eq!(data["frames"]["count"], 4);
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn frames_of_a_run_that_ends_otherwise_than_its_result_are_not_exported() {
     let toml = "name = 'order'\nduration = 1\nspec = { n = 3 }\n";
     let files = Files::new();

@@ -251,9 +251,15 @@ fn execute(
     let steps = point.steps;
     let every = steps.div_ceil(MAX_FRAMES).max(1);
     let mut encoder = FrameEncoder::new(point.spec.parameters.dt);
+    // The state after the last frame, with which the run may end.
+    let mut rest = None;
     let mut add = |state: &State| {
-        if has_frames && (state.step.is_multiple_of(every) || state.step == steps) {
-            encoder.add_state(state);
+        if has_frames {
+            let is_due = state.step.is_multiple_of(every);
+            rest = (!is_due).then(|| state.clone());
+            if is_due {
+                encoder.add_state(state);
+            }
         }
     };
     let fault = |reason: String| Failure::argument(&run.name, reason);
@@ -267,6 +273,9 @@ fn execute(
     bar.finish_and_clear();
     let ended = ended.ok_or_else(|| Failure::defect("a run was cancelled"))?;
     let claim = ended.map_err(fault)?;
+    if let Some(state) = rest {
+        encoder.add_state(&state);
+    }
     Ok((claim, has_frames.then(|| encoder.finish())))
 }
 
