@@ -3,15 +3,18 @@
  *
  * It starts a daemon with a few seeded swarms: their motion is reproducible, the moment of a picture is not.
  */
-import { mkdirSync } from "node:fs";
+import { mkdirSync, mkdtempSync } from "node:fs";
+import { tmpdir } from "node:os";
 import { join } from "node:path";
+import { pathToFileURL } from "node:url";
 import type { Browser, Page } from "playwright-core";
 import { launch, openTab, until } from "./tests/browser/browser.ts";
 import { Daemon } from "./tests/browser/daemon.ts";
 
 interface Shot {
   file: string;
-  hash: string;
+  /** A page of the daemon, or what makes a file and returns its address. */
+  hash: string | ((daemon: Daemon) => Promise<string>);
   width: number;
   height: number;
   dark?: boolean;
@@ -64,6 +67,14 @@ const SHOTS: Shot[] = [
     keys: ["t"],
     wait_ms: 16_000,
   },
+  {
+    file: "page-verify.png",
+    hash: "/swarm/asked",
+    width: 1280,
+    height: 800,
+    act: verify,
+  },
+  { file: "page-file.png", hash: exported, width: 1280, height: 800, wait_ms: 9000 },
 ];
 
 async function populate(daemon: Daemon): Promise<void> {
@@ -109,13 +120,27 @@ async function drag(page: Page): Promise<void> {
   await at(0.36, 0.5);
 }
 
+/** Executes the swarm again, and shows the verdict. */
+async function verify(page: Page): Promise<void> {
+  await page.getByRole("button", { name: "Verify in your browser" }).click();
+  await page.getByText(/^equal after/).waitFor();
+}
+
+/** Makes the HTML file of a swarm. */
+async function exported(daemon: Daemon): Promise<string> {
+  const file = join(mkdtempSync(join(tmpdir(), "jostle-file-")), "asked.html");
+  await daemon.jostle("export", "asked", "-o", file);
+  return pathToFileURL(file).href;
+}
+
 async function take(browser: Browser, daemon: Daemon, folder: string, shot: Shot): Promise<void> {
   const tab = await openTab(browser, {
     viewport: { width: shot.width, height: shot.height },
     colorScheme: shot.dark ? "dark" : "light",
   });
   const { page } = tab;
-  await page.goto(`${daemon.link}&${shot.hash}`);
+  const { hash } = shot;
+  await page.goto(typeof hash === "string" ? `${daemon.link}&${hash}` : await hash(daemon));
   await page.locator("h1").first().waitFor();
   for (const key of shot.keys ?? []) {
     await page.keyboard.press(key);

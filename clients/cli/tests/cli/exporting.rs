@@ -373,7 +373,7 @@ async fn the_bodies_of_a_recording_have_their_shape_again_after_a_reset() {
         .await;
     let recording = files.path("school.mcap").display().to_string();
     let recording_line = daemon.begin(&format!("record school -o {recording}"));
-    begun(&daemon).await;
+    daemon.until_recording().await;
     for line in [
         "step school 3",
         "set school pi1=3",
