@@ -56,6 +56,20 @@ impl Files {
     }
 }
 
+/// Executes a run of an experiment, by its number; returns the folder of results.
+fn executed(files: &Files, plan: &Plan, run: &str) -> PathBuf {
+    let results = files.path("results");
+    let mut folder = Folder::open(&results, plan).unwrap();
+    let execution = Execution {
+        plan,
+        subset: &Subset::parse(plan, run).unwrap(),
+        threads: 1,
+        checkpoint_every: None,
+    };
+    execute(execution, &mut folder, &ExecutionControl::new()).unwrap();
+    results
+}
+
 /// Runs a command line that needs no daemon.
 async fn alone(line: &str) -> Ended {
     Running::begin("tcp/127.0.0.1:9", line, "").end().await
@@ -242,17 +256,7 @@ async fn a_run_of_an_experiment_is_exported_from_its_file_or_its_results() {
     assert_eq!(data_of_one.get("frames"), None);
     assert_eq!(checked(&one).await.code, Some(0));
 
-    let plan = Plan::parse(TOML).unwrap();
-    let results = files.path("results");
-    let mut folder = Folder::open(&results, &plan).unwrap();
-    let execution = Execution {
-        plan: &plan,
-        subset: &Subset::parse(&plan, "2").unwrap(),
-        threads: 1,
-        checkpoint_every: None,
-    };
-    execute(execution, &mut folder, &ExecutionControl::new()).unwrap();
-    drop(folder);
+    let results = executed(&files, &Plan::parse(TOML).unwrap(), "2");
     let line = format!(
         "export {} -o {} --no-engine",
         results.display(),
