@@ -22,7 +22,7 @@ export async function exportRun(): Promise<Content> {
       result: { file: string; steps: number; state_hash: string };
     }>("school/get/experiment");
     const { file: toml, steps, state_hash } = result;
-    const run = { index: 0, name: "school" };
+    const run = { index: 0, name: "#0" };
     return {
       ...BASE,
       kind: "run",
