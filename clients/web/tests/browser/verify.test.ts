@@ -232,6 +232,21 @@ test("a swarm whose file would be too long is verified from a snapshot on", { sk
   assert.match(await end(page), /^equal from step [\d,]+ to step [\d,]+: [0-9a-f]{8}…$/);
 });
 
+test("without a connection it asks for the engine again later", { skip }, async () => {
+  const tab = await site.openTab();
+  tab.expectsError(/ERR_CONNECTION_REFUSED \/jostle\.wasm$/);
+  const { page } = tab;
+  await page.route("**/jostle.wasm", (route) => route.abort("connectionrefused"));
+  const failed = page.waitForEvent("requestfailed");
+  await page.goto(`${site.daemon.addresses.http}/#/swarm/school`);
+  await failed;
+  await page.unroute("**/jostle.wasm");
+  await page.goto(`${site.daemon.addresses.http}/#/`);
+  assert(!(await verify(page).isVisible()));
+  await page.goto(`${site.daemon.addresses.http}/#/swarm/school`);
+  await verify(page).waitFor();
+});
+
 test("without an engine there is no button", async () => {
   const { page } = await site.openTab();
   await page.route("**/jostle.wasm", (route) => route.fulfill({ status: 404 }));
