@@ -366,6 +366,8 @@ async fn frames_of_a_run_that_ends_otherwise_than_its_result_are_not_exported() 
     let ended = alone(&line).await;
     ended.assert_stderr(1, "the run ends after 50 steps: ");
     ended.assert_stderr(1, "and not after 50 steps: abab");
+    // `jostle verify` is for swarms.
+    ended.assert_stderr(1, "export its experiment.toml");
     assert!(!path.exists());
 }
 

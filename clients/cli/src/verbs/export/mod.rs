@@ -77,7 +77,8 @@ pub fn without_daemon(output: Output, arguments: &ExportArguments) -> Result<boo
             let plan = Plan::of(files).map_err(|error| wrong(&error))?;
             let run = experiment::find_run(&plan, arguments.run.as_deref())?;
             let claim = finished(path, &plan, run)?;
-            Exported::with(output, arguments, &plan, run, claim)?
+            let remedy = "export its experiment.toml, which executes the run again";
+            Exported::with(output, arguments, &plan, run, claim, remedy)?
         }
     };
     content.write(output, arguments)?;
@@ -107,7 +108,8 @@ pub async fn of_daemon(context: &Context, arguments: &ExportArguments) -> Result
             state_hash,
             fault: None,
         };
-        Exported::with(*output, arguments, &plan, run, claim)?
+        let remedy = format!("`jostle verify {swarm}` names the step");
+        Exported::with(*output, arguments, &plan, run, claim, &remedy)?
     } else {
         output.note(&format!(
             "commands were applied at step {steps}: the run takes one step more, whose state hash is \
@@ -204,13 +206,15 @@ impl Exported {
         Ok(Self { name, run })
     }
 
-    /// Takes this as what the file states; executes the run only for its frames.
+    /// Takes this as what the file states; executes the run only for its frames. `remedy` is for a run
+    /// that then ends otherwise.
     fn with(
         output: Output,
         arguments: &ExportArguments,
         plan: &Plan,
         run: &PlannedRun,
         claim: Claim,
+        remedy: &str,
     ) -> Result<Self, Failure> {
         if !arguments.no_engine {
             let (name, run) = (plan.name.clone(), ClaimedRun::new(plan, run, claim));
@@ -222,9 +226,7 @@ impl Exported {
             true => Ok(exported),
             false => Err(Failure::new(
                 "different",
-                format!(
-                    "the run ends {found} here, and not {claim}: `jostle verify` names the step"
-                ),
+                format!("the run ends {found} here, and not {claim}: {remedy}"),
             )),
         }
     }
