@@ -11,12 +11,12 @@ use jostle_experiment::html::{Check, Checked, HtmlFile};
 use jostle_experiment::stdout;
 use serde_json::json;
 
-use crate::cli::{fail, printed};
+use crate::cli::fail;
 
 /// The exit code if the run ends otherwise than the file states.
 const EXIT_DIFFERENT: u8 = 1;
 
-/// The exit code if there is nothing to compare.
+/// The exit code if there is nothing to compare, or the result cannot be printed.
 const EXIT_UNCHECKED: u8 = 2;
 
 /// The number of steps between updates of the progress bar.
@@ -45,9 +45,11 @@ pub fn run(options: &Options) -> ExitCode {
         true => format!("{}\n", json!(checked)),
         false => format!("{checked}\n"),
     };
-    let code = printed(stdout::write(text.as_bytes()));
+    if let Err(error) = stdout::unless_closed(stdout::write(text.as_bytes())) {
+        return fail(EXIT_UNCHECKED, &error);
+    }
     match checked.equal {
-        true => code,
+        true => ExitCode::SUCCESS,
         false => ExitCode::from(EXIT_DIFFERENT),
     }
 }

@@ -30,8 +30,8 @@ const MAX_EVENTS = 1000;
 export async function requestClaim(swarm: string, waits: (reason: string) => void): Promise<Claim> {
   try {
     const { result } = await get<ExperimentFile>(swarm, "experiment");
-    const { file: toml, setpoints, steps, state_hash } = result;
-    const files = setpoints ? { toml, setpoints } : { toml };
+    const { file: toml, steps, state_hash } = result;
+    const files = { toml };
     return { task: { kind: "run", files, run: 0, spacing: null }, from: null, steps, state_hash };
   } catch (error) {
     if (!(error instanceof RequestError && NO_FILE.includes(error.code))) {
