@@ -11,12 +11,12 @@ use jostle_experiment::html::{Check, Checked, HtmlFile};
 use jostle_experiment::stdout;
 use serde_json::json;
 
-use crate::cli::fail;
+use crate::cli::{fail, printed};
 
 /// The exit code if the run ends otherwise than the file states.
 const EXIT_DIFFERENT: u8 = 1;
 
-/// The exit code if there is nothing to compare, or the result cannot be printed.
+/// The exit code if there is nothing to compare.
 const EXIT_UNCHECKED: u8 = 2;
 
 /// The number of steps between updates of the progress bar.
@@ -45,11 +45,9 @@ pub fn run(options: &Options) -> ExitCode {
         true => format!("{}\n", json!(checked)),
         false => format!("{checked}\n"),
     };
-    if let Err(error) = stdout::unless_closed(stdout::write(text.as_bytes())) {
-        return fail(EXIT_UNCHECKED, &error);
-    }
+    let code = printed(stdout::write(text.as_bytes()));
     match checked.equal {
-        true => ExitCode::SUCCESS,
+        true => code,
         false => ExitCode::from(EXIT_DIFFERENT),
     }
 }
