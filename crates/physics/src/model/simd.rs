@@ -192,7 +192,7 @@ mod tests {
 
     #[test]
     fn the_level_is_the_widest_available_and_stays() {
-        let widest = *Level::available().last().unwrap();
+        let widest = *Level::available().last().expect("the baseline");
         assert_eq!(level(), widest);
         assert_eq!(set_level(widest), Ok(()));
         if widest != Level::BASELINE {
