@@ -53,11 +53,11 @@ test("changes have their steps, and the numbers of their draws leave out annotat
   ]);
 });
 
-test("set-points of a controller are told by no event", () => {
+test("events after which set-points are missing are an error", () => {
   const events = [command(1, 8, "join", { controller: "ada" }), command(2, 9, "set", SET.args)];
   assert.throws(
     () => changesBetween({ seq: 7, annotations: 0 }, { seq: 9 }, events),
-    /a controller has joined, and no event tells its set-points/,
+    /a controller has joined, and events do not contain its set-points/,
   );
 });
 

@@ -187,6 +187,13 @@ test("a value that a file does not state is put into its table", () => {
   assert.equal(withValue(plain, "pi1", 2.5), `${plain}\n\n[spec]\npi1 = 2.5\n`);
 });
 
+test("what a snapshot determines is not offered", () => {
+  const offered = (["n", "pi1", "pi3"] as const).map((it) =>
+    mayVary({ toml: EXPORT, start: "a snapshot" }, it),
+  );
+  assert.deepEqual(offered, [false, false, true]);
+});
+
 test("what a grid or points vary is not offered", () => {
   assert(mayVary({ toml: EXPORT }, "pi3"));
   assert(!mayVary({ toml: `${EXPORT}\n[[grid]]\npi3 = [1, 2]\n` }, "pi3"));

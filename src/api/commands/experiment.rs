@@ -1,8 +1,6 @@
 //! `experiment`: submits, pauses, resumes, cancels and deletes experiments.
 
-use base64::Engine as _;
-use base64::engine::general_purpose::STANDARD;
-use jostle_experiment::{Files, LiveRun, Plan, PlayError};
+use jostle_experiment::{EncodedFiles, Files, LiveRun, Plan, PlayError};
 use jostle_proto::{ExpandArgs, ExperimentArgs, ExperimentResult, NodeReply, SubmitArgs};
 use tracing::info;
 
@@ -64,7 +62,13 @@ impl Context {
                         setpoints,
                         name,
                     } = args.clone();
-                    let files = files("submit", toml, points, start, setpoints);
+                    let files = EncodedFiles {
+                        toml,
+                        points,
+                        start,
+                        setpoints,
+                    };
+                    let files = self::files("submit", files);
                     files.and_then(|files| experiments.submit(name.as_deref(), files))
                 }
                 ExperimentArgs::Pause(args) => experiments.pause(&args.name).map(|it| (false, it)),
@@ -95,25 +99,12 @@ impl Context {
     }
 }
 
-/// Returns the files in the arguments of an action; `start` is base64.
-fn files(
-    action: &str,
-    toml: String,
-    points: Option<String>,
-    start: Option<String>,
-    setpoints: Option<String>,
-) -> Result<Files, ExperimentError> {
-    let start = start.map(|it| STANDARD.decode(it)).transpose();
-    let start = start.map_err(|error| ExperimentError::Plan {
+/// Returns the files in the arguments of an action.
+fn files(action: &str, files: EncodedFiles) -> Result<Files, ExperimentError> {
+    Files::try_from(files).map_err(|error| ExperimentError::Plan {
         reason: format!("start is no base64: {error}"),
         field: format!("{action}.start"),
         line: None,
-    })?;
-    Ok(Files {
-        toml,
-        points,
-        start,
-        setpoints,
     })
 }
 
@@ -127,7 +118,13 @@ fn expand(args: ExpandArgs, max_bytes: usize) -> Result<ExperimentResult, Experi
         setpoints,
         run,
     } = args;
-    let files = files("expand", toml, points, start, setpoints)?;
+    let files = EncodedFiles {
+        toml,
+        points,
+        start,
+        setpoints,
+    };
+    let files = self::files("expand", files)?;
     let plan = Plan::of(files).map_err(|error| ExperimentError::of_plan("expand", &error))?;
     let reject = |field: &str, reason: String| ExperimentError::Plan {
         reason,

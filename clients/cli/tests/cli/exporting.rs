@@ -392,8 +392,15 @@ async fn the_bodies_of_a_recording_have_their_shape_again_after_a_reset() {
     recording_line.interrupt();
     let ended = recording_line.end().await;
     assert_eq!(ended.code, Some(0), "{ended:?}");
-    daemon.stop().await;
+    // A playback has no commands: its file is to be exported.
+    daemon.said(&format!("replay {recording} --as shown")).await;
     let path = files.path("school.html");
+    let refusal = daemon
+        .refusal(&format!("export shown -o {}", path.display()))
+        .await;
+    let message = refusal["message"].as_str().unwrap();
+    assert!(message.contains("`jostle export FILE.mcap`"), "{message}");
+    daemon.stop().await;
     let ended = alone(&format!("export {recording} -o {}", path.display())).await;
     assert_eq!(ended.code, Some(0), "{ended:?}");
     let pi1 = data(&path)["frames"]["pi1"].clone();

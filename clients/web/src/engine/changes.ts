@@ -21,9 +21,9 @@ const SEVERAL = ["batch", "fired"];
 /** The verbs that count, but on whose number no draw depends. */
 const NOTES = ["annotate", "protect"];
 
-/** Why set-points cannot be executed again. */
-export function untold(why: string): string {
-  return `${why}, and no event tells its set-points: jostle verify replays them from the journal`;
+/** Why the set-points of a controller cannot be executed again. */
+export function lacksSetPoints(why: string): string {
+  return `${why}, and events do not contain its set-points: jostle verify replays them from the journal`;
 }
 
 /** The changes between two snapshots of one epoch; throws if the events do not tell them all. */
@@ -41,7 +41,7 @@ export function changesBetween(
     }
     const verb = String(event.verb);
     if (verb === "join") {
-      throw new Error(untold("a controller has joined"));
+      throw new Error(lacksSetPoints("a controller has joined"));
     }
     const args = (event.args ?? {}) as { commands?: Change[] | null; protocol?: boolean };
     if (args.protocol) {

@@ -1,5 +1,5 @@
 /** What a browser can compute again of a swarm, and what the daemon says the result is. */
-import { changesBetween, untold } from "../engine/changes.ts";
+import { changesBetween, lacksSetPoints } from "../engine/changes.ts";
 import type { Task } from "../engine/job.ts";
 import { currentSnapshot, get, RequestError } from "../wire/http.ts";
 import type { ControllerList, ExperimentFile, Status } from "../wire/messages.ts";
@@ -53,7 +53,9 @@ async function claimFromNow(swarm: string): Promise<Claim> {
   const from = await currentSnapshot(swarm);
   const { controllers } = (await get<ControllerList>(swarm, "controllers")).result;
   if (controllers[0]) {
-    throw new Error(untold(`the controller ${controllers[0].controller} steers individuals`));
+    throw new Error(
+      lacksSetPoints(`the controller ${controllers[0].controller} steers individuals`),
+    );
   }
   const to = await laterSnapshot(swarm, from);
   const changes = changesBetween(from, to, await allEvents(swarm));

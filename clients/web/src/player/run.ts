@@ -11,6 +11,7 @@ import { Timeline } from "./timeline.ts";
 
 /** The time between two frames of a run, time units. */
 const SPACING = 0.1;
+
 /** Executes the run of the file, and the reader's variants. */
 export class RunPlayer {
   readonly parameters: Parameters;

@@ -195,9 +195,29 @@ test("a fork that a controller steers is not verified from a snapshot on", { ski
   });
   assert.equal(
     await end(tab.page),
-    "not verified: the controller ada steers individuals, and no event tells its set-points: " +
+    "not verified: the controller ada steers individuals, and events do not contain its set-points: " +
       "jostle verify replays them from the journal",
   );
+});
+
+test("a swarm that is faulted or gone is not verified, which is said", { skip }, async () => {
+  await site.daemon.create("broken", { n: 5, seed: 1 });
+  await site.daemon.command("broken", "step", { steps: 5 });
+  const tab = await site.openTabAt("/swarm/broken", false);
+  tab.expectsError(/^40[49] GET \/api\/get\/broken\/get\/experiment$/, 2);
+  const { page } = tab;
+  const reject = (status: number, code: string) =>
+    page.route("**/broken/get/experiment", (route) =>
+      route.fulfill({ status, json: { code, message: "rejected", details: {}, step: null } }),
+    );
+  await page.route("**/broken/get/status", async (route: Route) => {
+    const reply = (await (await route.fetch()).json()) as { phase: string };
+    await route.fulfill({ json: { ...reply, phase: "faulted" } });
+  });
+  await reject(409, "conflict");
+  assert.match(await end(page), /^not verified: the swarm takes no steps: it is faulted/);
+  await reject(404, "not_found");
+  assert.equal(await end(page), "not verified: the daemon has this swarm no longer");
 });
 
 test("a release says whether the engine is its own", { skip }, async () => {

@@ -16,10 +16,8 @@ pub use self::play::find as find_run;
 
 use std::path::Path;
 
-use base64::Engine as _;
-use base64::engine::general_purpose::STANDARD;
 use jostle_client::Payload;
-use jostle_experiment::{DryRun, Files, Plan, PlanError, Subset};
+use jostle_experiment::{DryRun, EncodedFiles, Files, Plan, PlanError, Subset};
 use jostle_proto::{
     ExperimentArgs, ExperimentName, ExperimentPhase, ExperimentResult, Experiments, NodeReply,
     Progress, SubmitArgs,
@@ -77,12 +75,7 @@ async fn execute(context: &Context, what: &Experiment) -> Result<(), Failure> {
 /// Submits an experiment and shows its progress.
 async fn run(context: &Context, arguments: &RunExperimentArguments) -> Result<(), Failure> {
     let Context { client, output } = context;
-    let Files {
-        toml,
-        points,
-        start,
-        setpoints,
-    } = read(*output, &arguments.file).map_err(|problem| {
+    let files = read(*output, &arguments.file).map_err(|problem| {
         Failure::argument(
             "FILE",
             format!(
@@ -91,10 +84,16 @@ async fn run(context: &Context, arguments: &RunExperimentArguments) -> Result<()
             ),
         )
     })?;
+    let EncodedFiles {
+        toml,
+        points,
+        start,
+        setpoints,
+    } = files.into();
     let args = ExperimentArgs::Submit(SubmitArgs {
         toml,
         points,
-        start: start.map(|bytes| STANDARD.encode(bytes)),
+        start,
         setpoints,
         name: arguments.name.clone(),
     });

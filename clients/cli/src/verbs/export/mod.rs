@@ -345,6 +345,22 @@ mod tests {
     use super::*;
 
     #[test]
+    fn a_folder_that_has_no_results_hides_no_swarm() {
+        let of = |what: &str| ExportArguments {
+            what: what.to_owned(),
+            out: "out.html".into(),
+            run: None,
+            no_engine: false,
+            wasm: None,
+            force: false,
+        };
+        // The folder of this crate has a folder of this name.
+        assert!(Path::new("src").is_dir());
+        assert!(matches!(source(&of("src")), Ok(Source::Swarm("src"))));
+        assert!(matches!(source(&of("./src")), Ok(Source::Results(_))));
+    }
+
+    #[test]
     fn the_page_of_the_player_has_the_places() {
         let frames = FrameEncoder::new(0.02).finish();
         let content = Content::Recording { frames };
