@@ -98,6 +98,14 @@ pub enum EventKind {
         /// The cause.
         reason: String,
     },
+    /// Another version of the model goes on from its last stored state; it replays the commands after
+    /// that state.
+    Model {
+        /// The version that computed that state.
+        from: u32,
+        /// The version that computes the steps from there on.
+        to: u32,
+    },
     /// A recording of the daemon failed; its files are kept.
     RecordingFailed {
         /// The name of the daemon's recording.

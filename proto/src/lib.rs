@@ -53,10 +53,11 @@ pub use experiment::{
 pub use metrics::{Metrics, RecordingMetrics, StoreMetrics, SwarmMetrics};
 pub use parameters::{MAX_PUBLISHED_MEASURES, ParameterValues, Spec};
 pub use queries::{
-    Audit, AuditLine, AuditOutcome, Awaited, Controller, ControllerList, Events, ExperimentFile,
-    Fault, Hello, Histogram, HistoryFrom, Journal, JournalEntry, Limits, MeasureValue, Measures,
-    NodeStatus, Origin, OriginKind, Parameter, ParameterKind, Parameters, Puts, Schemas, Status,
-    SwarmSummary, Swarms, Verified, WaitingAction, WaitingClient, WaitingCondition,
+    Audit, AuditLine, AuditOutcome, Awaited, Controller, ControllerList, EarlierModel, Events,
+    ExperimentFile, Fault, Hello, Histogram, HistoryFrom, Journal, JournalEntry, Limits,
+    MeasureValue, Measures, NodeStatus, Origin, OriginKind, Parameter, ParameterKind, Parameters,
+    Puts, Schemas, Status, SwarmSummary, Swarms, Verified, WaitingAction, WaitingClient,
+    WaitingCondition,
 };
 pub use recording::{
     BeginRecordingArgs, DEFAULT_MAX_RECORDING_BYTES, RecordArgs, RecordedAt, Recording,

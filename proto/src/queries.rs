@@ -26,6 +26,10 @@ pub struct Status {
     /// versions.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub origin: Option<Origin>,
+    /// The earlier versions of the model that computed steps of it or of what it was made from, since
+    /// their start or reset, oldest first; left out without any.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub earlier_models: Vec<EarlierModel>,
     /// Whether `protect` protects it from `delete` and `reset`.
     #[serde(default, skip_serializing_if = "is_false")]
     #[schemars(extend("default" = false))]
@@ -103,6 +107,17 @@ pub struct Fault {
     pub ids: Vec<u32>,
     /// The gap between the two bodies that cross, in the last good state, body sizes; `null` for others.
     pub gap: Option<f64>,
+}
+
+/// An earlier version of the model that computed steps of a swarm.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct EarlierModel {
+    /// The version.
+    pub model_version: u32,
+    /// The epoch of the last state that it computed.
+    pub epoch: u64,
+    /// The step of that state.
+    pub step: u64,
 }
 
 /// What a swarm was made from.
@@ -594,6 +609,9 @@ pub struct SwarmSummary {
     #[serde(default, skip_serializing_if = "is_false")]
     #[schemars(extend("default" = false))]
     pub protected: bool,
+    /// As in its status.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub earlier_models: Vec<EarlierModel>,
     /// As in its status.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub swarm_id: Option<u64>,

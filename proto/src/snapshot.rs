@@ -7,6 +7,7 @@ use ciborium::Value;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::queries::EarlierModel;
 use crate::verbs::{Mode, News, OnTimeout};
 use crate::walk::{Lenient, lenient};
 use crate::{Attraction, ContactRule, ParameterValues, Spec, Stepping, column, to_cbor};
@@ -21,8 +22,11 @@ pub const SNAPSHOT_VERSION: u32 = 1;
 pub struct Snapshot {
     /// The version of this layout.
     pub version: u32,
-    /// The version of the model that steps it: another one has another future.
+    /// The version of the model that computed it: another one has another future.
     pub model_version: u32,
+    /// The earlier versions of the model that computed steps before, oldest first; left out without any.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub earlier_models: Vec<EarlierModel>,
     /// The swarm's name.
     pub swarm: String,
     /// Its spec with the current seed.

@@ -11,7 +11,7 @@ use serde::de::IntoDeserializer as _;
 use serde::de::value::Error as ValueError;
 
 use crate::convert::controllers::{news, news_to_proto};
-use crate::swarm::checkpoint::Checkpoint;
+use crate::swarm::checkpoint::{Checkpoint, EarlierModel};
 use crate::swarm::command::Command;
 use crate::swarm::membership::{self, ControllerSettings, ControllerState};
 use crate::swarm::phase::{PauseReason, Phase};
@@ -33,6 +33,8 @@ pub fn snapshot(swarm: &str, checkpoint: &Checkpoint) -> proto::Snapshot {
         annotations,
         protocol_draws,
         is_protected,
+        model_version,
+        earlier_models,
         events,
         lines,
         is_last,
@@ -75,6 +77,8 @@ pub fn snapshot(swarm: &str, checkpoint: &Checkpoint) -> proto::Snapshot {
         annotations: *annotations,
         protocol_draws: *protocol_draws,
         protected: *is_protected,
+        model_version: *model_version,
+        earlier_models: earlier_models.iter().map(earlier_model).collect(),
         events: *events,
         lines: *lines,
         is_last: *is_last,
@@ -87,7 +91,7 @@ pub fn checkpoint(
     snapshot: &proto::Snapshot,
     read: &dyn Fn(&Sender) -> Result<Command, String>,
 ) -> Result<Checkpoint, SnapshotError> {
-    let simulation = jostle_convert::snapshot::from_proto(snapshot)?;
+    let simulation = jostle_convert::snapshot::of_any_model(snapshot)?;
     let scheduled = snapshot.scheduled.iter().map(|waiting| {
         let sender = sender(&waiting.sent)?;
         let scheduled = Scheduled {
@@ -136,10 +140,29 @@ pub fn checkpoint(
         annotations: snapshot.annotations,
         protocol_draws: snapshot.protocol_draws,
         is_protected: snapshot.protected,
+        model_version: snapshot.model_version,
+        earlier_models: snapshot.earlier_models.iter().map(read_model).collect(),
         events: snapshot.events,
         lines: snapshot.lines,
         is_last: snapshot.is_last,
     })
+}
+
+/// Returns an earlier version of the model.
+pub fn earlier_model(model: &EarlierModel) -> proto::EarlierModel {
+    proto::EarlierModel {
+        model_version: model.version,
+        epoch: model.epoch,
+        step: model.step,
+    }
+}
+
+fn read_model(model: &proto::EarlierModel) -> EarlierModel {
+    EarlierModel {
+        version: model.model_version,
+        epoch: model.epoch,
+        step: model.step,
+    }
 }
 
 fn member((name, kept): &(String, ControllerState)) -> Member {

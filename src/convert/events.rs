@@ -55,6 +55,7 @@ pub fn event(swarm: &str, event: Event) -> proto::Event {
                     .to_wire(Some(stamp.step), &Place::of_verb(sender.verb)),
             },
             EventKind::Lapsed(ids) => proto::EventKind::Lapsed { ids },
+            EventKind::Model { from, to } => proto::EventKind::Model { from, to },
             EventKind::Fault(reason) => proto::EventKind::Fault { reason },
             EventKind::RecordingFailed(recording, reason) => proto::EventKind::RecordingFailed {
                 recording: recording.to_string(),

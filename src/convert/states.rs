@@ -7,6 +7,7 @@ use jostle_convert::parameters::values;
 use jostle_proto as proto;
 
 use crate::convert::controllers::waiting_for;
+use crate::convert::durable::earlier_model;
 use crate::swarm::awaited::{WaitSummary, WatchAction, WatchStatus};
 use crate::swarm::fault::Fault;
 use crate::swarm::frame::{Frame, Replay, Summary};
@@ -74,6 +75,7 @@ pub fn status(seen: &Frame, history_from: Option<proto::HistoryFrom>) -> proto::
         fault: seen.fault.as_ref().map(fault),
         swarm_id: None,
         origin: None,
+        earlier_models: seen.earlier_models.iter().map(earlier_model).collect(),
         protected: seen.is_protected,
         until_step: seen.stamp.phase.until(),
         rate: seen.rate,
@@ -166,6 +168,7 @@ pub fn summary(swarm: &str, record: &Record, summary: &Summary) -> proto::SwarmS
         rate: summary.rate,
         real_time_factor: summary.real_time_factor,
         replay: summary.is_replay,
+        earlier_models: summary.earlier_models.iter().map(earlier_model).collect(),
         protected: summary.is_protected,
         swarm_id: record.swarm_id.get().copied(),
         origin: origin(record),

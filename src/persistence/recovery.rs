@@ -7,6 +7,7 @@ use std::sync::mpsc::channel;
 
 use fail::fail_point;
 use jostle_convert::Place;
+use jostle_physics::model::MODEL_VERSION;
 use jostle_physics::simulation::Spec;
 use tracing::{error, info, warn};
 
@@ -141,9 +142,24 @@ fn load(
                 continue;
             }
         };
+        if chosen.is_some() && checkpoint.is_of_earlier_model() {
+            // A replay from it would not give the states that this version of the model has published.
+            break;
+        }
         let tail = read_tail(store, swarm, checkpoint.lines)?;
         if matches!(tail.last(), Some(Err(_))) && chosen.is_some() {
             // Intact lines are more important than lost replies.
+            break;
+        }
+        if checkpoint.is_of_earlier_model() {
+            info!(
+                swarm,
+                from = checkpoint.model_version,
+                to = MODEL_VERSION,
+                step = checkpoint.simulation.state.step,
+                "another version of the model goes on from the last stored state"
+            );
+            chosen = Some((checkpoint, tail));
             break;
         }
         if has_replies(store, swarm, &checkpoint, replies, replied)? {

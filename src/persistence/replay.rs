@@ -114,6 +114,12 @@ pub(super) fn first_readable(
             .to_owned();
     for stored in checkpoints {
         match read_stored(store, swarm, stored.number) {
+            Ok(checkpoint) if checkpoint.is_of_earlier_model() => {
+                return Err(CommandError::EarlierModel {
+                    model_version: checkpoint.model_version,
+                    step: checkpoint.simulation.state.step,
+                });
+            }
             Ok(checkpoint) => return Ok(checkpoint),
             Err(error) => problem = error,
         }

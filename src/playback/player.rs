@@ -328,6 +328,7 @@ impl Player {
             measures: Vec::new(),
             max_idle_secs: None,
             is_protected: false,
+            earlier_models: Vec::new(),
             seed: self.spec.seed,
             scheduled: 0,
             conditions: Vec::new(),
@@ -395,6 +396,7 @@ impl Player {
             is_behind: false,
             is_replay: true,
             is_protected: false,
+            earlier_models: Vec::new(),
         };
         *self.summary.lock() = Some(summary);
     }

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use jostle_measures::Past;
+use jostle_physics::model::MODEL_VERSION;
 use jostle_physics::simulation::{self, Rate};
 
 use crate::swarm::command::Command;
@@ -39,6 +40,10 @@ pub struct Checkpoint {
     pub protocol_draws: u64,
     /// Whether it rejects `delete` and `reset`.
     pub is_protected: bool,
+    /// The version of the model that computed the state.
+    pub model_version: u32,
+    /// The versions that computed steps before, oldest first.
+    pub earlier_models: Vec<EarlierModel>,
     /// The number of the last event.
     pub events: u64,
     /// The number of journal lines that it includes.
@@ -47,7 +52,38 @@ pub struct Checkpoint {
     pub is_last: bool,
 }
 
+/// A version of the model, and the last state that it computed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct EarlierModel {
+    /// The version.
+    pub version: u32,
+    /// The epoch of the state.
+    pub epoch: u64,
+    /// The step of the state.
+    pub step: u64,
+}
+
 impl Checkpoint {
+    /// Whether an earlier version of the model computed the state: a replay from it gives other states
+    /// than those that were published.
+    pub fn is_of_earlier_model(&self) -> bool {
+        self.model_version != MODEL_VERSION
+    }
+
+    /// The same state, from which this version of the model goes on.
+    #[must_use]
+    pub fn taken_over(mut self) -> Self {
+        if self.is_of_earlier_model() {
+            self.earlier_models.push(EarlierModel {
+                version: self.model_version,
+                epoch: self.simulation.epoch,
+                step: self.simulation.state.step,
+            });
+            self.model_version = MODEL_VERSION;
+        }
+        self
+    }
+
     /// The start of a new swarm.
     pub fn start(simulation: simulation::Checkpoint) -> Self {
         Checkpoint {
@@ -62,6 +98,8 @@ impl Checkpoint {
             annotations: 0,
             protocol_draws: 0,
             is_protected: false,
+            model_version: MODEL_VERSION,
+            earlier_models: Vec::new(),
             events: 0,
             lines: 0,
             is_last: false,
@@ -76,31 +114,33 @@ impl Checkpoint {
     /// The start of another swarm with the same state: paused, with a history of its own, unprotected, and
     /// without the conditions with an event, for which clients of the first one wait.
     #[must_use]
-    pub fn for_another(mut self, phase: Phase) -> Self {
+    pub fn for_another(self, phase: Phase) -> Self {
+        let mut this = self.taken_over();
         let is_event = |action: &watch::Action| matches!(action, watch::Action::Event(_));
-        self.watches.retain(|it| !is_event(&it.watch.action));
-        self.scheduled.retain(|(_, it)| match &it.command {
+        this.watches.retain(|it| !is_event(&it.watch.action));
+        this.scheduled.retain(|(_, it)| match &it.command {
             Command::Watch(watch) => !is_event(&watch.action),
             _ => true,
         });
-        if self.watches.is_empty() {
-            self.past = Past::default();
+        if this.watches.is_empty() {
+            this.past = Past::default();
         }
-        for (k, (_, scheduled)) in self.scheduled.iter_mut().enumerate() {
+        for (k, (_, scheduled)) in this.scheduled.iter_mut().enumerate() {
             // Their lines are in another journal: numbers that this one does not reach.
             scheduled.input = u64::MAX - k as u64;
         }
         Checkpoint {
             phase,
-            rate: self.rate,
-            scheduled: self.scheduled,
-            watches: self.watches,
-            past: self.past,
-            annotations: self.annotations,
-            protocol_draws: self.protocol_draws,
+            rate: this.rate,
+            scheduled: this.scheduled,
+            watches: this.watches,
+            past: this.past,
+            earlier_models: this.earlier_models,
+            annotations: this.annotations,
+            protocol_draws: this.protocol_draws,
             ..Checkpoint::start(simulation::Checkpoint {
                 epoch: 1,
-                ..self.simulation
+                ..this.simulation
             })
         }
     }

@@ -13,6 +13,7 @@ use jostle_physics::observables::{Order, RunningMeans};
 use jostle_physics::simulation::{Exactness, Rate};
 
 use crate::swarm::awaited::{WaitSummary, WatchStatus};
+use crate::swarm::checkpoint::EarlierModel;
 use crate::swarm::error::SwarmError;
 use crate::swarm::fault::Fault;
 use crate::swarm::membership::ControllerStatus;
@@ -65,6 +66,8 @@ pub struct Frame {
     pub fault: Option<Fault>,
     /// Whether the swarm rejects `delete` and `reset`.
     pub is_protected: bool,
+    /// The versions of the model that computed steps before this one, oldest first.
+    pub earlier_models: Vec<EarlierModel>,
     /// The rate.
     pub rate: Rate,
     /// The measured rate.
@@ -166,6 +169,8 @@ pub struct Summary {
     pub is_replay: bool,
     /// Whether it rejects `delete` and `reset`.
     pub is_protected: bool,
+    /// The versions of the model that computed steps before this one, oldest first.
+    pub earlier_models: Vec<EarlierModel>,
 }
 
 /// An event of a swarm.
@@ -196,6 +201,13 @@ pub enum EventKind {
     Rejected(Arc<Sender>, SwarmError),
     /// These individuals are uninformed again.
     Lapsed(Vec<u32>),
+    /// This version of the model goes on from a state of an earlier one.
+    Model {
+        /// The version that computed the state.
+        from: u32,
+        /// This version.
+        to: u32,
+    },
     /// A step failed.
     Fault(String),
     /// The recording of this name has failed, for this reason.

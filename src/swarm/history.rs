@@ -195,6 +195,7 @@ impl EventKind {
             | EventKind::Rejected(sender, _)
             | EventKind::Deleted(sender) => sender.bytes(),
             EventKind::Lapsed(ids) => 4 * ids.len(),
+            EventKind::Model { .. } => 8,
             EventKind::Fault(reason) => reason.len(),
             EventKind::RecordingFailed(recording, reason) => recording.len() + reason.len(),
             EventKind::Recorded(what) => what.len(),

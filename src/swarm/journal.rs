@@ -128,6 +128,8 @@ pub struct Replayed {
     fired: BTreeMap<(u64, u64), Vec<Scheduled>>,
     on_progress: Option<OnProgress>,
     goes_on: Option<GoesOn>,
+    /// Whether another version of the model computed the hashes: they are not compared.
+    has_other_hashes: bool,
     /// Outcomes that the replay produced before it read them, each with its epoch and step.
     unsettled: Vec<((u64, u64), Record)>,
     /// How many hashes are the same.
@@ -210,11 +212,18 @@ impl Journal {
         self.replay.is_some()
     }
 
-    /// Begins a replay.
-    pub fn begin_replay(&mut self, on_progress: Option<OnProgress>, goes_on: Option<GoesOn>) {
+    /// Begins a replay. With `has_other_hashes` another version of the model computed the hashes: none is
+    /// compared.
+    pub fn begin_replay(
+        &mut self,
+        on_progress: Option<OnProgress>,
+        goes_on: Option<GoesOn>,
+        has_other_hashes: bool,
+    ) {
         self.replay = Some(Replayed {
             on_progress,
             goes_on,
+            has_other_hashes,
             ..Replayed::default()
         });
     }
@@ -254,6 +263,7 @@ impl Journal {
             } => {
                 replay.outcomes.insert(input, (seq, unix_secs));
             }
+            Record::Hash(_) if replay.has_other_hashes => {}
             Record::Hash(hash) => {
                 let place = (line.epoch, line.step);
                 replay.hashes.insert(place, (line.number, hash));

@@ -4,7 +4,7 @@ use comfy_table::presets::NOTHING;
 use comfy_table::{CellAlignment, ColumnConstraint, ContentArrangement, Table};
 use jostle_proto::verbs::SetResult;
 use jostle_proto::{
-    HistoryFrom, Order, ParameterValues, Reply, Status, WaitingAction, WaitingClient,
+    EarlierModel, HistoryFrom, Order, ParameterValues, Reply, Status, WaitingAction, WaitingClient,
     WaitingCondition, contract,
 };
 use serde_json::Value;
@@ -129,6 +129,7 @@ pub fn status(reply: &Reply<Status>) -> String {
         fault: _,
         swarm_id: _,
         origin,
+        earlier_models,
         protected,
         until_step,
         rate,
@@ -207,6 +208,15 @@ pub fn status(reply: &Reply<Status>) -> String {
         let text = format!("of {of}: frame {frame} of {frames}, {position} of {duration}");
         lines.insert(1, ("replay", text));
     }
+    lines.extend(earlier_models.iter().map(|it| {
+        let EarlierModel {
+            model_version,
+            epoch,
+            step,
+        } = it;
+        let text = format!("version {model_version} up to step {step} of epoch {epoch}");
+        ("earlier model", text)
+    }));
     if *protected {
         lines.push(("protected", "from delete and reset".to_owned()));
     }

@@ -2,7 +2,9 @@
 
 use std::fmt::Display;
 
-use jostle_physics::model::{self, Configuration, MODEL_VERSION, State, WarmContact};
+use jostle_physics::model::{
+    self, Configuration, MODEL_VERSION, OLDEST_MODEL_VERSION, State, WarmContact,
+};
 use jostle_physics::observables::RunningMeans;
 use jostle_physics::simulation::{Checkpoint, Exactness, Spec};
 use jostle_proto::snapshot::{Drive, Lapse, SNAPSHOT_VERSION, SnapshotPhase, SolverMemory, Sums};
@@ -73,6 +75,7 @@ pub fn to_proto(swarm: &str, checkpoint: &Checkpoint, doing: SnapshotPhase) -> p
     proto::Snapshot {
         version: SNAPSHOT_VERSION,
         model_version: MODEL_VERSION,
+        earlier_models: Vec::new(),
         swarm: swarm.to_owned(),
         spec: spec::to_proto(spec, spec.seed),
         parameters: values(state.parameters, *publish_every, measures, *max_idle_secs).into(),
@@ -130,23 +133,38 @@ pub fn to_proto(swarm: &str, checkpoint: &Checkpoint, doing: SnapshotPhase) -> p
     }
 }
 
-/// Returns the simulation in a snapshot, after checking its versions and its hash.
+/// Returns the simulation in a snapshot of this version of the model, after checking its versions and
+/// its hash.
 ///
 /// # Errors
 ///
 /// [`SnapshotError::Version`], [`SnapshotError::Unreadable`] and [`SnapshotError::Hash`].
 pub fn from_proto(snapshot: &proto::Snapshot) -> Result<Checkpoint, SnapshotError> {
-    let versions = [
-        ("snapshots", snapshot.version, SNAPSHOT_VERSION),
-        ("the model", snapshot.model_version, MODEL_VERSION),
-    ];
-    for (what, found, known) in versions {
-        if found != known {
-            return Err(SnapshotError::Version { what, found, known });
-        }
+    check_version("the model", snapshot.model_version, MODEL_VERSION)?;
+    of_any_model(snapshot)
+}
+
+fn check_version(what: &'static str, found: u32, known: u32) -> Result<(), SnapshotError> {
+    match found == known {
+        true => Ok(()),
+        false => Err(SnapshotError::Version { what, found, known }),
+    }
+}
+
+/// Returns the simulation in a snapshot of this or an earlier version of the model, after checking its
+/// versions and its hash under the version that computed it. Further steps are those of this version.
+///
+/// # Errors
+///
+/// [`SnapshotError::Version`], [`SnapshotError::Unreadable`] and [`SnapshotError::Hash`].
+pub fn of_any_model(snapshot: &proto::Snapshot) -> Result<Checkpoint, SnapshotError> {
+    check_version("snapshots", snapshot.version, SNAPSHOT_VERSION)?;
+    let found = snapshot.model_version;
+    if !(OLDEST_MODEL_VERSION..=MODEL_VERSION).contains(&found) {
+        check_version("the model", found, MODEL_VERSION)?;
     }
     let (spec, state) = state(snapshot)?;
-    if hexadecimal(&state.hash()) != snapshot.state_hash {
+    if hexadecimal(&state.hash_under(found)) != snapshot.state_hash {
         return Err(SnapshotError::Hash);
     }
     let annotations = snapshot.annotations;

@@ -51,7 +51,7 @@ impl Base {
             ));
         }
         let fail = |error: snapshot::SnapshotError| error.to_string();
-        let mut checkpoint = snapshot::from_proto(&sent).map_err(fail)?;
+        let mut checkpoint = snapshot::of_any_model(&sent).map_err(fail)?;
         snapshot::check(&checkpoint).map_err(fail)?;
         let State {
             configuration,

@@ -238,6 +238,16 @@ impl Worker {
             Err(error) => {
                 self.simulation.seq = seq;
                 self.annotations = annotations;
+                if let Some(applied) = self.was_applied(input) {
+                    warn!(
+                        swarm = self.output.name, verb = sender.verb, seq = applied,
+                        step = self.simulation.state.step, %error,
+                        "this version of the model rejects a command that an earlier one applied"
+                    );
+                    // The numbers of later commands, and the keys of their draws, stay.
+                    self.simulation.seq = applied - annotations;
+                    self.push_event(EventKind::Rejected(sender, error.clone()));
+                }
                 if input > 0 {
                     self.record_outcome(input, Err(&error));
                 }
@@ -382,6 +392,7 @@ impl Worker {
         self.reply_to_pending(&next);
         self.notify_controllers(Input::Interrupted(next.clone()));
         self.simulation.restart(fresh);
+        self.earlier_models.clear();
         self.watches.clear();
         self.waits.restart();
         self.protocol_draws = 0;
@@ -454,6 +465,12 @@ impl Worker {
         self.waiters.reject_all(Some(stamp.step));
         self.reject_waits(&SwarmError::Gone);
         Ok((stamp, Outcome::Done))
+    }
+
+    /// The number of a replayed command, if an earlier version of the model applied it.
+    fn was_applied(&self, input: u64) -> Option<u64> {
+        self.taken_over?;
+        self.journal.outcome(input)?.0
     }
 
     pub(super) fn protected(&self) -> SwarmError {

@@ -21,11 +21,12 @@ use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::{Duration, Instant, SystemTime};
 
+use jostle_physics::model::MODEL_VERSION;
 use jostle_physics::simulation::{ReserveMemory, Simulation};
 use parking_lot::Mutex;
 
 use crate::suspension;
-use crate::swarm::checkpoint::Checkpoint;
+use crate::swarm::checkpoint::{Checkpoint, EarlierModel};
 use crate::swarm::command::Command;
 use crate::swarm::controllers::{Controllers, Effect, Input};
 use crate::swarm::error::{SwarmError, WriteFault};
@@ -80,6 +81,10 @@ pub struct Worker {
     protocol_draws: u64,
     /// Whether it rejects `delete` and `reset`.
     is_protected: bool,
+    /// The versions of the model that computed steps before this one, oldest first.
+    earlier_models: Vec<EarlierModel>,
+    /// The version that computed the state from which the recovery goes on, if it is another one.
+    taken_over: Option<u32>,
     events: u64,
     pending: Option<Pending>,
     waiters: Waiters,
@@ -154,6 +159,9 @@ impl Worker {
         (writer, reserve): (Arc<dyn JournalWriter>, ReserveMemory),
         reply_for: &dyn Fn(&Arc<Sender>) -> ReplyTo,
     ) -> Self {
+        let is_earlier = checkpoint.is_of_earlier_model();
+        let taken_over = is_earlier.then_some(checkpoint.model_version);
+        let checkpoint = checkpoint.taken_over();
         let simulation = Simulation::from_checkpoint(&checkpoint.simulation, reserve);
         let (now, state) = (Instant::now(), &simulation.state);
         let mut worker = Worker {
@@ -187,6 +195,8 @@ impl Worker {
             annotations: checkpoint.annotations,
             protocol_draws: checkpoint.protocol_draws,
             is_protected: checkpoint.is_protected,
+            earlier_models: checkpoint.earlier_models,
+            taken_over,
             events: checkpoint.events,
             pending: checkpoint.pending.map(|(from, sender)| Pending {
                 reply_to: reply_for(&sender),
@@ -249,6 +259,10 @@ impl Worker {
             // The later lines belong to this epoch, so this line is queued before them.
             self.journal.append(before, Record::Resumed(epoch), None);
         }
+        if let Some(from) = self.taken_over.take() {
+            let to = MODEL_VERSION;
+            self.push_event(EventKind::Model { from, to });
+        }
         self.push_event(EventKind::Phase);
         self.save_checkpoint();
         self.update_summary();
@@ -288,6 +302,8 @@ impl Worker {
             annotations: self.annotations,
             protocol_draws: self.protocol_draws,
             is_protected: self.is_protected,
+            model_version: MODEL_VERSION,
+            earlier_models: self.earlier_models.clone(),
             events: self.events,
             lines: self.journal.lines(),
             is_last: false,

@@ -71,6 +71,7 @@ impl Worker {
             max_idle_secs: simulation.max_idle_secs,
             seed: simulation.state.seed,
             is_protected: self.is_protected,
+            earlier_models: self.earlier_models.clone(),
             scheduled: self.schedule.count(),
             conditions: self.watches.statuses(
                 simulation.state.configuration.n(),
@@ -182,6 +183,7 @@ impl Worker {
             is_behind: self.is_behind(),
             is_replay: false,
             is_protected: self.is_protected,
+            earlier_models: self.earlier_models.clone(),
         };
         *self.summary.lock() = Some(summary);
         let is_measured = !self.simulation.measures.is_empty();

@@ -97,7 +97,9 @@ impl ReplaySource {
         let (checkpoint, reply_for) = (self.checkpoint, &self.reply_for);
         let mut worker = Worker::restore(checkpoint, handle, min_frame_interval, writer, reply_for);
         worker.publish_created(handle.record.creation.clone());
-        worker.journal.begin_replay(self.on_progress, self.goes_on);
+        let is_taken_over = worker.taken_over.is_some();
+        let journal = &mut worker.journal;
+        journal.begin_replay(self.on_progress, self.goes_on, is_taken_over);
         let mut fold = Fold {
             worker,
             reply_for: self.reply_for,

@@ -161,6 +161,9 @@ pub fn describe(kind: &EventKind) -> String {
             by(client)
         ),
         EventKind::Lapsed { ids } => format!("no longer informed: {}", individuals(ids)),
+        EventKind::Model { from, to } => {
+            format!("model version {to} goes on, after version {from}")
+        }
         EventKind::Fault { reason } => format!("fault: {reason}"),
         EventKind::RecordingFailed { recording, reason } => {
             format!("recording {recording} failed: {reason}")

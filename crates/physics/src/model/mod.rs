@@ -21,4 +21,4 @@ pub mod threads;
 
 pub use configuration::{CELL, Configuration, Drive};
 pub use parameters::{Attraction, ContactRule, Parameters, ParametersError, Stepping};
-pub use state::{MODEL_VERSION, State, WarmContact, WarmStart};
+pub use state::{MODEL_VERSION, OLDEST_MODEL_VERSION, State, WarmContact, WarmStart};

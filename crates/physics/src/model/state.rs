@@ -7,6 +7,9 @@ use super::{Attraction, Configuration, ContactRule, Drive, Parameters, Stepping}
 /// Version of the model. It changes whenever the same state would have another future.
 pub const MODEL_VERSION: u32 = 2;
 
+/// The oldest version whose states this program reads. Its states go on under [`MODEL_VERSION`].
+pub const OLDEST_MODEL_VERSION: u32 = 1;
+
 /// A contact that pushed in the last step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WarmContact {
@@ -77,6 +80,13 @@ impl State {
     /// - Floats are hashed by their bits.
     #[must_use]
     pub fn hash(&self) -> [u8; 32] {
+        self.hash_under(MODEL_VERSION)
+    }
+
+    /// Returns the hash that a program of this version of the model, from [`OLDEST_MODEL_VERSION`] on,
+    /// gives the state.
+    #[must_use]
+    pub fn hash_under(&self, model_version: u32) -> [u8; 32] {
         let Self {
             parameters,
             seed,
@@ -85,7 +95,7 @@ impl State {
             warm_start,
         } = self;
         let mut bytes = Bytes::new();
-        bytes.put(MODEL_VERSION.to_le_bytes());
+        bytes.put(model_version.to_le_bytes());
         let Parameters {
             pi1,
             pi2,

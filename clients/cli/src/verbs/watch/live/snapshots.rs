@@ -61,6 +61,7 @@ fn summary(swarm: &str, phase: Phase, n: u64) -> SwarmSummary {
         real_time_factor: (phase == Phase::Running).then_some(0.98),
         replay: false,
         protected: false,
+        earlier_models: Vec::new(),
         swarm_id: None,
         origin: None,
         contested_by: None,
