@@ -32,6 +32,7 @@ mod lanes;
 mod limits;
 mod load;
 mod measures;
+mod models;
 mod once;
 mod operator;
 mod page;

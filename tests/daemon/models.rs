@@ -1,0 +1,249 @@
+//! Data folders of an earlier version of the model: each swarm goes on from its newest checkpoint under
+//! this version, and says so.
+//!
+//! No earlier version can be executed here. A folder of this daemon is written again by the store as one
+//! of version 1 would have written it: with that version in each checkpoint and its hashes of the same
+//! states, and with other hashes in the journal, as of other steps.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::Arc;
+
+use jostle_convert::snapshot;
+use jostle_physics::model::MODEL_VERSION;
+use jostle_proto::{ErrorCode, Snapshot, keys, to_cbor};
+use jostled::persistence::writer;
+use jostled::store::{Checkpoint, Row, Settings, Store, Write};
+use jostled::swarm::journal::Record;
+use serde_json::{Value, json};
+use tempfile::TempDir;
+
+use crate::support::daemon_process::{self, DaemonProcess};
+use crate::support::{Client, PREFIX, QueryResult, TIMEOUT, until};
+
+/// The version that is said to have written a folder.
+const EARLIER: u32 = 1;
+
+/// A copy of the folder of a daemon that does not run, as the earlier version would have written it. `alter`
+/// changes what the lines of the journals record.
+fn aged(folder: &Path, alter: impl Fn(Record) -> Record) -> TempDir {
+    let copy = tempfile::tempdir().unwrap();
+    daemon_process::copy(folder, copy.path());
+    let store = Store::open(copy.path(), Settings::default(), Box::new(|_| {})).unwrap();
+    for (swarm, about) in store.swarms().unwrap() {
+        let marks = store.checkpoints(&swarm).unwrap().into_iter();
+        let read = |number| of_earlier_model(store.checkpoint(&swarm, number).unwrap());
+        let mut checkpoints: BTreeMap<u64, Checkpoint> =
+            marks.map(|mark| (mark.number, read(mark.number))).collect();
+        let (_, first) = checkpoints.pop_first().unwrap();
+        let rows = store.rows(&swarm, first.number, usize::MAX >> 1).unwrap();
+        assert_eq!(rows.damaged_at, None);
+        let delete = Write::Delete {
+            swarm: swarm.clone(),
+        };
+        let create = Write::Create {
+            swarm: swarm.clone(),
+            about,
+            first,
+        };
+        let mut writes = vec![delete, create];
+        for row in rows.rows {
+            let checkpoint = checkpoints.remove(&row.number);
+            writes.push(Write::Append {
+                swarm: swarm.clone(),
+                row: altered(row, &alter),
+            });
+            writes.extend(checkpoint.map(|checkpoint| Write::SaveCheckpoint {
+                swarm: swarm.clone(),
+                checkpoint,
+            }));
+        }
+        store.commit(writes).unwrap();
+    }
+    assert!(store.stop(TIMEOUT));
+    copy
+}
+
+fn of_earlier_model(checkpoint: Checkpoint) -> Checkpoint {
+    let mut stored = Snapshot::from_cbor(&checkpoint.body).unwrap();
+    assert_eq!(stored.model_version, MODEL_VERSION);
+    let (_, state) = snapshot::state(&stored).unwrap();
+    stored.model_version = EARLIER;
+    stored.state_hash = snapshot::hexadecimal(&state.hash_under(EARLIER));
+    Checkpoint {
+        body: to_cbor(&stored),
+        ..checkpoint
+    }
+}
+
+fn altered(mut row: Row, alter: &impl Fn(Record) -> Record) -> Row {
+    let record = match writer::read_record(&row.body).unwrap() {
+        Record::Hash(_) => Record::Hash([7; 32]),
+        record => alter(record),
+    };
+    row.body = writer::record(&record).1;
+    row
+}
+
+/// Starts a daemon, lets `fill` send it commands, and kills it.
+async fn killed(fill: impl AsyncFnOnce(&Client)) -> TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    let mut process = DaemonProcess::start(&mut daemon_process::daemon(folder.path())).unwrap();
+    let client = Client::open(&process.endpoint).await;
+    fill(&client).await;
+    process.kill();
+    folder
+}
+
+/// The mark of a swarm.
+fn mark(epoch: u64, step: u64) -> Value {
+    json!([{"model_version": EARLIER, "epoch": epoch, "step": step}])
+}
+
+async fn get(client: &Client, noun: &str) -> QueryResult {
+    client.query(&keys::get(PREFIX, "school", noun), None).await
+}
+
+/// Checks that a reply is a conflict with the earlier version.
+fn assert_earlier(reply: QueryResult, context: &str) {
+    let error = reply.unwrap_err();
+    assert_eq!(error.code, ErrorCode::Conflict, "{context}: {error:?}");
+    assert_eq!(
+        error.details["model_version"], EARLIER,
+        "{context}: {error:?}"
+    );
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_swarm_goes_on_from_its_newest_checkpoint_and_is_marked_until_a_reset() {
+    let mut before = Value::Null;
+    let folder = killed(async |client: &Client| {
+        client.create("school", json!({"n": 12, "seed": 3})).await;
+        client.ok("school", "step", json!({"steps": 700})).await;
+        let inform = json!({"select": {"ids": [1, 3]}, "direction": 1.0});
+        client.ok("school", "inform", inform).await;
+        client.ok("school", "step", json!({"steps": 40})).await;
+        client.ok("school", "set", json!({"pi3": 2.0})).await;
+        before = client.get("school", "status").await;
+    })
+    .await;
+    let aged = aged(folder.path(), |record| record);
+    let mut marked = Value::Null;
+    // The second start goes on from a checkpoint of this version.
+    for epoch in 2..=3 {
+        let mut process = DaemonProcess::start(&mut daemon_process::daemon(aged.path())).unwrap();
+        let client = Client::open(&process.endpoint).await;
+        until("the swarm is where it was", async || {
+            client.get("school", "status").await["step"] == before["step"]
+        })
+        .await;
+        let status = client.get("school", "status").await;
+        for field in ["phase", "seq", "step"] {
+            assert_eq!(status[field], before[field], "{field}: {status}");
+        }
+        assert_eq!(status["epoch"], epoch, "{status}");
+        // Here both versions compute the same steps.
+        let hash = |status: &Value| status["result"]["state_hash"].clone();
+        assert_eq!(hash(&status), hash(&before), "{status}");
+        let models = &status["result"]["earlier_models"];
+        if epoch == 2 {
+            marked = models.clone();
+            assert_eq!(marked.as_array().unwrap().len(), 1, "{status}");
+            assert_eq!(marked[0]["model_version"], EARLIER);
+            let log = daemon_process::log(aged.path());
+            assert!(
+                log.contains("another version of the model goes on"),
+                "{log}"
+            );
+            let events = client.get("school", "events?limit=1000").await;
+            let events = events["result"]["events"].as_array().unwrap().clone();
+            let event = json!({"kind": "model", "from": EARLIER, "to": MODEL_VERSION});
+            assert!(events.iter().any(|it| it["event"] == event), "{events:?}");
+        }
+        assert_eq!(*models, marked, "{status}");
+        let listed = client.node("swarms").await["swarms"][0].clone();
+        assert_eq!(listed["earlier_models"], marked, "{listed}");
+        assert_earlier(get(&client, "verify").await, "verify");
+        let fork = |name: &str, step: u64| json!({"name": name, "step": step});
+        let early = client.cmd("school", "fork", fork("early", 10)).await;
+        assert_earlier(early, "an early fork");
+        if epoch == 3 {
+            client.ok("school", "step", json!({"steps": 30})).await;
+            let late = fork("late", before["step"].as_u64().unwrap() + 20);
+            client.ok("school", "fork", late).await;
+            let copy = client.get("late", "status").await;
+            assert_eq!(copy["result"]["earlier_models"], marked, "{copy}");
+            assert_earlier(get(&client, "experiment").await, "export");
+            client.ok("school", "reset", json!({})).await;
+            let status = client.get("school", "status").await;
+            assert_eq!(status["result"]["earlier_models"], Value::Null, "{status}");
+        }
+        process.kill();
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_command_that_this_version_rejects_is_an_event_and_the_swarm_goes_on() {
+    let folder = killed(async |client: &Client| {
+        client.create("school", json!({"n": 12, "seed": 3})).await;
+        client.ok("school", "step", json!({"steps": 20})).await;
+        let inform = json!({"select": {"ids": [1, 3]}, "direction": 1.0});
+        client.ok("school", "inform", inform).await;
+        client.ok("school", "step", json!({"steps": 20})).await;
+        client.ok("school", "set", json!({"pi3": 2.0})).await;
+    })
+    .await;
+    // As if only the earlier version knew such individuals.
+    let aged = aged(folder.path(), |record| match record {
+        Record::Input {
+            at_step,
+            sender,
+            seq,
+            unix_secs,
+        } if sender.verb == "inform" => {
+            let mut sender = (*sender).clone();
+            sender.args = sender.args.replace("[1,3]", "[1,99]");
+            assert!(sender.args.contains("99"), "{}", sender.args);
+            Record::Input {
+                at_step,
+                sender: Arc::new(sender),
+                seq,
+                unix_secs,
+            }
+        }
+        record => record,
+    });
+    let mut process = DaemonProcess::start(&mut daemon_process::daemon(aged.path())).unwrap();
+    let client = Client::open(&process.endpoint).await;
+    until("the swarm is where it was", async || {
+        client.get("school", "status").await["step"] == 40
+    })
+    .await;
+    let status = client.get("school", "status").await;
+    assert_eq!(
+        (&status["phase"], &status["seq"]),
+        (&json!("paused"), &json!(4)),
+        "{status}"
+    );
+    let result = &status["result"];
+    assert_eq!(result["earlier_models"], mark(1, 0), "{status}");
+    assert_eq!(
+        (&result["informed"], &result["parameters"]["pi3"]),
+        (&json!(0), &json!(2.0))
+    );
+    let events = client.get("school", "events?limit=1000").await;
+    let events = events["result"]["events"].as_array().unwrap().clone();
+    let refused = events.iter().find(|it| it["event"]["kind"] == "refused");
+    let refused = refused.unwrap_or_else(|| panic!("{events:?}"));
+    assert_eq!(
+        (&refused["step"], &refused["event"]["verb"]),
+        (&json!(20), &json!("inform"))
+    );
+    let log = daemon_process::log(aged.path());
+    assert!(
+        log.contains("rejects a command that an earlier one applied"),
+        "{log}"
+    );
+    client.ok("school", "step", json!({"steps": 5})).await;
+    process.kill();
+}
