@@ -26,13 +26,13 @@ const EARLIER: u32 = 1;
 
 /// A copy of the folder of a daemon that does not run, as the earlier version would have written it. `alter`
 /// changes what the lines of the journals record.
-fn aged(folder: &Path, alter: impl Fn(Record) -> Record) -> TempDir {
+pub fn aged(folder: &Path, alter: fn(Record) -> Record) -> TempDir {
     let copy = tempfile::tempdir().unwrap();
     daemon_process::copy(folder, copy.path());
     let store = Store::open(copy.path(), Settings::default(), Box::new(|_| {})).unwrap();
     for (swarm, about) in store.swarms().unwrap() {
         let marks = store.checkpoints(&swarm).unwrap().into_iter();
-        let read = |number| of_earlier_model(store.checkpoint(&swarm, number).unwrap());
+        let read = |number| of_earlier_model(&store.checkpoint(&swarm, number).unwrap());
         let mut checkpoints: BTreeMap<u64, Checkpoint> =
             marks.map(|mark| (mark.number, read(mark.number))).collect();
         let (_, first) = checkpoints.pop_first().unwrap();
@@ -51,7 +51,7 @@ fn aged(folder: &Path, alter: impl Fn(Record) -> Record) -> TempDir {
             let checkpoint = checkpoints.remove(&row.number);
             writes.push(Write::Append {
                 swarm: swarm.clone(),
-                row: altered(row, &alter),
+                row: altered(row, alter),
             });
             writes.extend(checkpoint.map(|checkpoint| Write::SaveCheckpoint {
                 swarm: swarm.clone(),
@@ -64,7 +64,7 @@ fn aged(folder: &Path, alter: impl Fn(Record) -> Record) -> TempDir {
     copy
 }
 
-fn of_earlier_model(checkpoint: Checkpoint) -> Checkpoint {
+fn of_earlier_model(checkpoint: &Checkpoint) -> Checkpoint {
     let mut stored = Snapshot::from_cbor(&checkpoint.body).unwrap();
     assert_eq!(stored.model_version, MODEL_VERSION);
     let (_, state) = snapshot::state(&stored).unwrap();
@@ -72,11 +72,11 @@ fn of_earlier_model(checkpoint: Checkpoint) -> Checkpoint {
     stored.state_hash = snapshot::hexadecimal(&state.hash_under(EARLIER));
     Checkpoint {
         body: to_cbor(&stored),
-        ..checkpoint
+        ..checkpoint.clone()
     }
 }
 
-fn altered(mut row: Row, alter: &impl Fn(Record) -> Record) -> Row {
+fn altered(mut row: Row, alter: fn(Record) -> Record) -> Row {
     let record = match writer::read_record(&row.body).unwrap() {
         Record::Hash(_) => Record::Hash([7; 32]),
         record => alter(record),
@@ -86,7 +86,7 @@ fn altered(mut row: Row, alter: &impl Fn(Record) -> Record) -> Row {
 }
 
 /// Starts a daemon, lets `fill` send it commands, and kills it.
-async fn killed(fill: impl AsyncFnOnce(&Client)) -> TempDir {
+pub async fn killed(fill: impl AsyncFnOnce(&Client)) -> TempDir {
     let folder = tempfile::tempdir().unwrap();
     let mut process = DaemonProcess::start(&mut daemon_process::daemon(folder.path())).unwrap();
     let client = Client::open(&process.endpoint).await;

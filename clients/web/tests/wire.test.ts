@@ -54,6 +54,7 @@ test("every kind of event has a text", () => {
   assert.match(text("refused"), /^run rejected: the swarm was reset before step 551/);
   assert.equal(text("created"), "created · by ada@lab");
   assert.equal(text("deleted"), "deleted · by ada@lab");
+  assert.equal(text("model"), "model version 2 goes on, after version 1");
   const forked = json<SwarmEvent>("event.created.json");
   Object.assign(forked.event, { verb: "fork", client: null });
   assert.equal(describe(forked), "created (fork)");

@@ -3,6 +3,7 @@
 
 mod controlled;
 mod documents;
+mod earlier;
 mod experiments;
 mod failing;
 mod fleet;
@@ -24,6 +25,7 @@ async fn the_fixtures_of_what_a_daemon_sends_are_what_daemons_send() {
         experiments::record_fixtures(&recorded),
         recordings::record_fixtures(&recorded),
         fleet::record_fixtures(&recorded),
+        earlier::record_fixtures(&recorded),
     );
     recorded.compare();
 }

@@ -358,6 +358,20 @@ class Departed(HtmlStruct, frozen=True, kw_only=True):
     why: Departure
 
 
+class EarlierModel(HtmlStruct, frozen=True, kw_only=True):
+    """An earlier version of the model that computed steps of a swarm.
+
+    Attributes:
+        model_version: The version.
+        epoch: The epoch of the last state that it computed.
+        step: The step of that state.
+    """
+
+    model_version: int
+    epoch: int
+    step: int
+
+
 class ErrorMessage(msgspec.Struct, frozen=True, kw_only=True):
     """An error.
 
@@ -390,6 +404,8 @@ class Event(Dated, frozen=True, kw_only=True):
     - `refused`: A scheduled command was rejected: `verb, args, client, request_id, error`.
     - `lapsed`: The time of informed individuals ended, and they are uninformed: `ids`.
     - `fault`: A step failed; the swarm keeps its last good state: `reason`.
+    - `model`: Another version of the model goes on from its last stored state; it replays the
+      commands after that state: `from, to`.
     - `recording_failed`: A recording of the daemon failed; its files are kept: `reason, recording`.
     - `deleted`: The swarm was deleted; its last event: `client, request_id`.
 
@@ -402,7 +418,9 @@ class Event(Dated, frozen=True, kw_only=True):
         step: The step of the event.
         time: `step · dt`, body sizes over free speed.
         phase: The phase after the event.
-        kind: `created`, `phase`, `command`, `scheduled`, `refused`, `lapsed`, `fault`,
+        from_: The version that computed that state.
+        to: The version that computes the steps from there on.
+        kind: `created`, `phase`, `command`, `scheduled`, `refused`, `lapsed`, `fault`, `model`,
             `recording_failed` or `deleted`.
         reason: The cause.
         seq: Number of commands applied to the swarm.
@@ -424,6 +442,8 @@ class Event(Dated, frozen=True, kw_only=True):
     step: int
     time: float
     phase: Phase
+    from_: int | None = msgspec.field(default=None, name="from")
+    to: int | None = None
     kind: str
     reason: str | None = None
     seq: int | None = None
@@ -1148,6 +1168,7 @@ class SwarmSummary(HtmlStruct, frozen=True, kw_only=True):
         rate: Time units per second of wall clock; None is as fast as possible.
         real_time_factor: The rate that was reached lately; None while it does not run.
         replay: Whether it is the playback of a recording.
+        earlier_models: As in its status.
         protected: As in its status.
         swarm_id: As in its status.
         origin: As in its status.
@@ -1166,6 +1187,7 @@ class SwarmSummary(HtmlStruct, frozen=True, kw_only=True):
     rate: float | None = None
     real_time_factor: float | None = None
     replay: bool
+    earlier_models: list[EarlierModel] | None = None
     protected: bool = False
     swarm_id: int | None = None
     origin: Origin | None = None
@@ -1658,6 +1680,8 @@ class Status(Reply, frozen=True, kw_only=True):
             name later has another one. None for a replay.
         origin: What it was made from; None if it was created from a spec, and for swarms made by
             earlier versions.
+        earlier_models: The earlier versions of the model that computed steps of it or of what it
+            was made from, since their start or reset, oldest first; None without any.
         protected: Whether `protect` protects it from `delete` and `reset`.
         until_step: The step it will pause at; None if it has no end.
         rate: Time units per second of wall clock; None is as fast as possible.
@@ -1694,6 +1718,7 @@ class Status(Reply, frozen=True, kw_only=True):
     fault: Fault | None = None
     swarm_id: int | None = None
     origin: Origin | None = None
+    earlier_models: list[EarlierModel] | None = None
     protected: bool = False
     until_step: int | None = None
     rate: float | None = None

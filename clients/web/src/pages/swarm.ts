@@ -5,6 +5,7 @@ import { Controls } from "../panels/controls.ts";
 import { downloadButton } from "../panels/download.ts";
 import { Events } from "../panels/events.ts";
 import { type Moment, momentOfOrder, momentOfState } from "../panels/history.ts";
+import { modelMark } from "../panels/models.ts";
 import { Numbers } from "../panels/numbers.ts";
 import { Parameters } from "../panels/parameters.ts";
 import { Playback } from "../panels/playback.ts";
@@ -25,6 +26,9 @@ export function swarmPage(name: string, session: Session): Page {
   const phase = new PhaseChip();
   const reason = el("span", { class: "soft reason" });
   const kept = el("span", { class: "soft kept", hidden: true }, "protected");
+  const models = el("span", { class: "soft kept", hidden: true });
+  models.title =
+    "An earlier version of the model computed its steps up to there: jostle verify and fork begin later";
   const numbers = new Numbers();
   const charts = new Charts(name);
   const parameters = new Parameters(name);
@@ -116,6 +120,8 @@ export function swarmPage(name: string, session: Session): Page {
       phase.show(row.phase);
       setText(reason, row.reason ?? "");
       kept.hidden = !(row.protected ?? false);
+      setText(models, modelMark(row.earlier_models));
+      models.hidden = models.textContent === "";
     },
     parameters: (all) => {
       parameters.show(all, session.mayCommand && !replay);
@@ -147,7 +153,7 @@ export function swarmPage(name: string, session: Session): Page {
   const element = el(
     "div",
     { class: "page swarm-page" },
-    el("header", { class: "page-head" }, el("h1", {}, name), phase.element, reason, kept),
+    el("header", { class: "page-head" }, el("h1", {}, name), phase.element, reason, kept, models),
     el("div", { class: "seen" }, watch.element, playback.element, numbers.element, charts.element),
     el(
       "aside",

@@ -35,6 +35,8 @@ export function describe({ event, phase }: SwarmEvent): string {
       return `deleted${by}`;
     case "phase":
       return field("reason") === "" ? phase : `${phase}: ${field("reason")}`;
+    case "model":
+      return `model version ${field("to")} goes on, after version ${field("from")}`;
     case "fault":
       return `fault: ${field("reason")}`;
     case "scheduled":

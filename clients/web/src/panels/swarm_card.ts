@@ -1,9 +1,11 @@
 /** A swarm in the list: its phase, thumbnail, order and key numbers. */
+
 import { el, setText } from "../ui/dom.ts";
 import { fixed, time } from "../ui/format.ts";
 import { PhaseChip } from "../ui/phase.ts";
 import { Sparkline } from "../ui/sparkline.ts";
 import type { SwarmSummary } from "../wire/messages.ts";
+import { modelMark } from "./models.ts";
 import { MAX_THUMBNAIL_N } from "./thumbnails.ts";
 
 /** The number of points that fill the sparkline's width. */
@@ -55,6 +57,7 @@ export class SwarmCard {
       row.contested_by ? `contested by daemon ${row.contested_by}` : "",
       row.replay ? "playback" : "",
       row.protected ? "protected" : "",
+      modelMark(row.earlier_models),
       `n ${row.n}`,
       `informed ${row.informed}`,
       `time ${time(row.time)}`,

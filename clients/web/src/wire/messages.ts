@@ -242,6 +242,16 @@ export interface Drive {
   turn: number | null;
 }
 
+/** An earlier version of the model that computed steps of a swarm. */
+export interface EarlierModel {
+  /** The epoch of the last state that it computed. */
+  epoch: number;
+  /** The version. */
+  model_version: number;
+  /** The step of that state. */
+  step: number;
+}
+
 /** The result of a command without one. */
 export type EmptyResult = Record<string, unknown>;
 
@@ -337,6 +347,12 @@ export type EventKind = {
   kind: "fault";
   /** The cause. */
   reason: string;
+} | {
+  /** The version that computed that state. */
+  from: number;
+  kind: "model";
+  /** The version that computes the steps from there on. */
+  to: number;
 } | {
   kind: "recording_failed";
   /** The cause. */
@@ -1247,6 +1263,8 @@ export interface Snapshot {
   doing: Doing;
   /** Who is driven directly, by a controller. */
   drives?: Drive[];
+  /** The earlier versions of the model that computed steps before, oldest first; left out without any. */
+  earlier_models?: EarlierModel[];
   /** Grows whenever `step` does not continue what was published before. */
   epoch: number;
   /** How many events there have been. */
@@ -1263,7 +1281,7 @@ export interface Snapshot {
   lines?: number;
   /** What the solver carries from one step to the next. */
   memory: SolverMemory;
-  /** The version of the model that steps it: another one has another future. */
+  /** The version of the model that computed it: another one has another future. */
   model_version: number;
   /** The id of the next individual. */
   next_id: number;
@@ -1448,6 +1466,8 @@ export interface Status {
   controllers?: number;
   /** The time step, body sizes over free speed. */
   dt: number;
+  /** The earlier versions of the model that computed steps of it or of what it was made from, since their start or reset, oldest first; left out without any. */
+  earlier_models?: EarlierModel[];
   /** What went wrong, if it has faulted; left out otherwise. */
   fault?: Fault | null;
   /** The oldest stored checkpoint; `null` while it cannot be read. */
@@ -1589,6 +1609,8 @@ export interface SwarmMetrics {
 export interface SwarmSummary {
   /** The other daemon that has a swarm of this name, if there is one; see `contested`. */
   contested_by?: string | null;
+  /** As in its status. */
+  earlier_models?: EarlierModel[];
   /** How many individuals are informed. */
   informed: number;
   /** The number of individuals. */
