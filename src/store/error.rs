@@ -29,15 +29,19 @@ pub enum StoreError {
     Foreign(PathBuf),
     /// A newer version wrote it.
     #[error(
-        "open {}: written by a newer jostled (schema {found}, this one knows {known}): upgrade, or \
-         name another --data-dir", file.display()
+        "open {}: written by a newer jostled{} ({what} {found}, this one knows {known}): upgrade, or \
+         name another --data-dir", file.display(), version(writer.as_deref())
     )]
     Newer {
         /// The file.
         file: PathBuf,
-        /// Its schema.
+        /// The version of the program that wrote it, if that is known.
+        writer: Option<String>,
+        /// What is newer: `schema` or `model version`.
+        what: &'static str,
+        /// Its number in the file.
         found: i64,
-        /// The newest schema that this version knows.
+        /// The newest one that this version knows.
         known: i64,
     },
     /// The structure of the file is damaged.
@@ -201,4 +205,9 @@ pub(super) fn unless_fatal<T>(
 fn is_full(folder: &Path) -> bool {
     rustix::fs::statvfs(folder)
         .is_ok_and(|disk| disk.f_bavail.saturating_mul(disk.f_frsize) < FULL_BELOW_BYTES)
+}
+
+/// A version in a message.
+fn version(writer: Option<&str>) -> String {
+    writer.map_or_else(String::new, |it| format!(", version {it}"))
 }

@@ -4,6 +4,7 @@ use std::fs;
 use std::path::Path;
 use std::time::Duration;
 
+use jostle_physics::model::MODEL_VERSION;
 use rusqlite::config::DbConfig;
 use rusqlite::{Connection, OpenFlags, Result as SqlResult, Transaction, TransactionBehavior};
 
@@ -24,10 +25,10 @@ const BUSY_TIMEOUT: Duration = Duration::from_millis(20);
 type Migration = fn(&Transaction<'_>) -> SqlResult<()>;
 
 /// Migration k leads from schema k to k + 1.
-const MIGRATIONS: &[Migration] = &[first, second, third];
+const MIGRATIONS: &[Migration] = &[first, second, third, fourth];
 
 /// The schema that this version writes, the newest that it reads.
-pub const KNOWN: i64 = 3;
+pub const KNOWN: i64 = 4;
 
 const _: () = assert!(MIGRATIONS.len() as i64 == KNOWN);
 
@@ -90,6 +91,36 @@ fn third(transaction: &Transaction<'_>) -> SqlResult<()> {
     transaction.execute_batch(NOTES)
 }
 
+/// The fourth schema: the program that has last opened the file, and the version of its model. An older
+/// program whose model has a lower version leaves the file as it is.
+fn fourth(transaction: &Transaction<'_>) -> SqlResult<()> {
+    transaction.execute_batch(
+        "CREATE TABLE program (
+             id INTEGER PRIMARY KEY CHECK (id = 1), version TEXT NOT NULL, model INTEGER NOT NULL
+         )",
+    )
+}
+
+/// The version of this program.
+const PROGRAM: &str = env!("CARGO_PKG_VERSION");
+
+/// The program that has last opened the file, and the version of its model; none in earlier schemas.
+fn program(connection: &Connection) -> Option<(String, i64)> {
+    let columns = "SELECT version, model FROM program";
+    let read = connection.query_row(columns, [], |row| Ok((row.get(0)?, row.get(1)?)));
+    read.ok()
+}
+
+/// Notes that this program has opened the file.
+fn note_program(connection: &Connection) -> SqlResult<()> {
+    let own = (PROGRAM.to_owned(), i64::from(MODEL_VERSION));
+    if program(connection).is_none_or(|it| it != own) {
+        let insert = "INSERT OR REPLACE INTO program (id, version, model) VALUES (1, ?, ?)";
+        connection.execute(insert, (own.0, own.1))?;
+    }
+    Ok(())
+}
+
 /// Opens the writer's connection to `file`, creates or migrates the tables, and checks the pages of a
 /// file of at most `max_checked_bytes`.
 pub(super) fn open(file: &Path, max_checked_bytes: u64) -> Result<Connection, StoreError> {
@@ -117,6 +148,7 @@ pub(super) fn open(file: &Path, max_checked_bytes: u64) -> Result<Connection, St
         check_pages(file, &connection)?;
     }
     migrate(&mut connection).map_err(fail)?;
+    note_program(&connection).map_err(fail)?;
     Ok(connection)
 }
 
@@ -164,11 +196,19 @@ pub(super) fn check_origin(file: &Path, connection: &Connection) -> Result<bool,
     if application != APPLICATION_ID {
         return Err(StoreError::Foreign(file.to_path_buf()));
     }
-    if version > KNOWN {
+    let (writer, model) = program(connection).unzip();
+    let model_known = i64::from(MODEL_VERSION);
+    let newer = [
+        ("schema", version, KNOWN),
+        ("model version", model.unwrap_or(model_known), model_known),
+    ];
+    if let Some((what, found, known)) = newer.into_iter().find(|(_, found, known)| found > known) {
         return Err(StoreError::Newer {
             file: file.to_path_buf(),
-            found: version,
-            known: KNOWN,
+            writer,
+            what,
+            found,
+            known,
         });
     }
     if version < 1 || tables == 0 {

@@ -356,11 +356,27 @@ fn a_folder_is_open_once_at_a_time_and_accessible_to_its_owner_only() {
 fn foreign_and_newer_files_are_rejected() {
     let folder = folder();
     drop(open(folder.path()));
-    alter(folder.path(), "PRAGMA user_version = 4");
-    let error = rejection(folder.path());
-    assert!(matches!(error, StoreError::Newer { .. }));
-    let expected = "written by a newer jostled (schema 4, this one knows 3): upgrade, or name another --data-dir";
-    assert!(error.to_string().ends_with(expected), "{error}");
+    for (newer, expected) in [
+        (
+            "UPDATE program SET version = '9.0.0', model = 900",
+            "9.0.0 (model version 900, this one knows",
+        ),
+        (
+            "PRAGMA user_version = 900",
+            "9.0.0 (schema 900, this one knows",
+        ),
+        (
+            "DROP TABLE program",
+            "newer jostled (schema 900, this one knows",
+        ),
+    ] {
+        alter(folder.path(), newer);
+        let error = rejection(folder.path());
+        assert!(matches!(error, StoreError::Newer { .. }));
+        assert!(error.to_string().contains(expected), "{error}");
+        let remedy = "): upgrade, or name another --data-dir";
+        assert!(error.to_string().ends_with(remedy), "{error}");
+    }
 
     let foreign = self::folder();
     alter(foreign.path(), "CREATE TABLE other (x)");
