@@ -18,8 +18,9 @@ use jostled::swarm::journal::Record;
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
+use crate::states::swarms;
 use crate::support::daemon_process::{self, DaemonProcess};
-use crate::support::{Client, PREFIX, QueryResult, TIMEOUT, until};
+use crate::support::{Client, Daemon, PREFIX, QueryResult, TIMEOUT, until};
 
 /// The version that is said to have written a folder.
 const EARLIER: u32 = 1;
@@ -65,15 +66,20 @@ pub fn aged(folder: &Path, alter: fn(Record) -> Record) -> TempDir {
 }
 
 fn of_earlier_model(checkpoint: &Checkpoint) -> Checkpoint {
-    let mut stored = Snapshot::from_cbor(&checkpoint.body).unwrap();
-    assert_eq!(stored.model_version, MODEL_VERSION);
-    let (_, state) = snapshot::state(&stored).unwrap();
-    stored.model_version = EARLIER;
-    stored.state_hash = snapshot::hexadecimal(&state.hash_under(EARLIER));
+    let stored = earlier(Snapshot::from_cbor(&checkpoint.body).unwrap());
     Checkpoint {
         body: to_cbor(&stored),
         ..checkpoint.clone()
     }
+}
+
+/// A snapshot as the earlier version would have written it.
+fn earlier(mut snapshot: Snapshot) -> Snapshot {
+    assert_eq!(snapshot.model_version, MODEL_VERSION);
+    let (_, state) = snapshot::state(&snapshot).unwrap();
+    snapshot.model_version = EARLIER;
+    snapshot.state_hash = snapshot::hexadecimal(&state.hash_under(EARLIER));
+    snapshot
 }
 
 fn altered(mut row: Row, alter: fn(Record) -> Record) -> Row {
@@ -246,4 +252,40 @@ async fn a_command_that_this_version_rejects_is_an_event_and_the_swarm_goes_on()
     );
     client.ok("school", "step", json!({"steps": 5})).await;
     process.kill();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_snapshot_of_an_earlier_version_is_restored_and_marked_and_one_of_a_later_is_not() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    client.create("school", json!({"n": 12, "seed": 3})).await;
+    client.ok("school", "step", json!({"steps": 60})).await;
+    let taken = swarms::snapshot(client, "school").await;
+    let old = earlier(taken.clone()).sealed();
+    swarms::restore(client, "old", &old).await.unwrap();
+    let status = client.get("old", "status").await;
+    assert_eq!(status["step"], 60);
+    assert_eq!(status["result"]["earlier_models"], mark(1, 60), "{status}");
+    // Here both versions compute the same steps.
+    assert_eq!(status["result"]["state_hash"], taken.state_hash, "{status}");
+    client.ok("old", "step", json!({"steps": 5})).await;
+    // A swarm that is saved again keeps the mark.
+    let again = swarms::snapshot(client, "old").await;
+    assert_eq!(again.model_version, MODEL_VERSION);
+    swarms::restore(client, "again", &again).await.unwrap();
+    let status = client.get("again", "status").await;
+    assert_eq!(status["result"]["earlier_models"], mark(1, 60), "{status}");
+    // Its hash is that of its own version.
+    let mut other = old.clone();
+    other.state_hash = taken.state_hash.clone();
+    let mut later = taken;
+    later.model_version = MODEL_VERSION + 1;
+    for (wrong, problem) in [(other, "hash"), (later, "of the model")] {
+        let error = swarms::restore(client, "wrong", &wrong.sealed())
+            .await
+            .unwrap_err();
+        assert_eq!(error.code, ErrorCode::InvalidArgument, "{error:?}");
+        assert!(error.message.contains(problem), "{error:?}");
+    }
+    daemon.stop().await;
 }

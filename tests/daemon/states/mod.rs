@@ -5,7 +5,7 @@ mod experiments;
 mod page;
 mod playback;
 mod recordings;
-mod swarms;
+pub mod swarms;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;

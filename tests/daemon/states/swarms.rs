@@ -45,7 +45,7 @@ async fn node(client: &Client, verb: &str, args: Value) -> QueryResult {
     client.query(&key, Some(args.to_string().as_bytes())).await
 }
 
-async fn snapshot(client: &Client, swarm: &str) -> Snapshot {
+pub async fn snapshot(client: &Client, swarm: &str) -> Snapshot {
     let key = keys::get(PREFIX, swarm, "snapshot");
     let replies = client.session.get(key).await.unwrap();
     let sample = replies.recv_async().await.unwrap().into_result().unwrap();
@@ -53,7 +53,7 @@ async fn snapshot(client: &Client, swarm: &str) -> Snapshot {
     reply.result
 }
 
-async fn restore(client: &Client, name: &str, snapshot: &Snapshot) -> QueryResult {
+pub async fn restore(client: &Client, name: &str, snapshot: &Snapshot) -> QueryResult {
     let snapshot = STANDARD.encode(jostle_proto::to_cbor(snapshot));
     let args = json!({"name": name, "snapshot": snapshot});
     node(client, "restore", args).await
