@@ -1,4 +1,4 @@
-//! A swarm as a whole, to be kept in a file and brought back by a daemon of the same model
+//! A swarm as a whole, to be kept in a file and brought back by a daemon of the same or a later model
 //! version.
 
 use std::io;

@@ -126,7 +126,7 @@ pub enum Verb {
     Diff(DiffArguments),
     /// Writes the complete state of a swarm to a file
     Snapshot(SnapshotArguments),
-    /// Creates a paused swarm from a snapshot file of the same model version
+    /// Creates a paused swarm from a snapshot file of the same or an earlier model version
     Restore(RestoreArguments),
     /// Replays the history of a swarm and compares state hashes; without --timeout for up to an hour
     Verify(SwarmArguments),

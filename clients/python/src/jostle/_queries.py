@@ -239,7 +239,8 @@ class Queries(Past):
             swarm.snapshot().save("school.snapshot")
             other.restore("school.snapshot", "school")
 
-        A daemon of the same `model_version` restores it.
+        A daemon of the same or a later `model_version` restores it; a later one marks the
+            swarm by `earlier_models`.
 
         Raises:
             NotFound: There is no such swarm.
