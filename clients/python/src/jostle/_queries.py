@@ -240,7 +240,7 @@ class Queries(Past):
             other.restore("school.snapshot", "school")
 
         A daemon of the same or a later `model_version` restores it; a later one marks the
-            swarm by `earlier_models`.
+        swarm by `earlier_models`.
 
         Raises:
             NotFound: There is no such swarm.
