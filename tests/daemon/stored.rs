@@ -119,9 +119,13 @@ async fn swarms_their_history_and_their_replies_are_recovered() {
                 assert_eq!(status[field], old["status"][field], "{name} {field}");
             }
             let (now, before) = (&status["result"], &old["status"]["result"]);
-            for field in ["state_hash", "n", "seed"] {
+            for field in ["state_hash", "n", "seed", "fault"] {
                 assert_eq!(now[field], before[field], "{name} {field}");
             }
+            assert!(
+                before["when"].is_null() || now["when"] == before["when"],
+                "{name}"
+            );
             // This version may have more of them.
             assert_has_all(&now["parameters"], &before["parameters"]);
             assert_has_all(&client.get(name, "spec").await["result"], &old["spec"]);
@@ -156,14 +160,15 @@ async fn swarms_their_history_and_their_replies_are_recovered() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn swarms_of_earlier_builds_are_unprotected_and_can_be_protected() {
+async fn swarms_of_earlier_builds_are_as_protected_as_they_were_and_can_be_protected() {
     for build in builds() {
         let expected = expected(&build);
         let (mut process, client, data) = start(&build).await;
         let swarms = expected["swarms"].as_object().unwrap();
-        for name in swarms.keys() {
+        for (name, old) in swarms {
             let status = client.get(name, "status").await;
-            assert_eq!(status["result"]["protected"], Value::Null, "{name}");
+            let was = &old["status"]["result"]["protected"];
+            assert_eq!(status["result"]["protected"], *was, "{name}");
             client.ok(name, "protect", json!({"on": true})).await;
         }
         process.kill();
@@ -256,7 +261,12 @@ async fn recordings_are_listed_resumed_and_played() {
         for (number, part) in parts.iter().enumerate() {
             let name = format!("part-{number}");
             let shown = upload_and_open(&client, &name, &fs::read(part).unwrap()).await;
-            let replay = &shown.unwrap()["result"]["replay"];
+            let shown = match shown {
+                // The recording was stopped after the last frame of the part before.
+                Err(error) if error.message.contains("it has no frame") => continue,
+                shown => shown.unwrap(),
+            };
+            let replay = &shown["result"]["replay"];
             assert_eq!(replay["of"], "filmed");
             frames += replay["frames"].as_u64().unwrap();
         }

@@ -136,6 +136,17 @@ def fill(session: zenoh.Session, jostle: list[Any], out: Path) -> dict[str, Any]
         advance = {"controller": "ada", "steps": 10, "set": points}
         command("led/cmd/advance", advance, expect_step=10 * k)
 
+    # One that is protected and has a condition, and one that has faulted.
+    command(f"{node}/cmd/create", {"name": "guarded", "spec": {"n": 5, "seed": 3}})
+    command("guarded/cmd/protect", {"on": True})
+    command("guarded/cmd/when", {"condition": "order > 0.999 for 5000", "event": "aligned"})
+    command("guarded/cmd/step", {"steps": 120})
+    longest = {"n": 60, "pi4": 1e6, "dt": 0.2497, "seed": 2}
+    command(f"{node}/cmd/create", {"name": "broken", "spec": longest})
+    command("broken/cmd/run", {})
+    while send("broken/get/status")["phase"] != "faulted":
+        time.sleep(0.05)
+
     # A file that a client writes.
     run([*jostle, "snapshot", "school", "-o", out / "school.snapshot"])
     restore = [*jostle, "restore", out / "school.snapshot", "restored"]
@@ -164,7 +175,7 @@ def fill(session: zenoh.Session, jostle: list[Any], out: Path) -> dict[str, Any]
         command(f"{node}/cmd/record", {"stop": {"recording": name}})
 
     swarms = {}
-    for name in ("school", "other", "led", "filmed"):
+    for name in ("school", "other", "led", "guarded", "broken", "filmed"):
         verified = send(f"{name}/get/verify")
         assert verified["result"]["differs_at"] is None, verified
         swarms[name] = {
