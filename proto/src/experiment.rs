@@ -103,6 +103,10 @@ pub struct SubmitArgs {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(regex(pattern = NAME_RULE))]
     pub name: Option<String>,
+    /// Execute all runs anew, beside the experiment of this name, if another version of the model executed
+    /// that one's runs: `school` becomes `school-model2` under version 2.
+    #[serde(default, skip_serializing_if = "crate::is_false")]
+    pub again: bool,
 }
 
 /// Which experiment.
@@ -149,6 +153,14 @@ pub struct Progress {
     pub running: Vec<RunUnderWay>,
     /// Why it failed or the daemon paused it, or a remark on its runs; `null` without one.
     pub message: Option<String>,
+    /// The version of the model that executed its finished runs, if the daemon has another one: no run is
+    /// added to them, and they remain readable. Left out if the daemon has this one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub model_version: Option<u32>,
+    /// The earliest version of the model that computed a part of the snapshot from which its runs start, if
+    /// it is before that of the runs. Left out otherwise.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub start_model_version: Option<u32>,
 }
 
 /// What an experiment is doing.

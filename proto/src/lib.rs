@@ -88,6 +88,15 @@ pub const JSON: &str = "application/json";
 /// The zenoh encoding of states.
 pub const CBOR: &str = "application/cbor";
 
+/// Whether a field whose default is `false` is left out.
+#[expect(
+    clippy::trivially_copy_pass_by_ref,
+    reason = "serde passes a reference"
+)]
+pub(crate) fn is_false(value: &bool) -> bool {
+    !value
+}
+
 /// The examples of the page for people.
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]

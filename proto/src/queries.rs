@@ -31,7 +31,7 @@ pub struct Status {
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub earlier_models: Vec<EarlierModel>,
     /// Whether `protect` protects it from `delete` and `reset`.
-    #[serde(default, skip_serializing_if = "is_false")]
+    #[serde(default, skip_serializing_if = "crate::is_false")]
     #[schemars(extend("default" = false))]
     pub protected: bool,
     /// The step it will pause at; `null` if it has no end.
@@ -170,14 +170,6 @@ pub struct WaitingCondition {
     /// if it is evaluated.
     #[serde(default = "is_evaluated", skip_serializing_if = "Clone::clone")]
     pub evaluated: bool,
-}
-
-#[expect(
-    clippy::trivially_copy_pass_by_ref,
-    reason = "serde passes a reference"
-)]
-fn is_false(value: &bool) -> bool {
-    !value
 }
 
 /// Earlier versions did not say that a condition is not evaluated.
@@ -606,7 +598,7 @@ pub struct SwarmSummary {
     #[serde(default)]
     pub replay: bool,
     /// As in its status.
-    #[serde(default, skip_serializing_if = "is_false")]
+    #[serde(default, skip_serializing_if = "crate::is_false")]
     #[schemars(extend("default" = false))]
     pub protected: bool,
     /// As in its status.

@@ -47,7 +47,7 @@ pub struct Snapshot {
     #[serde(default, skip_serializing_if = "is_zero")]
     pub protocol_draws: u64,
     /// Whether it is protected from `delete` and `reset`; a swarm that is restored from this is not.
-    #[serde(default, skip_serializing_if = "is_false")]
+    #[serde(default, skip_serializing_if = "crate::is_false")]
     pub protected: bool,
     /// BLAKE3 of the state, in hexadecimal.
     pub state_hash: String,
@@ -126,14 +126,6 @@ pub struct Snapshot {
 
 fn is_zero(count: &u64) -> bool {
     *count == 0
-}
-
-#[expect(
-    clippy::trivially_copy_pass_by_ref,
-    reason = "serde passes a reference"
-)]
-fn is_false(value: &bool) -> bool {
-    !value
 }
 
 /// The values of the parameters that may change while a swarm lives. What is left out is as in

@@ -8,6 +8,7 @@ use serde::Serialize;
 use crate::error::PlanError;
 use crate::plan::{Plan, PlannedRun, Point};
 use crate::protocol::{Block, Trigger};
+use crate::start::start_remark;
 use crate::subset::Subset;
 
 pub use self::estimate::{Estimate, Measured};
@@ -33,6 +34,10 @@ pub struct DryRun {
     pub listed_conditions: Vec<String>,
     /// The protocol of the first selected run; none if the file has none.
     pub protocol: Option<Outline>,
+    /// The earliest version of the model that computed a part of the snapshot from which the runs start, if it
+    /// is before this program's.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub start_model_version: Option<u32>,
     /// What the runs would take.
     pub estimate: Estimate,
 }
@@ -123,6 +128,7 @@ impl DryRun {
             listed_conditions: listed.map(|&it| it.to_owned()).collect(),
             conditions: conditions.len(),
             protocol,
+            start_model_version: plan.start_model_version(),
             estimate: Estimate::of(plan, subset),
         })
     }
@@ -223,6 +229,9 @@ impl Display for DryRun {
         more(to, "  ", self.conditions, self.listed_conditions.len())?;
         if let Some(protocol) = &self.protocol {
             write!(to, "{protocol}")?;
+        }
+        if let Some(version) = self.start_model_version {
+            writeln!(to, "{}", start_remark(version))?;
         }
         write!(to, "{}", self.estimate)
     }

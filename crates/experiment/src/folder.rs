@@ -37,8 +37,9 @@ pub use self::checkpoints::Checkpoints;
 use self::copy::parent;
 pub use self::error::FolderError;
 use self::error::io_error;
+pub use self::lacking::MissingFiles;
 use self::lacking::lacking;
-use self::list::{Entry, Header, RUNS, Record, read_runs, to_line};
+use self::list::{Entry, Header, List, RUNS, Record, read_model_version, read_runs, to_line};
 pub use self::part::{Part, parts_in};
 use self::series::RAW;
 pub use self::series::SeriesSource;
@@ -73,33 +74,6 @@ pub struct FinishedRuns {
     entries: BTreeMap<usize, Entry>,
 }
 
-/// The finished runs of a folder of which files are missing.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct MissingFiles {
-    /// The number of finished runs whose files exist.
-    pub finished: usize,
-    /// The runs that lack files.
-    pub runs: Subset,
-    /// The runs that the list does not have.
-    pub unlisted: Subset,
-    /// The version of the model that executed them.
-    pub model_version: u32,
-}
-
-impl MissingFiles {
-    /// Returns those of an experiment all of whose runs were finished: what the list does not have was
-    /// there, too.
-    #[must_use]
-    pub fn of_finished(self) -> Self {
-        let (runs, unlisted) = (self.runs.indices(), self.unlisted.indices());
-        Self {
-            runs: Subset::of([runs, unlisted].concat()),
-            unlisted: Subset::of(Vec::new()),
-            ..self
-        }
-    }
-}
-
 /// The folder of an experiment, locked for writing.
 #[derive(Debug)]
 pub struct Folder {
@@ -118,18 +92,34 @@ pub struct Folder {
 
 impl Folder {
     /// Opens and locks the folder of an experiment, or creates it. An incomplete last line of the
-    /// list of runs is removed.
+    /// list of runs is removed. An experiment that another version of the model has begun, and of which no run
+    /// is finished, begins anew.
     ///
     /// # Errors
     ///
     /// [`FolderError`]. Results in the folder are then unchanged.
     pub fn open(path: &Path, plan: &Plan) -> Result<Self, FolderError> {
+        Self::open_of(path, plan, MODEL_VERSION)
+    }
+
+    /// Opens the folder as [`Self::open`], for runs that `model_version` has executed.
+    pub(crate) fn open_of(
+        path: &Path,
+        plan: &Plan,
+        model_version: u32,
+    ) -> Result<Self, FolderError> {
         fs::create_dir_all(path).map_err(|source| io_error(path, source))?;
         let lock = lock(path)?;
         claim(path, plan)?;
         let file = path.join(RUNS);
         let fail = |source| io_error(&file, source);
-        let list = read_runs(path, plan)?;
+        let mut list = read_runs(path, plan)?;
+        let begins_anew = list.model_version != model_version && list.finished.is_empty();
+        if begins_anew {
+            list = List::empty(plan);
+        } else {
+            list.check_model(path, model_version)?;
+        }
         let definitions = list.definitions(path)?;
         let list = series::settle_all(path, plan, list)?;
         let mut length = list.length;
@@ -145,7 +135,7 @@ impl Folder {
         if length == 0 {
             let header = Header {
                 experiment: plan.name.clone(),
-                model_version: MODEL_VERSION,
+                model_version,
                 definitions: definitions.number(),
             };
             let line = to_line(&header);
@@ -154,7 +144,7 @@ impl Folder {
         }
         runs.sync_all().map_err(fail)?;
         sync_folder(path)?;
-        Ok(Self {
+        let folder = Self {
             path: path.to_owned(),
             definitions,
             runs,
@@ -162,7 +152,17 @@ impl Folder {
             lacking: lacking(path, plan, &list.finished),
             finished: list.finished,
             _lock: lock,
-        })
+        };
+        if begins_anew {
+            folder.clear();
+        }
+        Ok(folder)
+    }
+
+    /// Returns the version of the model that executed its runs; none if no experiment has begun in it.
+    #[must_use]
+    pub fn model_version(path: &Path) -> Option<u32> {
+        read_model_version(path)
     }
 
     /// Reads the finished runs, also those of another version of the model, and those of which files
@@ -180,32 +180,6 @@ impl Folder {
             model_version: list.model_version,
             entries: list.finished,
         })
-    }
-
-    /// Finds the finished runs of a folder of which files are missing. Does not lock the folder.
-    ///
-    /// # Errors
-    ///
-    /// [`FolderError`].
-    pub fn missing_files(path: &Path, plan: &Plan) -> Result<MissingFiles, FolderError> {
-        let list = read_runs(path, plan)?;
-        let lacking = lacking(path, plan, &list.finished);
-        let runs = 0..plan.runs().len();
-        let unlisted = runs.filter(|index| !list.finished.contains_key(index));
-        Ok(MissingFiles {
-            unlisted: Subset::of(unlisted.collect()),
-            finished: list.finished.len() - lacking.len(),
-            runs: Subset::of(lacking.into_iter().collect()),
-            model_version: list.model_version,
-        })
-    }
-
-    /// Returns whether a finished run lacks files, by its index in the plan.
-    #[must_use]
-    pub fn lacks_files(path: &Path, plan: &Plan, finished: &FinishedRuns, index: usize) -> bool {
-        let entry = finished.entries.get(&index).cloned();
-        let of_run = entry.into_iter().map(|entry| (index, entry)).collect();
-        !lacking(path, plan, &of_run).is_empty()
     }
 
     /// Returns the path of the trajectory of a run, by its index in the plan.
@@ -490,3 +464,7 @@ mod tests;
 #[cfg(test)]
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod definitions;
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod models;

@@ -30,6 +30,8 @@ pub mod stdout;
 mod subset;
 
 #[cfg(feature = "files")]
+mod anew;
+#[cfg(feature = "files")]
 mod digest;
 #[cfg(feature = "files")]
 mod disk;
@@ -67,10 +69,12 @@ pub use run::{CurrentRun, FinishedRun, Recorder, RunCheckpoint, execute_run, sta
 pub use schema::{SCHEMA, schema};
 pub use series::SeriesKind;
 pub use set_points::{SetPoint, SetPointLog};
+pub use start::start_remark;
 pub use subset::{Subset, SubsetError};
 
 #[cfg(feature = "files")]
 pub use self::{
+    anew::{anew, anew_beside},
     disk::DiskWatch,
     dry_run::{DiskNeed, DryRun, Estimate, Measured},
     execute::{ExecuteError, Execution, Outcome, execute},

@@ -1,7 +1,6 @@
 //! Merges the folders of an experiment's parts into one folder of results.
 
 use std::collections::BTreeMap;
-use std::fmt::{self, Display};
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
@@ -9,159 +8,19 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
 use std::thread;
 
-use thiserror::Error;
+use jostle_physics::model::MODEL_VERSION;
 
 use crate::digest::Digests;
-use crate::error::PlanError;
-use crate::files::{EXPERIMENT, Files};
+use crate::files::Files;
 use crate::folder::{Folder, FolderError, Part, parts_in, unfinished};
 use crate::plan::Plan;
 use crate::run::{FinishedRun, execute_run_from};
 use crate::subset::Subset;
 use crate::trajectory::Trajectories;
 
-/// How many runs or folders an error names.
-const MAX_NAMED: usize = 10;
+mod error;
 
-/// Why parts cannot be merged.
-#[derive(Debug, Error)]
-pub enum MergeError {
-    /// A folder cannot be read or written.
-    #[error(transparent)]
-    Folder(#[from] FolderError),
-    /// A part's `experiment.toml` is not an experiment's file.
-    #[error("failed to parse {}/{EXPERIMENT}: {source}; copy the part again", folder.display())]
-    Plan {
-        /// The part.
-        folder: PathBuf,
-        /// What is wrong.
-        source: PlanError,
-    },
-    /// No parts are given.
-    #[error("no parts are given: use the folders that `jostled run --part` wrote")]
-    NoParts,
-    /// Parts are of another experiment than most parts.
-    #[error(
-        "parts of another experiment than {}: {}; merge only parts of the same, unchanged {EXPERIMENT}",
-        first.display(), join(others.iter().map(|it| it.display().to_string()))
-    )]
-    OtherExperiment {
-        /// The first part of the experiment of most parts.
-        first: PathBuf,
-        /// The parts that differ from it.
-        others: Vec<PathBuf>,
-    },
-    /// Parts were executed under different definitions of measures.
-    #[error(
-        "parts with other definitions of drift and front than {}: {}; an earlier version of jostle executed \
-         some of them: execute either again, in a new folder, with this one",
-        first.display(), join(others.iter().map(|it| it.display().to_string()))
-    )]
-    OtherDefinitions {
-        /// The first part.
-        first: PathBuf,
-        /// The parts whose definitions are not those of the first.
-        others: Vec<PathBuf>,
-    },
-    /// A part is of another experiment.
-    #[error(
-        "{} contains another experiment: use the file that its runs were executed with",
-        folder.display()
-    )]
-    ForeignPart {
-        /// The part.
-        folder: PathBuf,
-    },
-    /// Two parts contain the same runs.
-    #[error(
-        "{} and {} both contain runs {runs}: leave out one of them, and execute runs that are missing \
-         then with `jostled run FILE --runs`", first.display(), second.display()
-    )]
-    Duplicate {
-        /// One part.
-        first: PathBuf,
-        /// The other part.
-        second: PathBuf,
-        /// The runs that both contain.
-        runs: Subset,
-    },
-    /// Runs are in no part.
-    #[error(
-        "{} of {of} runs are missing, {}: execute the same `jostled run --part` again, which resumes an \
-         interrupted part; `jostle experiment plan FILE --missing FOLDER...` plans the missing runs \
-         as new parts", runs.indices().len(), shortened(runs)
-    )]
-    Missing {
-        /// The missing runs.
-        runs: Subset,
-        /// Number of runs of the experiment.
-        of: usize,
-    },
-    /// Files of finished runs are missing, and no other part contains these runs.
-    #[error(
-        "{} of {of} runs lack files, {}: copy their parts again, or execute the same `jostled run` \
-         again, which executes these runs again", runs.indices().len(), shortened(runs)
-    )]
-    MissingFiles {
-        /// The runs.
-        runs: Subset,
-        /// Number of runs of the experiment.
-        of: usize,
-    },
-    /// Runs that were executed again for verification have other results than in their part.
-    #[error(
-        "{} of {of} runs have another result when they are executed here: {}; compare the versions and \
-         the hardware of both machines, and execute these parts again on another one",
-        runs.len(), join(runs.iter().map(Difference::to_string))
-    )]
-    Differs {
-        /// The runs that differ.
-        runs: Vec<Difference>,
-        /// Number of runs that were executed again.
-        of: usize,
-    },
-    /// Not all runs arrived in the merged folder.
-    #[error(
-        "{finished} of {runs} runs were written, since a part was changed meanwhile: merge again"
-    )]
-    Incomplete {
-        /// Number of runs that were written.
-        finished: usize,
-        /// Number of runs of the experiment.
-        runs: usize,
-    },
-    /// The folder for the merged results exists.
-    #[error("{} exists and is not empty: choose another folder", folder.display())]
-    Exists {
-        /// The folder.
-        folder: PathBuf,
-    },
-}
-
-/// A run with another result when it is executed again.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Difference {
-    /// The run.
-    pub run: String,
-    /// The part that contains it.
-    pub folder: PathBuf,
-    /// The hash of its last state in that part; empty if it has no row there.
-    pub theirs: String,
-    /// The hash that was computed here.
-    pub ours: String,
-}
-
-impl Display for Difference {
-    fn fmt(&self, to: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let [theirs, ours] =
-            [&self.theirs, &self.ours].map(|hash| hash.get(..8).unwrap_or("no row"));
-        write!(to, "{:?} of {} (", self.run, self.folder.display())?;
-        match theirs == ours {
-            true => write!(to, "state hash {ours} on both, other measurements)"),
-            false => write!(to, "state hash {theirs}, here {ours})"),
-        }
-    }
-}
+pub use self::error::{Difference, MergeError};
 
 /// All parts of an experiment: each of its runs is in exactly one of them.
 pub struct Parts {
@@ -169,6 +28,8 @@ pub struct Parts {
     parts: Vec<Part>,
     /// The part of each run, by the run's index in the plan.
     part_of: Vec<usize>,
+    /// The version of the model that executed the runs.
+    model_version: u32,
 }
 
 impl Parts {
@@ -202,6 +63,15 @@ impl Parts {
         })?;
         let parts = folders.iter().map(|folder| Part::read(folder, &plan));
         let parts = parts.collect::<Result<Vec<_>, _>>()?;
+        let mut versions: BTreeMap<u32, (PathBuf, usize)> = BTreeMap::new();
+        for part in parts.iter().filter(|part| part.has_runs()) {
+            let path = || (part.path().to_owned(), 0);
+            versions.entry(part.model_version()).or_insert_with(path).1 += 1;
+        }
+        let model_version = *versions.keys().next().unwrap_or(&MODEL_VERSION);
+        if versions.len() > 1 {
+            return Err(MergeError::OtherModel { versions });
+        }
         plan.definitions = parts[0].definitions();
         let others = parts
             .iter()
@@ -232,6 +102,13 @@ impl Parts {
         let missing: Vec<usize> = (0..part_of.len()).filter(is_missing).collect();
         let lacks = |index: &usize| parts.iter().any(|part| part.lacking().contains(index));
         let lacking: Vec<usize> = missing.iter().copied().filter(lacks).collect();
+        if !missing.is_empty() && model_version != MODEL_VERSION {
+            return Err(MergeError::Unfinishable {
+                runs: Subset::of(missing),
+                of: plan.runs().len(),
+                theirs: model_version,
+            });
+        }
         if !lacking.is_empty() {
             return Err(MergeError::MissingFiles {
                 runs: Subset::of(lacking),
@@ -249,6 +126,7 @@ impl Parts {
             plan,
             parts,
             part_of,
+            model_version,
         })
     }
 
@@ -295,13 +173,18 @@ impl Parts {
     ///
     /// # Errors
     ///
-    /// [`MergeError::Differs`] with all that differ; [`MergeError::Folder`] if a part cannot be read.
+    /// [`MergeError::Differs`] with all that differ; [`MergeError::Folder`] if a part cannot be read;
+    /// [`MergeError::Unverifiable`] if another version of the model executed the parts.
     pub fn verify(
         &self,
         subset: &Subset,
         threads: usize,
         progress: impl Fn(usize) + Sync,
     ) -> Result<(), MergeError> {
+        if self.model_version != MODEL_VERSION {
+            let theirs = self.model_version;
+            return Err(MergeError::Unverifiable { theirs });
+        }
         let indices = subset.indices();
         let (next, done) = (AtomicUsize::new(0), AtomicUsize::new(0));
         let differences = Mutex::new(Vec::new());
@@ -390,7 +273,7 @@ impl Parts {
             // Left by a killed merge. If another process is writing it, `discard` returns `InUse`.
             Folder::discard(&temporary)?;
         }
-        let mut folder = Folder::open(&temporary, &self.plan)?;
+        let mut folder = Folder::open_of(&temporary, &self.plan, self.model_version)?;
         if let Err(error) = self.fill(&mut folder) {
             // A folder that cannot be removed is discarded by the next merge.
             let _ = fs::remove_dir_all(&temporary);
@@ -405,6 +288,7 @@ impl Parts {
             plan,
             parts,
             part_of,
+            ..
         } = self;
         if plan.record_every.is_some() {
             let trajectories = folder.trajectories();
@@ -446,33 +330,16 @@ pub fn missing(plan: &Plan, folders: &[PathBuf]) -> Result<Subset, MergeError> {
                 folder: folder.clone(),
             });
         }
-        for index in Part::read(folder, plan)?.finished() {
+        let part = Part::read(folder, plan)?;
+        let theirs = part.model_version();
+        if part.has_runs() && theirs != MODEL_VERSION {
+            let folder = folder.clone();
+            return Err(FolderError::OtherModel { folder, theirs }.into());
+        }
+        for index in part.finished() {
             is_finished[index] = true;
         }
     }
     let missing = (0..is_finished.len()).filter(|&index| !is_finished[index]);
     Ok(Subset::of(missing.collect()))
-}
-
-/// The numbers of missing runs, shortened if there are many separate ones.
-fn shortened(runs: &Subset) -> String {
-    let text = runs.to_string();
-    let ranges: Vec<&str> = text.split(',').collect();
-    match ranges.len() {
-        ..=MAX_NAMED => text,
-        count => {
-            let first = ranges[..MAX_NAMED].join(",");
-            format!("{first} and {} more ranges", count - MAX_NAMED)
-        }
-    }
-}
-
-/// Joins texts, at most [`MAX_NAMED`] of them.
-fn join(texts: impl ExactSizeIterator<Item = String>) -> String {
-    let more = texts.len().saturating_sub(MAX_NAMED);
-    let mut joined = texts.take(MAX_NAMED).collect::<Vec<_>>().join(", ");
-    if more > 0 {
-        joined.push_str(&format!(" and {more} more"));
-    }
-    joined
 }

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use jostle_convert::{snapshot, spec};
-use jostle_physics::model::State;
+use jostle_physics::model::{MODEL_VERSION, State};
 use jostle_physics::observables::RunningMeans;
 use jostle_physics::simulation::{
     Change, ChangeError, Checkpoint, Exactness, ReserveMemory, Settings, Simulation, Spec, Start,
@@ -13,16 +13,28 @@ use jostle_proto::{Snapshot, to_cbor};
 
 use crate::limits::MAX_INDIVIDUALS;
 
+/// Says that the runs start from a state of an earlier version of the model.
+#[must_use]
+pub fn start_remark(model_version: u32) -> String {
+    format!(
+        "its runs start from a state that version {model_version} of the model computed, and are executed by \
+         version {MODEL_VERSION}"
+    )
+}
+
 /// The axes that a snapshot determines.
 pub const FIXED: [&str; 5] = ["n", "pi1", "dt", "informed", "informed_fraction"];
 
 /// The start of every run of a plan: the state in a snapshot, at step 0.
 #[derive(Clone, Debug)]
-pub struct Base(Arc<Checkpoint>);
+pub struct Base {
+    checkpoint: Arc<Checkpoint>,
+    earlier_model: Option<u32>,
+}
 
 impl PartialEq for Base {
     fn eq(&self, other: &Self) -> bool {
-        self.0.state.hash() == other.0.state.hash()
+        self.checkpoint.state.hash() == other.checkpoint.state.hash()
     }
 }
 
@@ -76,24 +88,35 @@ impl Base {
             start: Start::Disc(None),
             ..checkpoint.spec
         };
-        Ok(Self(Arc::new(Checkpoint {
-            epoch: 1,
-            seq: 0,
-            means: RunningMeans::default(),
-            exactness: Exactness::default(),
-            ..checkpoint
-        })))
+        let earlier = sent.earlier_models.iter().map(|it| it.model_version);
+        let versions = earlier.chain([sent.model_version]);
+        Ok(Self {
+            earlier_model: versions.min().filter(|it| *it < MODEL_VERSION),
+            checkpoint: Arc::new(Checkpoint {
+                epoch: 1,
+                seq: 0,
+                means: RunningMeans::default(),
+                exactness: Exactness::default(),
+                ..checkpoint
+            }),
+        })
+    }
+
+    /// Returns the earliest version of the model that computed a part of its past, if that is before this
+    /// program's.
+    pub fn earlier_model(&self) -> Option<u32> {
+        self.earlier_model
     }
 
     /// Returns the fields of its spec, with the present parameters and size of the group.
     pub fn fields(&self) -> toml::Table {
-        let Self(checkpoint) = self;
+        let Self { checkpoint, .. } = self;
         toml::Table::try_from(spec::to_proto(&checkpoint.spec, 0)).unwrap_or_default()
     }
 
     /// Returns the number of informed individuals.
     pub fn informed(&self) -> usize {
-        let weights = self.0.state.configuration.weight.iter();
+        let weights = self.checkpoint.state.configuration.weight.iter();
         weights.filter(|weight| **weight > 0.0).count()
     }
 
@@ -107,7 +130,7 @@ impl Base {
         spec: &Spec,
         reserve: ReserveMemory,
     ) -> Result<Simulation, ChangeError> {
-        let mut simulation = Simulation::from_checkpoint(&self.0, reserve);
+        let mut simulation = Simulation::from_checkpoint(&self.checkpoint, reserve);
         // No command: it has no number of its own. The bodies of the state keep their shape.
         let settings = Change::Set(Settings {
             pi1: None,

@@ -159,7 +159,7 @@ pub struct BatchArgs {
     pub draw: Option<u64>,
     /// The command is part of a protocol: without `draw`, the number of the swarm's changes so far by
     /// such commands seeds the draws, plus 1. The changes of commands with `draw` do not count.
-    #[serde(default, skip_serializing_if = "is_false")]
+    #[serde(default, skip_serializing_if = "crate::is_false")]
     pub protocol: bool,
 }
 
@@ -224,14 +224,6 @@ pub struct IdsResult {
     pub ids: Vec<u32>,
     /// The size of the group after the command.
     pub n: u64,
-}
-
-#[expect(
-    clippy::trivially_copy_pass_by_ref,
-    reason = "serde passes a reference"
-)]
-pub(super) fn is_false(value: &bool) -> bool {
-    !value
 }
 
 /// Deserializes at most [`MAX_CHANGES`] changes, however long the list is.

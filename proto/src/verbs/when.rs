@@ -4,7 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::LARGEST_WHOLE;
-use crate::verbs::changes::{CHANGES_RANGE, is_false, no_more_changes_if_given};
+use crate::verbs::changes::{CHANGES_RANGE, no_more_changes_if_given};
 use crate::verbs::{Change, MAX_CHANGES};
 
 /// Pauses a swarm, applies changes or publishes an event, once, at the first step after which a
@@ -22,7 +22,7 @@ pub struct WhenArgs {
     ))]
     pub condition: Option<String>,
     /// Pause the swarm.
-    #[serde(default, skip_serializing_if = "is_false")]
+    #[serde(default, skip_serializing_if = "crate::is_false")]
     pub pause: bool,
     /// Apply these changes as a `batch`: all at one step, or none.
     #[serde(
@@ -54,10 +54,10 @@ pub struct WhenArgs {
     /// The command is part of a protocol. With `commands`: as `protocol` of `batch`. With `pause`: the
     /// condition ends the protocol: the commands of this step are not executed, and the scheduled
     /// commands and the other conditions, except those with `event`, are removed.
-    #[serde(default, skip_serializing_if = "is_false")]
+    #[serde(default, skip_serializing_if = "crate::is_false")]
     pub protocol: bool,
     /// Remove all waiting conditions, or with `event` the one with this name, or with `id` the one of this id.
-    #[serde(default, skip_serializing_if = "is_false")]
+    #[serde(default, skip_serializing_if = "crate::is_false")]
     pub cancel: bool,
     /// With `cancel`: the id of a condition, which `get/status` has.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -69,7 +69,7 @@ pub struct WhenArgs {
 pub struct WhenResult {
     /// With `event`: whether the condition holds already, so that it does not wait; left out if it
     /// waits.
-    #[serde(default, skip_serializing_if = "is_false")]
+    #[serde(default, skip_serializing_if = "crate::is_false")]
     pub holds: bool,
     /// The id of the condition that waits now, by which `when` with `cancel` removes it; left out
     /// if none

@@ -82,6 +82,7 @@ pub fn failure(error: MergeError) -> Failure {
         (MergeError::Differs { .. }, _) => "mismatch",
         (MergeError::Exists { .. }, _) => "already_exists",
         (MergeError::Folder(FolderError::InUse { .. }), _) => "conflict",
+        (error, _) if error.other_model().is_some() => "conflict",
         (_, Some(ErrorKind::StorageFull | ErrorKind::QuotaExceeded)) => "storage_full",
         (_, Some(ErrorKind::NotFound)) => "not_found",
         (MergeError::Folder(FolderError::NoResults { .. }), _) => "not_found",
@@ -91,5 +92,9 @@ pub fn failure(error: MergeError) -> Failure {
         (_, Some(_)) => "internal",
         _ => "invalid_argument",
     };
-    Failure::new(code, error.to_string())
+    let failure = Failure::new(code, error.to_string());
+    match error.other_model() {
+        Some(version) => failure.with("model_version", version),
+        None => failure,
+    }
 }

@@ -67,8 +67,8 @@ pub enum FolderError {
     /// The runs were computed with another version of the model, which gives other results for the
     /// same seeds.
     #[error(
-        "{} has runs of model version {theirs}, this program has {MODEL_VERSION}: execute all runs \
-         of an experiment with the same version of jostle", folder.display()
+        "{} has runs of model version {theirs}, this program has {MODEL_VERSION}: they remain readable, and \
+         none is added; execute all runs anew in another folder", folder.display()
     )]
     OtherModel {
         /// The folder.

@@ -119,20 +119,49 @@ pub struct List {
 }
 
 impl List {
+    /// Returns the list of an experiment that has not begun.
+    pub fn empty(plan: &Plan) -> Self {
+        Self {
+            finished: BTreeMap::new(),
+            length: 0,
+            model_version: MODEL_VERSION,
+            definitions: plan.definitions.number(),
+        }
+    }
+
     /// Returns the definitions under which further runs are executed.
     ///
     /// # Errors
     ///
-    /// [`FolderError::OtherModel`] and [`FolderError::OtherDefinitions`]: no run can be added.
+    /// [`FolderError::OtherDefinitions`]: no run can be added.
     pub fn definitions(&self, folder: &Path) -> Result<Definitions, FolderError> {
-        let folder = folder.to_owned();
-        if self.model_version != MODEL_VERSION {
-            let theirs = self.model_version;
-            return Err(FolderError::OtherModel { folder, theirs });
-        }
-        let theirs = self.definitions;
+        let (folder, theirs) = (folder.to_owned(), self.definitions);
         Definitions::of(theirs).ok_or(FolderError::OtherDefinitions { folder, theirs })
     }
+
+    /// Checks that `model_version` executed its runs.
+    ///
+    /// # Errors
+    ///
+    /// [`FolderError::OtherModel`].
+    pub fn check_model(&self, folder: &Path, model_version: u32) -> Result<(), FolderError> {
+        match self.model_version {
+            theirs if theirs == model_version => Ok(()),
+            theirs => Err(FolderError::OtherModel {
+                folder: folder.to_owned(),
+                theirs,
+            }),
+        }
+    }
+}
+
+/// Reads the version of the model in the header of a folder's list of runs; none if it has no header.
+pub fn read_model_version(folder: &Path) -> Option<u32> {
+    let path = folder.join(RUNS);
+    let mut lines = Lines::open(&path).ok()?;
+    let has_header = lines.next().ok()?;
+    let header: Header = has_header.then(|| lines.parse().ok())??;
+    Some(header.model_version)
 }
 
 /// Reads the list of runs of a folder; an empty one if there is none. Of several lines of one run the
@@ -145,12 +174,7 @@ pub fn read_runs(folder: &Path, plan: &Plan) -> Result<List, FolderError> {
         reason,
     };
     let fail = |source| io_error(&path, source);
-    let mut list = List {
-        finished: BTreeMap::new(),
-        length: 0,
-        model_version: MODEL_VERSION,
-        definitions: plan.definitions.number(),
-    };
+    let mut list = List::empty(plan);
     let mut lines = match Lines::open(&path) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(list),
         lines => lines.map_err(fail)?,

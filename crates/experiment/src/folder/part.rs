@@ -28,6 +28,7 @@ use crate::trajectory::Trajectories;
 /// would exceed the limit of the process.
 pub struct Part {
     path: PathBuf,
+    model_version: u32,
     definitions: Definitions,
     finished: BTreeMap<usize, Entry>,
     lacking: BTreeSet<usize>,
@@ -67,6 +68,7 @@ impl Part {
         let list = read_runs(folder, plan)?;
         Ok(Self {
             path: folder.to_owned(),
+            model_version: list.model_version,
             definitions: list.definitions(folder)?,
             lacking: lacking(folder, plan, &list.finished),
             finished: list.finished,
@@ -76,6 +78,16 @@ impl Part {
     /// Returns the path of the folder.
     pub fn path(&self) -> &Path {
         &self.path
+    }
+
+    /// Returns whether it has finished runs, with their files or without.
+    pub fn has_runs(&self) -> bool {
+        !self.finished.is_empty()
+    }
+
+    /// Returns the version of the model that executed its runs.
+    pub fn model_version(&self) -> u32 {
+        self.model_version
     }
 
     /// Returns the definitions of measures of its runs.

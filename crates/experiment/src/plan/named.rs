@@ -2,11 +2,21 @@
 
 use toml::Spanned;
 
+use super::Plan;
 use crate::error::PlanError;
 use crate::file::{File, Source};
 use crate::files::{Files, shown};
 use crate::points::Points;
 use crate::start::Base;
+
+impl Plan {
+    /// Returns the earliest version of the model that computed a part of the snapshot from which every run
+    /// starts, if it is before this program's.
+    #[must_use]
+    pub fn start_model_version(&self) -> Option<u32> {
+        self.base.as_ref()?.earlier_model()
+    }
+}
 
 /// Reads the CSV that the file names; none if it names none.
 pub fn points(source: Source<'_>, file: &File, files: &Files) -> Result<Option<Points>, PlanError> {
