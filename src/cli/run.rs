@@ -19,8 +19,8 @@ use crate::cli::{duration, note};
 use jostle_experiment::shell::{operand, quoted};
 use jostle_experiment::stdout::{self, StdoutError};
 use jostle_experiment::{
-    DryRun, Execution, ExecutionControl, Files, Folder, Outcome, Plan, Progress, Subset,
-    SubsetError, execute, unfinished,
+    DryRun, Execution, ExecutionControl, Files, Folder, FolderError, MODEL_VERSION, Outcome, Plan,
+    PlanError, Progress, Subset, SubsetError, anew_beside, execute, start_remark, unfinished,
 };
 
 /// The interval between updates of the progress bar, and between checks for a signal.
@@ -66,6 +66,10 @@ pub struct Options {
     /// Number of runs executed in parallel [default: number of cores].
     #[arg(long, value_name = "N")]
     threads: Option<NonZero<usize>>,
+    /// If another version of the model executed the runs in FOLDER: execute all runs anew, in a folder beside
+    /// it, `FOLDER-model2` under version 2.
+    #[arg(long, conflicts_with = "dry_run")]
+    again: bool,
     /// Print JSON.
     #[arg(long)]
     json: bool,
@@ -140,14 +144,14 @@ pub fn run(options: &Options) -> Result<u8, Box<dyn Error>> {
     for warning in files.warnings(&options.file) {
         note(&format_args!("jostled: warning: {warning}"));
     }
-    let failed = |error| format!("failed to plan {file}: {error}");
-    let (plan, accepted) = Plan::new_or_stored(files).map_err(failed)?;
+    let failed = |error: &PlanError| format!("failed to plan {file}: {error}");
+    let (plan, accepted) = Plan::new_or_stored(files).map_err(|error| failed(&error))?;
     let selected = options.selected_runs();
     let subset = selected
         .subset(&plan)
         .map_err(|error| format!("failed to select runs of {file}: {error}"))?;
     let Some(output) = &options.output else {
-        accepted.map_err(failed)?;
+        accepted.as_ref().map_err(failed)?;
         stdout::unless_closed(list(&plan, &subset, options.json))?;
         let dry_run = DryRun::of(&plan, &subset)?;
         // Standard output has the runs alone, for programs.
@@ -161,22 +165,32 @@ pub fn run(options: &Options) -> Result<u8, Box<dyn Error>> {
         return Ok(0);
     };
     // Removes a final `.`, to which no folder can be renamed.
-    let output = &output.components().collect::<PathBuf>();
-    // A part is renamed when it is complete, unless the folder exists, such as a mount.
-    let exists = std::fs::symlink_metadata(output).is_ok();
-    let label = selected.label().filter(|_| !exists);
-    let path = label.as_ref().map(|label| unfinished(output, label));
-    let path = path.unwrap_or_else(|| output.clone());
-    if !Files::stored(&path).is_ok_and(|files| files == plan.files) {
-        accepted.map_err(failed)?;
+    let output = output.components().collect::<PathBuf>();
+    let open = |output: PathBuf| {
+        let target = Target::of(output, &selected);
+        if !Files::stored(&target.path).is_ok_and(|files| files == plan.files) {
+            accepted.as_ref().map_err(failed)?;
+        }
+        let folder = Folder::open(&target.path, &plan);
+        Ok::<_, Box<dyn Error>>((target, folder))
+    };
+    let (mut target, mut folder) = open(output.clone())?;
+    if let Err(FolderError::OtherModel { theirs, .. }) = folder {
+        if !options.again {
+            return Err(other_model(options, &output, theirs));
+        }
+        (target, folder) = open(anew_beside(&output))?;
     }
-    let mut folder = Folder::open(&path, &plan)?;
+    let mut folder = folder?;
+    if let Some(version) = plan.start_model_version() {
+        note(&format_args!("jostled: {}", start_remark(version)));
+    }
     let lacking = folder.lacking().and(&subset);
     if !lacking.indices().is_empty() {
         let count = counted(lacking.indices().len(), "run");
         note(&format_args!(
             "jostled: {count} of {} lack files and are executed again: {lacking}",
-            path.display()
+            folder.path().display()
         ));
     }
     let control = ExecutionControl::new();
@@ -218,8 +232,8 @@ pub fn run(options: &Options) -> Result<u8, Box<dyn Error>> {
     let outcome = outcome
         .unwrap_or_else(|panic| std::panic::resume_unwind(panic))
         .map_err(|error| format!("failed to execute the experiment: {error}"))?;
-    if label.is_some() && !outcome.is_cancelled {
-        folder.rename(output)?;
+    if target.is_renamed && !outcome.is_cancelled {
+        folder.rename(&target.output)?;
     }
     let text = describe_outcome(options, folder.path(), &outcome, &control.progress());
     let written = stdout::write(text.as_bytes());
@@ -230,6 +244,52 @@ pub fn run(options: &Options) -> Result<u8, Box<dyn Error>> {
     }
     stdout::unless_closed(written)?;
     Ok(if outcome.is_cancelled { INTERRUPTED } else { 0 })
+}
+
+/// Where results are written.
+struct Target {
+    /// The folder of the results.
+    output: PathBuf,
+    /// The folder in which they are computed.
+    path: PathBuf,
+    /// Whether `path` is renamed to `output` when all runs are finished.
+    is_renamed: bool,
+}
+
+impl Target {
+    /// A part is renamed when it is complete, unless the folder exists, such as a mount.
+    fn of(output: PathBuf, selected: &SelectedRuns) -> Self {
+        let exists = std::fs::symlink_metadata(&output).is_ok();
+        let label = selected.label().filter(|_| !exists);
+        let path = label.as_ref().map(|label| unfinished(&output, label));
+        Self {
+            is_renamed: path.is_some(),
+            path: path.unwrap_or_else(|| output.clone()),
+            output,
+        }
+    }
+}
+
+/// The error of a folder whose runs another version of the model executed; with `--json` also on standard
+/// output, for programs.
+fn other_model(options: &Options, output: &Path, theirs: u32) -> Box<dyn Error> {
+    let again = anew_beside(output);
+    let message = format!(
+        "version {theirs} of the model executed the runs in {}, and this program has {MODEL_VERSION}: they remain \
+         readable, and none is added; `{} --again` executes all of them anew, in {}",
+        output.display(),
+        command(options, output),
+        again.display()
+    );
+    if options.json {
+        let details = json!({"model_version": theirs, "again": again});
+        let error = json!({"code": "conflict", "message": message, "details": details});
+        let document = format!("{}\n", json!({"error": error}));
+        if let Err(error) = stdout::unless_closed(stdout::write(document.as_bytes())) {
+            return error.into();
+        }
+    }
+    message.into()
 }
 
 /// Lists runs without executing them.
@@ -373,6 +433,9 @@ fn command(options: &Options, output: &Path) -> String {
         path(output),
     );
     let mut command = format!("jostled run {file}{selection} -o {output}");
+    if options.again {
+        command.push_str(" --again");
+    }
     if let Some(every) = options.checkpoint {
         command.push_str(&format!(" --checkpoint {}s", every.as_secs_f64()));
     }
@@ -396,6 +459,7 @@ mod tests {
             threads: NonZero::new(2),
             checkpoint: Some(Duration::from_millis(1500)),
             json: false,
+            again: false,
             dry_run: false,
         };
         let expected = "jostled run 'my order.toml' --part 3/40 -o './-o$' --checkpoint 1.5s \

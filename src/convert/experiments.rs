@@ -31,6 +31,8 @@ pub fn progress(report: Report) -> proto::Progress {
             .map(|(run, share)| proto::RunUnderWay { run, share })
             .collect(),
         message: report.message,
+        model_version: report.other_model,
+        start_model_version: report.start_model_version,
     }
 }
 
@@ -47,6 +49,8 @@ pub fn planned(plan: &Plan) -> proto::Progress {
         left_secs: None,
         running: Vec::new(),
         message: None,
+        model_version: None,
+        start_model_version: plan.start_model_version(),
     }
 }
 

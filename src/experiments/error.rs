@@ -2,7 +2,7 @@
 
 use std::fmt::Display;
 
-use jostle_experiment::PlanError;
+use jostle_experiment::{MODEL_VERSION, PlanError, anew};
 use jostle_proto::ExperimentPhase as Phase;
 use thiserror::Error;
 
@@ -64,6 +64,18 @@ pub enum ExperimentError {
          one"
     )]
     Exists(String),
+    #[error(
+        "version {theirs} of the model executed the finished runs of experiment {name:?}, and this daemon has \
+         {MODEL_VERSION}: they remain readable; `jostle experiment run --again FILE` executes all runs anew, as \
+         {again}"
+    )]
+    OtherModel {
+        name: String,
+        /// The version of the model that executed its runs.
+        theirs: u32,
+        /// The name under which they are executed anew.
+        again: String,
+    },
     #[error("experiment {name:?} is {phase}: {remedy}")]
     Phase {
         name: String,
@@ -134,6 +146,15 @@ impl ExperimentError {
                 _ => format!("{action}.toml"),
             },
             reason: error.to_string(),
+        }
+    }
+
+    /// No run is added to an experiment of another version of the model.
+    pub(super) fn other_model(name: &str, theirs: u32) -> Self {
+        ExperimentError::OtherModel {
+            name: name.to_owned(),
+            theirs,
+            again: anew(name),
         }
     }
 

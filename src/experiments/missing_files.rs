@@ -11,8 +11,9 @@ use jostle_proto::ExperimentPhase as Phase;
 use tracing::warn;
 
 use super::error::ExperimentError;
+use super::loading::read_plan;
 use super::results::Results;
-use super::{ExperimentManager, read_plan, wrong_phase};
+use super::{ExperimentManager, wrong_phase};
 
 /// The niceness of the thread, which reads the lists of all finished experiments.
 const NICENESS: i32 = 10;
@@ -50,15 +51,14 @@ impl ExperimentManager {
     /// Checks that a finished experiment has runs that lack files and can be executed again.
     pub(super) fn check_resumable(&self, name: &str) -> Result<(), ExperimentError> {
         let missing = self.missing_files(name)?;
-        let remedy = match missing.runs.indices().is_empty() {
-            true => "there is nothing left to do",
-            false if missing.model_version != MODEL_VERSION => {
-                "some of its runs lack files, but another version of the model executed them: submit it \
-                 under another name"
-            }
-            false => return Ok(()),
-        };
-        Err(wrong_phase(name, Phase::Finished, remedy))
+        match missing.runs.indices().is_empty() {
+            true => Err(wrong_phase(
+                name,
+                Phase::Finished,
+                "there is nothing left to do",
+            )),
+            false => self.check_model(name),
+        }
     }
 
     fn missing_files(&self, name: &str) -> Result<MissingFiles, ExperimentError> {

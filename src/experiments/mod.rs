@@ -5,8 +5,10 @@
 
 mod disk;
 mod error;
+mod loading;
 mod memory;
 mod missing_files;
+mod models;
 mod results;
 mod scheduler;
 mod starts;
@@ -18,15 +20,15 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
-use jostle_experiment::{Files, Folder, Plan};
+use jostle_experiment::{Files, Folder, Plan, anew};
 use jostle_proto::{ExperimentPhase as Phase, OccasionalColumns, keys};
 use jostle_results::table::trajectory::{self, About};
 use jostle_results::table::{TableError, Trajectory};
 use parking_lot::{Condvar, Mutex, MutexGuard};
-use tracing::warn;
 
 pub use self::disk::DiskUsage;
 pub use self::error::ExperimentError;
+use self::loading::{load, read_files, read_plan};
 use self::results::{Results, ResultsCache, Rows, SeriesCache};
 use self::status::{Entry, Status};
 pub use self::status::{Report, is_finished};
@@ -122,27 +124,30 @@ impl ExperimentManager {
         Ok(manager)
     }
 
-    /// Submits an experiment, or resumes an equal one that exists. Returns whether it is new.
+    /// Submits an experiment, or resumes an equal one that exists. Returns whether it is new. With `again`, one
+    /// whose runs another version of the model executed is submitted anew beside it.
     pub fn submit(
         &self,
         name: Option<&str>,
         files: Files,
+        again: bool,
     ) -> Result<(bool, Report), ExperimentError> {
         let (mut plan, accepted) = Plan::new_or_stored(files)?;
         if let Some(name) = name {
             name.clone_into(&mut plan.name);
         }
-        let name = plan.name.clone();
-        if !keys::is_name(&name) {
-            return Err(ExperimentError::Name(
-                name.chars().take(keys::MAX_NAME_LENGTH).collect(),
-            ));
-        }
+        check_name(&plan.name)?;
         let _serialized = self.begin_change()?;
-        let folder = self.0.jobs.folder(&name);
+        if again && self.other_model(&plan.name)?.is_some() {
+            self.check_files(&plan)?;
+            plan.name = anew(&plan.name);
+            check_name(&plan.name)?;
+        }
+        let name = plan.name.clone();
         if let Ok(phase) = self.phase(&name) {
-            if read_files(&folder)? != plan.files {
-                return Err(ExperimentError::Exists(name));
+            self.check_files(&plan)?;
+            if phase != Phase::Finished {
+                self.check_model(&name)?;
             }
             if matches!(phase, Phase::Cancelled | Phase::Failed) {
                 self.enqueue(&name)?;
@@ -161,14 +166,16 @@ impl ExperimentManager {
         let need = self.need(&plan);
         self.check_memory(&plan)?;
         let warning = self.check_need(need)?;
+        let folder = self.0.jobs.folder(&name);
         Folder::open(&folder, &plan).map_err(ExperimentError::not_stored)?;
         let mut status = Status::queued(number);
-        status.count(plan.runs().len(), 0);
+        status.plan(&plan, 0);
         let written = self.0.jobs.write_status(&name, &status);
         written.map_err(ExperimentError::not_stored)?;
         let entry = Entry {
             status,
             plan: Some(Arc::new(plan)),
+            other_model: None,
             bytes: self.measure(&name),
             need: Some(need),
             execution: None,
@@ -198,7 +205,10 @@ impl ExperimentManager {
         let _serialized = self.begin_change()?;
         match self.phase(name)? {
             Phase::Queued | Phase::Running => {}
-            Phase::Paused | Phase::Cancelled | Phase::Failed => self.enqueue(name)?,
+            Phase::Paused | Phase::Cancelled | Phase::Failed => {
+                self.check_model(name)?;
+                self.enqueue(name)?;
+            }
             Phase::Finished => {
                 self.check_resumable(name)?;
                 self.enqueue(name)?;
@@ -422,6 +432,14 @@ impl ExperimentManager {
         changed.wait_while_for(&mut self.lock(), is_ending, CANCEL_TIMEOUT);
     }
 
+    /// Checks that the experiment with the name of a plan has its files.
+    fn check_files(&self, plan: &Plan) -> Result<(), ExperimentError> {
+        match read_files(&self.0.jobs.folder(&plan.name))? == plan.files {
+            true => Ok(()),
+            false => Err(ExperimentError::Exists(plan.name.clone())),
+        }
+    }
+
     fn phase(&self, name: &str) -> Result<Phase, ExperimentError> {
         self.entry(name, |entry| entry.status.phase)
     }
@@ -445,57 +463,13 @@ impl ExperimentManager {
     }
 }
 
-/// Loads an experiment from its folder. Without a status a crash interrupted `submit`.
-fn load(name: &str, jobs: &JobDirectory<Status>, status: Option<Status>) -> Entry {
-    let folder = &jobs.folder(name);
-    let mut status = status.unwrap_or_else(|| Status::queued(u64::MAX >> 1));
-    let mut loaded = None;
-    if status.phase != Phase::Finished && status.phase != Phase::Queued {
-        // A process that was killed left frames of runs that start again.
-        let _ = Folder::sweep(folder);
+fn check_name(name: &str) -> Result<(), ExperimentError> {
+    match keys::is_name(name) {
+        true => Ok(()),
+        false => Err(ExperimentError::Name(
+            name.chars().take(keys::MAX_NAME_LENGTH).collect(),
+        )),
     }
-    if !status.phase.is_over() {
-        let read = read_plan(name, folder).and_then(|plan| {
-            let missing = Folder::missing_files(folder, &plan);
-            let missing = missing.map_err(ExperimentError::unreadable)?;
-            Ok((plan, missing.finished))
-        });
-        match read {
-            Ok((plan, finished)) => {
-                status.count(plan.runs().len(), finished);
-                if status.pause_after_unclean_ends(name, finished)
-                    && let Err(error) = jobs.write_status(name, &status)
-                {
-                    // The next start comes to the same conclusion.
-                    warn!(experiment = name, %error, "failed to write the status file");
-                }
-                loaded = Some(Arc::new(plan));
-            }
-            Err(error) => {
-                warn!(experiment = name, %error, "cannot resume");
-                status.phase = Phase::Failed;
-                status.message = Some(error.to_string());
-            }
-        }
-    }
-    Entry {
-        status,
-        plan: loaded,
-        bytes: 0,
-        need: None,
-        execution: None,
-        number_of_execution: 0,
-    }
-}
-
-fn read_plan(name: &str, folder: &Path) -> Result<Plan, ExperimentError> {
-    let mut plan = Plan::stored(read_files(folder)?)?;
-    name.clone_into(&mut plan.name);
-    Ok(plan)
-}
-
-fn read_files(folder: &Path) -> Result<Files, ExperimentError> {
-    Files::stored(folder).map_err(ExperimentError::unreadable)
 }
 
 fn wrong_phase(name: &str, phase: Phase, remedy: &'static str) -> ExperimentError {

@@ -17,6 +17,10 @@ pub struct Report {
     pub progress: Progress,
     /// Why it failed or the daemon paused it, or which runs ended early.
     pub message: Option<String>,
+    /// The version of the model that executed its finished runs, if this program has another one.
+    pub other_model: Option<u32>,
+    /// The earlier version of the model of the state from which its runs start.
+    pub start_model_version: Option<u32>,
 }
 
 /// The last executions in a row, of which none lasted a minute, finished a run, or was ended by a request
@@ -42,6 +46,9 @@ pub(super) struct Status {
     pub(super) message: Option<String>,
     #[serde(default)]
     pub(super) starts: Starts,
+    /// The earlier version of the model of the state from which its runs start.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) start_model_version: Option<u32>,
 }
 
 impl StatusFile for Status {
@@ -63,11 +70,23 @@ impl Status {
             progress: Progress::default(),
             message: None,
             starts: Starts::default(),
+            start_model_version: None,
         }
     }
 
+    /// Whether runs were finished when it was stored.
+    pub(super) fn has_finished(&self) -> bool {
+        self.progress.finished > 0
+    }
+
+    /// Sets what the plan determines, and how many runs are finished.
+    pub(super) fn plan(&mut self, plan: &Plan, finished: usize) {
+        self.count(plan.runs().len(), finished);
+        self.start_model_version = plan.start_model_version();
+    }
+
     /// Sets the plan's number of runs, and how many of them are finished.
-    pub(super) fn count(&mut self, runs: usize, finished: usize) {
+    fn count(&mut self, runs: usize, finished: usize) {
         self.progress.runs = runs;
         if finished < self.progress.finished {
             // Files of runs are missing.
@@ -89,6 +108,8 @@ pub(super) struct Entry {
     pub(super) status: Status,
     /// `None` until it is needed, if the experiment was over when the daemon started.
     pub(super) plan: Option<Arc<Plan>>,
+    /// The version of the model that executed its finished runs, if this program has another one.
+    pub(super) other_model: Option<u32>,
     /// What its files took when they were last measured, in bytes.
     pub(super) bytes: u64,
     /// What all its runs need on disk, if it is not over.
@@ -122,6 +143,8 @@ impl Entry {
             phase,
             progress,
             message: self.status.message.clone(),
+            other_model: self.other_model,
+            start_model_version: self.status.start_model_version,
         }
     }
 
@@ -132,6 +155,7 @@ impl Entry {
             phase,
             message,
             starts: Starts::default(),
+            start_model_version: self.status.start_model_version,
             progress: Progress {
                 left_secs: None,
                 running: Vec::new(),

@@ -24,7 +24,7 @@ fn endless(name: &str) -> String {
     format!("name = \"{name}\"\nreplicates = 4\nduration = 1e6\n[[grid]]\nn = [20, 30]\n")
 }
 
-async fn send(client: &Client, args: &Value) -> QueryResult {
+pub async fn send(client: &Client, args: &Value) -> QueryResult {
     let key = keys::node_cmd(PREFIX, NODE, "experiment");
     client.query(&key, Some(args.to_string().as_bytes())).await
 }

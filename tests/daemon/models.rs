@@ -22,6 +22,8 @@ use crate::states::swarms;
 use crate::support::daemon_process::{self, DaemonProcess};
 use crate::support::{Client, Daemon, PREFIX, QueryResult, TIMEOUT, until};
 
+mod experiments;
+
 /// The version that is said to have written a folder.
 const EARLIER: u32 = 1;
 

@@ -218,6 +218,12 @@ impl Failure {
         Failure::new(code, message)
     }
 
+    /// The experiment ended since another version of the model executed its finished runs.
+    pub fn of_other_model(name: &str, version: u32, reason: Option<&str>) -> Self {
+        let message = format!("experiment {name} failed{}", in_parentheses(reason));
+        Failure::new("conflict", message).with("model_version", version)
+    }
+
     /// A table cannot be read, or a figure cannot be drawn.
     pub fn results(error: impl std::error::Error + 'static) -> Self {
         let code = match is_full(&error) {

@@ -61,6 +61,7 @@ impl Context {
                         start,
                         setpoints,
                         name,
+                        again,
                     } = args.clone();
                     let files = EncodedFiles {
                         toml,
@@ -69,7 +70,7 @@ impl Context {
                         setpoints,
                     };
                     let files = self::files("submit", files);
-                    files.and_then(|files| experiments.submit(name.as_deref(), files))
+                    files.and_then(|files| experiments.submit(name.as_deref(), files, again))
                 }
                 ExperimentArgs::Pause(args) => experiments.pause(&args.name).map(|it| (false, it)),
                 ExperimentArgs::Resume(args) => {

@@ -19,6 +19,7 @@ impl WireCode for ExperimentError {
             | ExperimentError::NoTrajectory(_) => ErrorCode::InvalidArgument,
             ExperimentError::Unknown(_) | ExperimentError::UnknownRun { .. } => ErrorCode::NotFound,
             ExperimentError::Exists(_) => ErrorCode::AlreadyExists,
+            ExperimentError::OtherModel { .. } => ErrorCode::Conflict,
             ExperimentError::Phase { .. }
             | ExperimentError::Unfinished { .. }
             | ExperimentError::MissingFile { .. }
@@ -43,6 +44,9 @@ impl WireCode for ExperimentError {
             | ExperimentError::Unfinished { run, .. }
             | ExperimentError::MissingFile { run, .. }
             | ExperimentError::DamagedFile { run, .. } => json!({"field": "run", "value": run}),
+            ExperimentError::OtherModel { theirs, again, .. } => {
+                json!({"model_version": theirs, "again": again})
+            }
             ExperimentError::TooMany(limit) => json!({"limit": limit}),
             ExperimentError::TooLong(_) => json!({"field": "expand.toml"}),
             ExperimentError::NoRoom { needed, free, .. } => json!({"bytes": needed, "free": free}),

@@ -312,9 +312,9 @@ async fn a_finished_experiment_that_lacks_files_says_so_and_waits_for_a_client()
     );
     assert_eq!(rows(&client, "older", 10).await.len(), 4);
     let (code, message) = error_of(&client, resume("older")).await;
-    assert_eq!(code, ErrorCode::IncorrectState);
+    assert_eq!(code, ErrorCode::Conflict);
     assert!(
-        message.contains("another version of the model"),
+        message.contains("of the model executed the finished runs"),
         "{message}"
     );
     drop(process);

@@ -83,6 +83,10 @@ pub struct RunExperimentArguments {
     /// Its name [default: the one in the file]
     #[arg(long, value_name = "NAME", value_parser = values::name)]
     pub name: Option<String>,
+    /// If another version of the model executed the runs of NAME: execute all runs anew beside them, as
+    /// `NAME-model2` under version 2
+    #[arg(long, conflicts_with = "dry_run")]
+    pub again: bool,
     /// Do not show its progress
     #[arg(long)]
     pub detach: bool,

@@ -1,5 +1,8 @@
 //! One request and its reply: JSON, text and exit code.
 
+use std::fs;
+
+use jostle_proto::{EarlierModel, Snapshot, to_cbor};
 use serde_json::{Value, json};
 
 use crate::support::{Daemon, Impostor, object};
@@ -426,6 +429,51 @@ async fn each_swarm_that_is_not_deleted_is_named_with_its_reason() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_swarm_of_an_earlier_model_is_marked_and_so_is_an_experiment_that_starts_from_it() {
+    let daemon = Daemon::start().await;
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    daemon.said("create grown --n 4").await;
+    let snapshot = path("grown.snapshot");
+    let shown = snapshot.display();
+    daemon.said(&format!("snapshot grown -o {shown}")).await;
+    let mut taken = Snapshot::from_file(&fs::read(&snapshot).unwrap()).unwrap();
+    taken.earlier_models.push(EarlierModel {
+        model_version: 1,
+        epoch: 3,
+        step: 700,
+    });
+    fs::write(&snapshot, to_cbor(&taken.sealed())).unwrap();
+    daemon.said(&format!("restore {shown} old")).await;
+    let list = daemon.said("list").await;
+    assert_eq!(list.matches("from model 1").count(), 1, "{list}");
+    let status = daemon.said("status old").await;
+    assert!(
+        status.contains("version 1 up to step 700 of epoch 3"),
+        "{status}"
+    );
+    assert!(!daemon.said("status grown").await.contains("version 1"));
+
+    let file = path("later.toml");
+    fs::write(
+        &file,
+        "name = \"later\"\nstart = \"grown.snapshot\"\nduration = 1\n",
+    )
+    .unwrap();
+    let file = file.display();
+    let remark = "its runs start from a state that version 1 of the model computed";
+    let plan = daemon
+        .said(&format!("experiment run {file} --dry-run"))
+        .await;
+    assert!(plan.contains(remark), "{plan}");
+    let ended = daemon.said(&format!("experiment run {file} --again")).await;
+    assert!(ended.contains(remark), "{ended}");
+    let status = daemon.said("experiment status later").await;
+    assert!(status.contains(remark), "{status}");
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn protected_swarms_stay_and_are_shown() {
     let daemon = Daemon::start().await;
     for name in ["a-1", "a-2", "a-3"] {
@@ -461,7 +509,7 @@ async fn files_of_other_programs_are_read_or_get_a_remedy() {
     let folder = tempfile::tempdir().unwrap();
     let write = |name: &str, text: &str| {
         let path = folder.path().join(name);
-        std::fs::write(&path, text).unwrap();
+        fs::write(&path, text).unwrap();
         path.display().to_string()
     };
     // A byte order mark.

@@ -39,7 +39,10 @@ pub async fn attach(context: &Context, name: &str) -> Result<(), Failure> {
     };
     match progress.phase {
         ExperimentPhase::Cancelled => Err(unfinished(("was cancelled", "incorrect_state"))),
-        ExperimentPhase::Failed => Err(unfinished(("failed", "internal"))),
+        ExperimentPhase::Failed => Err(match progress.model_version {
+            Some(version) => Failure::of_other_model(name, version, progress.message.as_deref()),
+            None => unfinished(("failed", "internal")),
+        }),
         _ if output.json => Ok(()),
         _ => output.data(&format!(
             "{}; took {}\n`jostle experiment results {}` shows the results",

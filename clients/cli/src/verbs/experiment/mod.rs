@@ -17,7 +17,7 @@ pub use self::play::find as find_run;
 use std::path::Path;
 
 use jostle_client::Payload;
-use jostle_experiment::{DryRun, EncodedFiles, Files, Plan, PlanError, Subset};
+use jostle_experiment::{DryRun, EncodedFiles, Files, Plan, PlanError, Subset, start_remark};
 use jostle_proto::{
     ExperimentArgs, ExperimentName, ExperimentPhase, ExperimentResult, Experiments, NodeReply,
     Progress, SubmitArgs,
@@ -96,6 +96,7 @@ async fn run(context: &Context, arguments: &RunExperimentArguments) -> Result<()
         start,
         setpoints,
         name: arguments.name.clone(),
+        again: arguments.again,
     });
     let sent = client.command_node("experiment", &args, &arguments.sender);
     let answer = interrupt::either(sent).await?;
@@ -160,6 +161,7 @@ async fn list(context: &Context) -> Result<(), Failure> {
     output.list(&answer, experiments, columns, &if_empty)?;
     // A finished one may lack files of some runs.
     let waits = |it: &&Progress| match it.phase {
+        ExperimentPhase::Failed => it.model_version.is_some(),
         ExperimentPhase::Paused => true,
         ExperimentPhase::Finished => it.finished < it.runs,
         _ => false,
@@ -229,8 +231,15 @@ fn describe(progress: &Progress) -> String {
     if let Some(secs) = progress.left_secs {
         text.push_str(&format!(", {} left", format::duration(secs)));
     }
-    if let Some(message) = &progress.message {
-        text.push_str(&format!("; {message}"));
+    if let Some(version) = progress.start_model_version {
+        text.push_str(&format!("; {}", start_remark(version)));
+    }
+    match (&progress.message, progress.model_version) {
+        (Some(message), _) => text.push_str(&format!("; {message}")),
+        (None, Some(version)) => text.push_str(&format!(
+            "; version {version} of the model executed its runs, and the daemon has another one"
+        )),
+        (None, None) => {}
     }
     text
 }

@@ -64,6 +64,10 @@ fn reason(summary: &SwarmSummary) -> String {
     let parts = [
         is("replay", summary.replay),
         is("protected", summary.protected),
+        summary
+            .earlier_models
+            .first()
+            .map(|it| format!("from model {}", it.model_version)),
         summary.reason.as_deref().map(format::printable),
     ];
     let parts: Vec<String> = parts.into_iter().flatten().collect();

@@ -1,0 +1,82 @@
+//! Loads the experiments of a data folder.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use jostle_experiment::{Files, Folder, MissingFiles, Plan};
+use jostle_proto::ExperimentPhase as Phase;
+use tracing::warn;
+
+use super::error::ExperimentError;
+use super::models::other_model;
+use super::status::{Entry, Status};
+use crate::jobs::JobDirectory;
+
+/// Loads an experiment from its folder. Without a status a crash interrupted `submit`.
+pub(super) fn load(name: &str, jobs: &JobDirectory<Status>, status: Option<Status>) -> Entry {
+    let folder = &jobs.folder(name);
+    let mut status = status.unwrap_or_else(|| Status::queued(u64::MAX >> 1));
+    let mut loaded = None;
+    let mut other_model =
+        other_model(folder).filter(|_| !status.phase.is_over() || status.has_finished());
+    if status.phase != Phase::Finished && status.phase != Phase::Queued {
+        // A process that was killed left frames of runs that start again.
+        let _ = Folder::sweep(folder);
+    }
+    if !status.phase.is_over() {
+        let read = read_plan(name, folder).and_then(|plan| {
+            let missing = Folder::missing_files(folder, &plan);
+            let missing = missing.map_err(ExperimentError::unreadable)?;
+            Ok((plan, missing))
+        });
+        match read {
+            // One that has not finished a run begins anew.
+            Ok((plan, missing))
+                if missing.has_runs()
+                    && let Some(theirs) = other_model =>
+            {
+                status.plan(&plan, missing.finished);
+                let error = ExperimentError::other_model(name, theirs);
+                warn!(experiment = name, %error, "cannot resume");
+                status.phase = Phase::Failed;
+                status.message = Some(error.to_string());
+                loaded = Some(Arc::new(plan));
+            }
+            Ok((plan, MissingFiles { finished, .. })) => {
+                other_model = None;
+                status.plan(&plan, finished);
+                if status.pause_after_unclean_ends(name, finished)
+                    && let Err(error) = jobs.write_status(name, &status)
+                {
+                    // The next start comes to the same conclusion.
+                    warn!(experiment = name, %error, "failed to write the status file");
+                }
+                loaded = Some(Arc::new(plan));
+            }
+            Err(error) => {
+                warn!(experiment = name, %error, "cannot resume");
+                status.phase = Phase::Failed;
+                status.message = Some(error.to_string());
+            }
+        }
+    }
+    Entry {
+        status,
+        plan: loaded,
+        other_model,
+        bytes: 0,
+        need: None,
+        execution: None,
+        number_of_execution: 0,
+    }
+}
+
+pub(super) fn read_plan(name: &str, folder: &Path) -> Result<Plan, ExperimentError> {
+    let mut plan = Plan::stored(read_files(folder)?)?;
+    name.clone_into(&mut plan.name);
+    Ok(plan)
+}
+
+pub(super) fn read_files(folder: &Path) -> Result<Files, ExperimentError> {
+    Files::stored(folder).map_err(ExperimentError::unreadable)
+}
