@@ -15,6 +15,8 @@ from typing import Any
 from ._cancel import sleep
 from ._errors import Conflict, Faulted, InvalidArgument, invalid
 from ._experiment import Source, to_toml
+from ._models import model_conflict, other_model
+from ._plan import Programs
 from ._sweep import UNNAMED, Sweep, source_label, sweep
 from ._wire import ResultRow
 
@@ -49,6 +51,7 @@ class Objective:
         executor: Any = None,
         task_secs: float = 30.0,
         jostled: str | os.PathLike[str] | None = None,
+        again: bool = False,
     ) -> None:
         """Creates an objective function.
 
@@ -60,6 +63,8 @@ class Objective:
             executor: As in `sweep`.
             task_secs: As in `sweep`.
             jostled: As in `sweep`.
+            again: If an earlier version of the model executed runs in the folder, execute all of
+                the search anew beside it, in `FOLDER-model2` under version 2.
 
         Raises:
             InvalidArgument: The source is not TOML, has `points`, `setpoints` or `start`, or there
@@ -93,6 +98,9 @@ class Objective:
         self._executor = executor
         self._task_secs = task_secs
         self._jostled = jostled
+        self._again = again
+        # Whether no other version of the model executed runs in the folder.
+        self._is_of_model = False
 
     def __repr__(self) -> str:
         return f"Objective({self._measure!r} in {str(self._folder)!r})"
@@ -106,6 +114,7 @@ class Objective:
         Raises:
             InvalidArgument: A value is invalid; the message names the field.
             Faulted: A run ended early, or the measure is not finite in every run.
+            Conflict: As of `rows`.
         """
         rows = self.rows(**values)
         found = [_number(row, self._measure) for row in rows]
@@ -128,7 +137,10 @@ class Objective:
         Raises:
             InvalidArgument: A value is invalid; the message names the field.
             Faulted: A run ended early.
+            Conflict: Another version of the model executed runs in the folder: values of both
+                cannot be compared. The details are as those of `sweep`.
         """
+        self._check_model()
         fields = self._substitute(values)
         name = hashlib.blake2b(to_toml(fields).encode(), digest_size=12).hexdigest()
         try:
@@ -152,6 +164,20 @@ class Objective:
                 )
             return task.rows()
 
+    def _check_model(self) -> None:
+        """Checks the folder once, or goes to another one with `again`."""
+        if self._is_of_model:
+            return
+        results = [*self._folder.glob("*"), *self._folder.glob("*.parts/runs-*")]
+        ours = Programs(self._jostled).model_version()
+        theirs = other_model(results, ours)
+        if theirs is not None:
+            error = model_conflict(self._folder, theirs, ours)
+            if not self._again or "again" not in error.details:
+                raise error
+            self._folder = Path(error.details["again"])
+        self._is_of_model = True
+
     def _sweep(self, fields: Mapping[str, Any], folder: Path) -> Sweep:
         """Creates the sweep of these values.
 
@@ -166,7 +192,9 @@ class Objective:
                     task_secs=self._task_secs,
                     jostled=self._jostled,
                 )
-            except Conflict:
+            except Conflict as error:
+                if "model_version" in error.details:
+                    raise
                 sleep(_RETRY_INTERVAL_SECS)
 
     def _substitute(self, values: Mapping[str, float | str]) -> dict[str, Any]:

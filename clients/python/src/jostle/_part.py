@@ -22,18 +22,17 @@ from ._watchdog import with_watchdog
 _ERROR_LINES = 20
 
 
-class Definitions(msgspec.Struct, frozen=True, kw_only=True):
-    """The number of the definitions of measures, in the first line of a `runs.jsonl`."""
+class Header(msgspec.Struct, frozen=True, kw_only=True):
+    """The first line of a `runs.jsonl`.
 
+    Attributes:
+        model_version: The version of the model that executed its runs.
+        definitions: The number of the definitions of measures. Earlier versions, which had the
+            first ones, wrote none.
+    """
+
+    model_version: int | None = None
     definitions: int = 1
-    """Earlier versions, which had the first ones, wrote none."""
-
-
-class _Header(Definitions, frozen=True, kw_only=True):
-    """The first line of the `runs.jsonl` of a part."""
-
-    experiment: str
-    model_version: int
 
 
 class Processes:
@@ -177,26 +176,29 @@ def _call(command: list[str], folder: str, processes: Processes | None) -> tuple
         os.close(held)
 
 
-def check_version(part: Path, model_version: int, definitions: int | None) -> None:
+def check_version(part: Path, model_version: int, others: Header | None) -> None:
     """Checks the version of the model and the definitions with which a part was executed.
 
     Raises:
         Conflict: The worker has another version than `model_version`, that of this machine, or
-            other definitions than `definitions`, those of other parts, with which it cannot be
-            merged.
+            other definitions than the `others`, with which it cannot be merged.
     """
     with (part / RUNS).open("rb") as lines:
-        header = msgspec.json.decode(lines.readline(), type=_Header)
+        header = msgspec.json.decode(lines.readline(), type=Header)
     if header.model_version != model_version:
         raise Conflict(
             f"a worker has version {header.model_version} of the model and this machine "
             f"{model_version}: install the same version of jostle on all of them",
-            details={"theirs": header.model_version, "ours": model_version},
+            details={
+                "model_version": header.model_version,
+                "theirs": header.model_version,
+                "ours": model_version,
+            },
         )
-    if definitions not in (None, header.definitions):
+    if others is not None and others.definitions != header.definitions:
         raise Conflict(
             f"a worker has the definitions {header.definitions} of measures and other parts "
-            f"{definitions}: finish the sweep with the version of jostle that began it, on all "
-            "machines, or choose another folder",
-            details={"theirs": header.definitions, "ours": definitions},
+            f"{others.definitions}: finish the sweep with the version of jostle that began it, on "
+            "all machines, or choose another folder",
+            details={"theirs": header.definitions, "ours": others.definitions},
         )

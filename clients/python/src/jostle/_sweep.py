@@ -32,7 +32,8 @@ from ._errors import (
     invalid,
 )
 from ._experiment import EXPERIMENT, Source, read_files
-from ._part import Definitions, check_version
+from ._models import model_conflict
+from ._part import Header, check_version
 from ._plan import Programs, Task
 from ._progress import Bar
 from ._repr import HtmlList
@@ -74,6 +75,7 @@ def sweep(
     folder: str | os.PathLike[str],
     task_secs: float = 30.0,
     jostled: str | os.PathLike[str] | None = None,
+    again: bool = False,
 ) -> Sweep:
     """Executes an experiment without a daemon, split into tasks of an executor.
 
@@ -99,6 +101,10 @@ def sweep(
         task_secs: Expected seconds of work of a task on one core.
         jostled: Path of `jostled`, the same on this machine and on every worker, with `jostle`
             beside it; None searches as `local` does.
+        again: If an earlier version of the model executed the runs in the folder or in
+            `FOLDER.parts`, execute all of them anew beside it, in `FOLDER-model2` under version 2:
+            `Sweep.folder` names it. Otherwise no run is added to them: `Sweep.rows` has their rows,
+            and `Sweep.wait` raises `Conflict`.
 
     Raises:
         InvalidArgument: The experiment, the executor or `task_secs` is invalid.
@@ -130,7 +136,11 @@ def sweep(
     if path.exists():
         # A session, or the current folder, which cannot be renamed to.
         path = path.resolve()
-    return Sweep(source, executor, path, secs, jostled)
+    made = Sweep(source, executor, path, secs, jostled)
+    beside = made._other_model.details.get("again") if made._other_model else None
+    if again and beside is not None:
+        return Sweep(source, executor, Path(beside), secs, jostled)
+    return made
 
 
 class Sweep:
@@ -157,8 +167,10 @@ class Sweep:
         self._parts = folder.with_name(f"{folder.name}.parts")
         self._rows: HtmlList[ResultRow] = HtmlList()
         self._faults: dict[str, str] = {}
-        # Those of the parts, which can only be merged if they have the same.
-        self._definitions: int | None = None
+        # That of the parts, which can only be merged if they have the same.
+        self._header: Header | None = None
+        # Why no run is added to the results.
+        self._other_model: Conflict | None = None
         self._planned: list[Task] = []
         self._done_secs = 0.0
         self._is_merged = False
@@ -203,7 +215,9 @@ class Sweep:
         Raises:
             Faulted: One or more tasks failed on a worker; the message names their runs. All others
                 are finished.
-            Conflict: A worker has another version of the model.
+            Conflict: A worker has another version of the model, or another version executed runs
+                in the folder: `details["model_version"]` is that version, and `details["again"]`
+                the folder in which `again=True` executes all of them anew.
             IncorrectState: The sweep was cancelled.
             StorageFull: The disk of this machine is full.
             Unavailable: The executor lost its tasks. A sweep with the same folder resumes.
@@ -221,7 +235,9 @@ class Sweep:
         Raises:
             Faulted: One or more tasks failed on a worker; the message names their runs. All others
                 are finished.
-            Conflict: A worker has another version of the model.
+            Conflict: A worker has another version of the model, or another version executed runs
+                in the folder: `details["model_version"]` is that version, and `details["again"]`
+                the folder in which `again=True` executes all of them anew.
             IncorrectState: The sweep was cancelled.
             StorageFull: The disk of this machine is full.
             Unavailable: The executor lost its tasks. A sweep with the same folder resumes.
@@ -265,7 +281,10 @@ class Sweep:
             if any(self._folder.iterdir()):
                 self._check_merged()
                 self._read(self._folder)
-                self._end_merged()
+                if self._other_model is None:
+                    self._end_merged()
+                else:
+                    self._open.close()
                 return
         if self._done() and not self._files.is_stored(self._parts):
             raise IncorrectState(
@@ -274,31 +293,49 @@ class Sweep:
                 details={"field": "folder"},
             )
         file = self._files.store(self._parts)
-        self._hide_incomplete()
+        incomplete = self._incomplete()
+        planned = self._plan(file, task_secs, self._parts)
+        if self._other_model is not None:
+            self._read_parts()
+            self._open.close()
+            return
+        if incomplete:
+            for part in incomplete:
+                part.rename(part.with_name(f".{part.name}"))
+            planned = self._plan(file, task_secs, self._parts)
         for draft in self._parts.glob(".*"):
             # Or a part that was being written when an earlier sweep was killed.
             shutil.rmtree(draft, ignore_errors=True)
-        try:
-            self._planned = self._programs.plan(file, task_secs, self._parts)
-        except InvalidArgument as error:
-            raise self._renamed(error, file) from None
-        for part in self._done():
-            self._read(part)
+        self._planned = planned
+        self._read_parts()
 
-    def _hide_incomplete(self) -> None:
-        """Hides received parts that lack files, such as those of an earlier version."""
+    def _incomplete(self) -> list[Path]:
+        """Received parts that lack files, such as those of an earlier version."""
         parts = self._done()
         measure = tomllib.loads(self._files.toml).get("measure", {}) if parts else {}
+        found = []
         for part in parts:
             with _damaged(part):
                 if missing(part, bool(measure.get("record_every"))):
-                    part.rename(part.with_name(f".{part.name}"))
+                    found.append(part)
+        return found
 
-    def _renamed(self, error: InvalidArgument, file: Path) -> InvalidArgument:
-        """The error with the caller's name of the experiment in place of the copy's."""
-        rest = error.message.removeprefix(str(file))
-        name = source_label(self._source) if rest != error.message else ""
-        return InvalidArgument(name + rest, details=error.details)
+    def _plan(self, file: Path, secs: float, done: Path) -> list[Task]:
+        """Tasks for the runs that are missing in `done`; none if no run is added to it."""
+        try:
+            return self._programs.plan(file, secs, done)
+        except Conflict as error:
+            theirs = error.details.get("model_version")
+            if theirs is None:
+                raise
+            ours = self._programs.model_version()
+            self._other_model = model_conflict(self._folder, theirs, ours)
+            return []
+        except InvalidArgument as error:
+            # With the caller's name of the experiment in place of the copy's.
+            rest = error.message.removeprefix(str(file))
+            name = source_label(self._source) if rest != error.message else ""
+            raise invalid("source", name + rest) from None
 
     def _check_merged(self) -> None:
         """Checks that the folder has all results of this experiment."""
@@ -309,7 +346,7 @@ class Sweep:
                 details={"field": "folder"},
             )
         file = self._folder / EXPERIMENT
-        if self._programs.plan(file, 1e9, self._folder):
+        if self._plan(file, _MAX_TASK_SECS, self._folder):
             raise IncorrectState(
                 f"{self._folder} contains an unfinished experiment: finish it with `jostled run "
                 f"{file} -o {self._folder}`, or choose another folder",
@@ -324,6 +361,8 @@ class Sweep:
 
     def _results(self) -> Iterator[list[ResultRow]]:
         """The rows of each task when it is finished. Then all are merged."""
+        if self._other_model is not None:
+            raise self._other_model
         if self._is_merged:
             return
         self._check_cancelled()
@@ -411,7 +450,7 @@ class Sweep:
         part = self._parts / f"runs-{name}"
         try:
             draft = receive(result, self._parts, draft, task.runs, read)
-            check_version(draft, task.model_version, self._definitions)
+            check_version(draft, task.model_version, self._header)
             check(draft, task.runs)
             draft.rename(part)
             sync_folder(self._parts)
@@ -425,10 +464,10 @@ class Sweep:
         """Adds the rows and faults of a folder, and returns the rows."""
         rows = []
         with _damaged(part), (part / RUNS).open("rb") as lines:
-            # The first line is the header.
-            header = msgspec.json.decode(next(lines, b"{}"), type=Definitions)
-            self._definitions = header.definitions
-            runs = [msgspec.json.decode(line, type=_Line) for line in lines]
+            self._header = msgspec.json.decode(next(lines, b"{}"), type=Header)
+            # `jostled run` may have been killed while it wrote the last line.
+            whole = (it for it in lines if self._other_model is None or it.endswith(b"\n"))
+            runs = [msgspec.json.decode(line, type=_Line) for line in whole]
         # Of several lines of one run, which was executed again, the last is valid.
         for run in {it.run: it for it in runs}.values():
             if run.fault is not None:
@@ -437,6 +476,16 @@ class Sweep:
                 rows.append(run.row)
         self._rows += rows
         return rows
+
+    def _read_parts(self) -> None:
+        """Adds the rows and faults of the received parts."""
+        versions = set()
+        for part in self._done():
+            self._read(part)
+            versions.add(self._header and self._header.model_version)
+        if self._other_model is not None and len(versions) > 1:
+            # A table would mix them.
+            self._rows, self._faults = HtmlList(), {}
 
     def _done(self) -> list[Path]:
         """The folders of the received parts."""
