@@ -829,6 +829,11 @@ class Progress(msgspec.Struct, frozen=True, kw_only=True):
         left_secs: Seconds that it will still take, without pauses; None while there is no estimate.
         running: The runs that are being executed.
         message: Why it failed or the daemon paused it, or a remark on its runs; None without one.
+        model_version: The version of the model that executed its finished runs, if the daemon has
+            another one: no run is added to them, and they remain readable. None if the daemon has
+            this one.
+        start_model_version: The earliest version of the model that computed a part of the snapshot
+            from which its runs start, if it is before that of the runs. None otherwise.
     """
 
     name: str
@@ -841,13 +846,20 @@ class Progress(msgspec.Struct, frozen=True, kw_only=True):
     left_secs: float | None = None
     running: list[RunUnderWay]
     message: str | None = None
+    model_version: int | None = None
+    start_model_version: int | None = None
 
     def _summary(self) -> str:
         """The same as a text, without the share."""
         left = "" if self.left_secs is None or self.is_over else f", {self.left_secs:.0f} s left"
         faulted = f", {self.faulted} faulted" if self.faulted else ""
         why = f": {self.message}" if self.message else ""
-        return f"{self.phase}, {self.finished} of {self.runs} runs{faulted}{left}{why}"
+        runs = f"{self.finished} of {self.runs} runs"
+        if self.model_version is not None:
+            runs += f" of model version {self.model_version}"
+        if self.start_model_version is not None:
+            runs += f", from a state of model version {self.start_model_version}"
+        return f"{self.phase}, {runs}{faulted}{left}{why}"
 
     def _repr_html_(self) -> str:
         return bar_html(self.share, f"{self.name} {100 * self.share:z.0f} %, {self._summary()}")

@@ -11,7 +11,12 @@ class Progress:
         left = "" if self.left_secs is None or self.is_over else f", {self.left_secs:.0f} s left"
         faulted = f", {self.faulted} faulted" if self.faulted else ""
         why = f": {self.message}" if self.message else ""
-        return f"{self.phase}, {self.finished} of {self.runs} runs{faulted}{left}{why}"
+        runs = f"{self.finished} of {self.runs} runs"
+        if self.model_version is not None:
+            runs += f" of model version {self.model_version}"
+        if self.start_model_version is not None:
+            runs += f", from a state of model version {self.start_model_version}"
+        return f"{self.phase}, {runs}{faulted}{left}{why}"
 
     def _repr_html_(self) -> str:
         return bar_html(self.share, f"{self.name} {100 * self.share:z.0f} %, {self._summary()}")
