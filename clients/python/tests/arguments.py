@@ -111,7 +111,7 @@ NOT_SENT: dict[tuple[str, str], str] = {
     ("WhoAmI.may", "verb"): "looks into a reply",
     **{
         ("sweep", argument): "a sweep needs no daemon: test_sweep.py"
-        for argument in ("source", "executor", "folder", "task_secs", "jostled")
+        for argument in ("source", "executor", "folder", "task_secs", "jostled", "again")
     },
     ("Sweep.wait", "show"): _PICTURE,
     ("Objective.rows", "values"): "a search needs no daemon: test_objective.py",

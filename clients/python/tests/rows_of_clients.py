@@ -199,6 +199,11 @@ CLIENTS = [
     ),
     Row(
         "Client.submit",
+        call(PLAN, again=True),
+        [node_cmd("experiment", {"submit": {"toml": PLAN, "again": True}})],
+    ),
+    Row(
+        "Client.submit",
         call(File("points.toml")),
         [
             node_cmd(

@@ -113,6 +113,11 @@ EXPERIMENTS = [
     ),
     Row(
         "experiment",
+        call(PLAN, again=True, client=CLIENT),
+        [_submitted("ada@lab", 7.5, again=True)],
+    ),
+    Row(
+        "experiment",
         call(File("plan.toml"), endpoint=ENDPOINT),
         [_hello(), _submitted(_DEFAULT_CLIENT, 5.0)],
     ),

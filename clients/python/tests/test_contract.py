@@ -171,7 +171,9 @@ def call(verb: str, args: Mapping[str, Any], **options: Any) -> dict[str, Any]:
         client = jostle.Client(Recorder(), "main")
         if what == "submit":
             with tempfile.TemporaryDirectory() as folder, pytest.raises(Sent) as caught:
-                client.submit(_files(of, Path(folder)), name=of.get("name"))
+                client.submit(
+                    _files(of, Path(folder)), name=of.get("name"), again=of.get("again", False)
+                )
             return caught.value.message
         if what == "expand":
             with tempfile.TemporaryDirectory() as folder, pytest.raises(Sent) as caught:

@@ -5,17 +5,19 @@ No earlier version can be executed here: the header of each list of runs is chan
 
 from __future__ import annotations
 
+import asyncio
 import itertools
 import json
 import re
 import shutil
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import pytest
 
 import jostle
-from conftest import JOSTLED
+from conftest import JOSTLED, Daemon, eventually
+from jostle import aio
 from jostle._delivery import LOCK
 from test_sweep import RUNS, SMALL, TASK_SECS, alone, tables, wrapper
 
@@ -203,3 +205,77 @@ def test_a_search_does_not_compare_values_of_two_versions(tmp_path: Path) -> Non
     shutil.move(tmp_path / "moved", parts / "runs-1")
     with pytest.raises(jostle.Conflict, match=f"runs of version {theirs} of the model"):
         jostle.Objective(experiment, "v", folder=folder)(pi1=3.0)
+
+
+# Some ten seconds on two cores, in many runs.
+HALF = """
+name = "half"
+replicates = 40
+duration = 500
+spec = { n = 20 }
+"""
+WHOLE = HALF.replace("half", "whole").replace("500", "5")
+
+
+@pytest.fixture(params=["stopped", "killed"])
+def upgraded(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[tuple[Daemon, int]]:
+    """A daemon after an upgrade, an unfinished and a finished experiment; their version."""
+    daemon = Daemon(tmp_path)
+    with jostle.connect(daemon.endpoint) as client:
+        client.submit(WHOLE).wait(60.0)
+        half = client.submit(HALF)
+        eventually("finished runs", lambda: half.progress().finished >= 2)
+    if request.param == "killed":
+        daemon.kill()
+    else:
+        daemon.stop()
+    experiments = tmp_path / "data" / "experiments"
+    theirs = of_model([experiments / "half", experiments / "whole"], -1)
+    daemon = Daemon(tmp_path)
+    yield daemon, theirs
+    daemon.kill()
+
+
+def test_experiments_of_an_earlier_version_remain_and_are_executed_anew(
+    upgraded: tuple[Daemon, int],
+) -> None:
+    daemon, theirs = upgraded
+    lists = [daemon.data / "experiments" / name / "runs.jsonl" for name in ("half", "whole")]
+    before = [it.read_bytes() for it in lists]
+    again = f"half-model{theirs + 1}"
+    with jostle.connect(daemon.endpoint) as client:
+        half, whole = client.experiment("half"), client.experiment("whole")
+        progress = half.progress()
+        assert (progress.phase, progress.model_version) == ("failed", theirs)
+        assert f"{progress.finished} of 40 runs of model version {theirs}" in half._repr_html_()
+        assert 2 <= progress.finished < 40
+        assert len(half.rows()) == len(half.frame()) == progress.finished
+        for execute in (half.resume, lambda: client.submit(HALF)):
+            with pytest.raises(jostle.Conflict, match="`submit` with `again=True` executes") as it:
+                execute()
+            assert it.value.details["model_version"] == theirs
+            assert it.value.details["again"] == again
+        with pytest.raises(
+            jostle.Faulted, match=f"^experiment 'half' failed.* version {theirs} "
+        ) as of_wait:
+            half.wait(60.0)
+        assert of_wait.value.details == {"phase": "failed", "model_version": theirs}
+        # A finished one is returned: nothing is added to it.
+        assert client.submit(WHOLE).wait(60.0).progress().model_version == theirs
+        assert len(whole.rows()) == 40
+        for _ in range(2):
+            assert client.submit(HALF, again=True).name == again
+        assert client.submit(WHOLE, again=True).name == f"whole-model{theirs + 1}"
+        anew = jostle.experiment(WHOLE, client=client, again=True).wait(60.0)
+        assert anew.progress().model_version is None
+        assert anew.rows() == whole.rows()
+        # Without an earlier one it is an experiment as any other.
+        other = WHOLE.replace("whole", "other")
+        assert client.submit(other, again=True).name == "other"
+
+    async def submit() -> str:
+        async with aio.connect(daemon.endpoint) as client:
+            return (await client.submit(HALF, again=True)).name
+
+    assert asyncio.run(submit()) == again
+    assert [it.read_bytes() for it in lists] == before

@@ -99,6 +99,7 @@ def experiment(
     source: Source,
     *,
     name: str | None = None,
+    again: bool = False,
     client: Client | None = None,
     endpoint: str | None = None,
 ) -> Experiment:
@@ -109,18 +110,20 @@ def experiment(
     Args:
         source: A file, its text, or a mapping of its fields.
         name: The name of the experiment; None is the one in the file.
+        again: As in `Client.submit`.
         client: The client of the daemon; None connects to the one at `endpoint`.
         endpoint: As in `connect`.
 
     Raises:
         AlreadyExists: The name is taken by another experiment.
+        Conflict: As of `Client.submit`.
         InvalidArgument: The experiment is invalid; the message names line and field.
         OSError: The file cannot be read.
         Unavailable: No daemon answers there.
     """
     files = read_files(source)
     client = connect(endpoint) if client is None else client
-    return client._submit(files, name, None, None)
+    return client._submit(files, name, again, None, None)
 
 
 class Client(Player, Auditor):
@@ -291,6 +294,7 @@ class Client(Player, Auditor):
         source: Source,
         *,
         name: str | None = None,
+        again: bool = False,
         timeout: float | None = None,
         request_id: str | None = None,
     ) -> Experiment:
@@ -305,22 +309,35 @@ class Client(Player, Auditor):
             source: A file, its text, or a mapping of its fields; `points`, `setpoints` and `start`
                 in it are relative to the folder of the file, or to the current folder.
             name: The name of the experiment; None is the one in the file.
+            again: If an earlier version of the model executed runs of the experiment of this name,
+                execute all of them anew beside it, as `NAME-model2` under version 2:
+                `Experiment.name` is that name.
             timeout: Seconds it may take; None is the client's.
             request_id: The id of the request, see `Options`; None is a new one.
 
         Raises:
             AlreadyExists: The name is taken by another experiment.
+            Conflict: The experiment is not finished, and another version of the model executed
+                runs of it: `details["model_version"]` is that version, and `details["again"]` the
+                name that it would have with `again`. Its rows remain readable.
             InvalidArgument: The experiment is invalid; the message names line and field.
             OSError: The file cannot be read.
         """
-        return self._submit(read_files(source), name, timeout, request_id)
+        return self._submit(read_files(source), name, again, timeout, request_id)
 
     def _submit(
-        self, files: Files, name: str | None, timeout: float | None, request_id: str | None
+        self,
+        files: Files,
+        name: str | None,
+        again: bool,
+        timeout: float | None,
+        request_id: str | None,
     ) -> Experiment:
         args: dict[str, Any] = msgspec.to_builtins(files)
         if name is not None:
             args["name"] = check_name("name", name)
+        if again:
+            args["again"] = True
         result = self._command(
             "experiment", {"submit": args}, ExperimentResult, timeout, request_id
         )

@@ -175,6 +175,7 @@ _REMEDIES = {
     "set exist_ok to use it": "pass `exist_ok=True` to use it",
     "set make_room to": "pass `make_room=True` to",
     "or set `again` if": "or pass `again=True` if",
+    "`jostle experiment run --again FILE` executes": "`submit` with `again=True` executes",
     "join with `driving`": "join with `driving=True`",
     "look at get/journal": "look at `Swarm.journal`",
 }

@@ -105,7 +105,8 @@ class Experiment:
         Raises:
             DeadlineExceeded: Not within `timeout`; it continues.
             IncorrectState: It was cancelled.
-            Faulted: It failed.
+            Faulted: It failed. If another version of the model executed its finished runs,
+                `details["model_version"]` is that version: `resume` does not continue it.
             Unavailable: The daemon is not reachable for more than a minute.
         """
         seconds = None if timeout is None else check_seconds("timeout", timeout)
@@ -140,12 +141,22 @@ class Experiment:
         if progress.phase == "finished":
             return self
         kind = IncorrectState if progress.phase == "cancelled" else Faulted
+        details: dict[str, Any] = {"phase": progress.phase}
         why = f" ({progress.message})" if progress.message else ""
+        remedy = "`resume` continues it"
+        if (version := progress.model_version) is not None:
+            details["model_version"] = version
+            why = ""
+            remedy = (
+                f"version {version} of the model executed them, and this daemon has another, which "
+                "adds none; they remain readable, and `submit` with `again=True` executes all runs "
+                "anew"
+            )
         raise kind(
             f"experiment {self._name!r} {'was ' if kind is IncorrectState else ''}"
             f"{progress.phase}{why}, {progress.finished} of {progress.runs} runs are finished: "
-            "`resume` continues it",
-            details={"phase": progress.phase},
+            f"{remedy}",
+            details=details,
         )
 
     def pause(self) -> Progress:
@@ -153,7 +164,12 @@ class Experiment:
         return self._command("pause")
 
     def resume(self) -> Progress:
-        """Resumes it if it is paused, cancelled or failed, or finished and lacks files of runs."""
+        """Resumes it if it is paused, cancelled or failed, or finished and lacks files of runs.
+
+        Raises:
+            Conflict: Another version of the model executed its finished runs; the details are as
+                those of `Client.submit`.
+        """
         return self._command("resume")
 
     def cancel(self) -> Progress:

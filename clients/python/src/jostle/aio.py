@@ -401,10 +401,13 @@ async def experiment(
     source: Source,
     *,
     name: str | None = None,
+    again: bool = False,
     client: Client | None = None,
     endpoint: str | None = None,
 ) -> Experiment:
     """Submits an experiment to a daemon, see `jostle.experiment`."""
     sync = None if client is None else client._sync
-    work = functools.partial(jostle.experiment, source, name=name, client=sync, endpoint=endpoint)
+    work = functools.partial(
+        jostle.experiment, source, name=name, again=again, client=sync, endpoint=endpoint
+    )
     return Experiment(await call(work))
