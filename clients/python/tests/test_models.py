@@ -16,12 +16,15 @@ from pathlib import Path
 import pytest
 
 import jostle
-from conftest import JOSTLED, Daemon, eventually
+from conftest import JOSTLED, ROOT, Daemon, eventually
 from jostle import aio
 from jostle._delivery import LOCK
 from test_sweep import RUNS, SMALL, TASK_SECS, alone, tables, wrapper
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("jostled_named")]
+
+# Of version 1 of the model, at step 60: `tests/stored/make_earlier.py` writes it.
+SNAPSHOT = ROOT / "tests" / "stored" / "earlier.snapshot"
 
 _VERSION = re.compile(rb'(?<="model_version":)\d+')
 
@@ -279,3 +282,33 @@ def test_experiments_of_an_earlier_version_remain_and_are_executed_anew(
 
     assert asyncio.run(submit()) == again
     assert [it.read_bytes() for it in lists] == before
+
+
+def test_a_swarm_says_which_of_its_steps_an_earlier_version_computed(client: jostle.Client) -> None:
+    snapshot = jostle.Snapshot.load(SNAPSHOT)
+    assert (snapshot.model_version, snapshot.step, snapshot.earlier_models) == (1, 60, ())
+    marks = [jostle.EarlierModel(model_version=1, epoch=1, step=60)]
+    swarm = client.restore(snapshot, "old")
+    swarm.step(5)
+    copy = swarm.fork("copy")
+    again = swarm.snapshot()
+    assert again.model_version > 1
+    assert again.earlier_models == tuple(marks)
+    assert hash(again) == hash(jostle.Snapshot.from_bytes(again.data))
+    restored = client.restore(again, "again")
+    for it in (swarm, copy, restored):
+        status = it.status()
+        assert status.earlier_models == marks
+        assert "EarlierModel(model_version=1, epoch=1, step=60)" in repr(status)
+        assert "earlier_models" in status._repr_html_()
+    swarms = client.swarms()
+    assert [it.earlier_models for it in swarms] == [marks] * 3
+    assert "earlier_models" in swarms._repr_html_()
+    # Its stored history begins with the snapshot.
+    assert swarm.verify().to_step == 65
+    restored.reset()
+    restored.step(5)
+    assert restored.status().earlier_models is None
+    assert restored.snapshot().earlier_models == ()
+    for it in (swarm, copy, restored):
+        it.delete()

@@ -207,6 +207,9 @@ class Client(Player, Auditor):
 
             client.restore("school.snapshot", "school")
 
+        If an earlier version of the model computed the state, `Swarm.status().earlier_models` names
+        it, and the swarm goes on under the daemon's version.
+
         Args:
             snapshot: A snapshot, its bytes, or its file.
             name: The new swarm's name.
@@ -215,7 +218,7 @@ class Client(Player, Auditor):
 
         Raises:
             AlreadyExists: The name is taken.
-            InvalidArgument: It is not a snapshot, damaged, or of another model version.
+            InvalidArgument: It is not a snapshot, damaged, or of a later model version.
             OSError: The file cannot be read.
         """
         swarm = Swarm(self._session, name)

@@ -107,7 +107,8 @@ class Past:
             The text of the file, TOML.
 
         Raises:
-            Conflict: The swarm has taken no step; it began with the state of another swarm; a
+            Conflict: The swarm has taken no step; it began with the state of another swarm; an
+                earlier version of the model, `details["model_version"]`, computed steps of it; a
                 controller released individuals that are unknown; or the daemon no longer stores
                 all of its commands, and the message says from which step on it does.
             InvalidArgument: `replicates` is not 1 to 100,000, or the name of the file has

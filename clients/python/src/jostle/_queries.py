@@ -257,7 +257,8 @@ class Queries(Past):
 
         Raises:
             Busy: Too many verifications are queued.
-            Conflict: The history is damaged.
+            Conflict: The history is damaged, or an earlier version of the model,
+                `details["model_version"]`, computed steps of it.
             DeadlineExceeded: It takes longer than `timeout`.
         """
         seconds = _MAX_VERIFY_SECS if timeout is None else check_seconds("timeout", timeout)

@@ -13,6 +13,7 @@ import msgspec
 from ._atomic_file import atomic_file
 from ._decode import read_map
 from ._errors import Internal, InvalidArgument
+from ._wire import EarlierModel
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -22,8 +23,8 @@ class Snapshot:
         snapshot = jostle.Snapshot.load("school.snapshot")
         swarm = client.restore(snapshot, "school")
 
-    `Client.restore` creates a swarm from it, on any daemon of the same `model_version`. Two
-    snapshots are equal if their bytes are.
+    `Client.restore` creates a swarm from it, on any daemon of the same `model_version` or a later
+    one. Two snapshots are equal if their bytes are.
 
     Attributes:
         data: The bytes, CBOR, the same as in a file of `jostle snapshot`.
@@ -34,6 +35,7 @@ class Snapshot:
         n: The size of the group.
         state_hash: BLAKE3 of the state, in hexadecimal.
         model_version: The version of the model: another one gives other results.
+        earlier_models: The earlier versions of the model that computed steps before, oldest first.
     """
 
     data: bytes = field(repr=False)
@@ -44,6 +46,7 @@ class Snapshot:
     n: int
     state_hash: str
     model_version: int
+    earlier_models: tuple[EarlierModel, ...] = ()
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Self:

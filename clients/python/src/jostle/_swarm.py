@@ -107,7 +107,8 @@ class Swarm(Commands):
 
         Raises:
             AlreadyExists: The name is taken.
-            Conflict: The swarm has not reached that step, or its stored history begins later.
+            Conflict: The swarm has not reached that step, its stored history begins later, or an
+                earlier version of the model, `details["model_version"]`, computed that step.
         """
         fork = Swarm(self._session, name)
         args: dict[str, Any] = {"name": name}
