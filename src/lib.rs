@@ -26,6 +26,7 @@ pub mod cli;
 pub mod config;
 pub mod convert;
 mod experiments;
+mod failpoint;
 pub mod health;
 mod jobs;
 pub mod lanes;

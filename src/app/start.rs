@@ -31,6 +31,7 @@ use crate::auth::live::LiveRights;
 use crate::config::Config;
 use crate::convert::commands::check_name;
 use crate::experiments::ExperimentManager;
+use crate::failpoint;
 use crate::health::{HealthMonitor, HealthSources};
 use crate::lanes::Lanes;
 use crate::metrics::Activity;
@@ -152,6 +153,7 @@ async fn open(config: &Config, recovery: Arc<RecoveryProgress>) -> Result<Server
     .map_err(|error| keys_error(&error))?;
     recover(&core, &files.recordings, stored, recovery).await?;
     files.experiments.resume_all();
+    failpoint::kill("daemon-recovered");
     // After the recovery: a client that sees the daemon finds its swarms.
     announce_node(&core.messages).await?;
     info!(

@@ -1,18 +1,10 @@
-//! Failpoints that kill the process or make a commit fail.
+//! Failpoints that make a commit fail.
 
 use std::path::Path;
 
 use fail::fail_point;
-use rustix::process::{Signal, getpid, kill_process};
 
 use super::error::StoreFault;
-
-/// Kills the process with SIGKILL when the failpoint `name` is set to `return`.
-pub(super) fn kill(name: &'static str) {
-    fail_point!(name, |_| {
-        let _ = kill_process(getpid(), Signal::KILL);
-    });
-}
 
 /// The fault that a test sets for commits in `folder`. `return` sets it for every store,
 /// `return(NAME)` for the store whose folder has this name, so that parallel tests do not interfere.

@@ -11,6 +11,7 @@ use rusqlite::{Connection, OpenFlags, Result as SqlResult, Transaction, Transact
 use super::audit;
 use super::error::StoreError;
 use super::integrity::{self, Extent};
+use crate::failpoint;
 
 /// The file name of the database in a data folder.
 pub const FILE: &str = "jostle.sqlite";
@@ -250,5 +251,8 @@ fn migrate(connection: &mut Connection) -> SqlResult<()> {
     }
     transaction.pragma_update(None, "application_id", APPLICATION_ID)?;
     transaction.pragma_update(None, "user_version", KNOWN)?;
-    transaction.commit()
+    failpoint::kill("store-migrating");
+    transaction.commit()?;
+    failpoint::kill("store-migrated");
+    Ok(())
 }

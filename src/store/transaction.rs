@@ -5,11 +5,11 @@ use std::collections::BTreeSet;
 use rusqlite::{Connection, Error as SqlError, OptionalExtension, Result as SqlResult, params};
 
 use super::audit;
-use super::failpoint;
 use super::integrity::{self, Extent};
 use super::record::{Checkpoint, Row, StoredReply, cost};
 use super::repair;
 use super::{Settings, Write};
+use crate::failpoint;
 
 /// The open transaction of a connection.
 pub(super) struct Transaction<'a> {

@@ -14,11 +14,12 @@ use tracing::{error, warn};
 use super::backlog::{Backlog, MAX_BACKLOG};
 use super::damaged_copy;
 use super::error::{StoreFault, unless_fatal};
-use super::failpoint;
+use super::failpoint::commit_fault;
 use super::queue::Submit;
 use super::reserve;
 use super::transaction::Transaction;
 use super::{Durability, Settings, Shared, Write};
+use crate::failpoint;
 
 /// Time between two attempts to write the backlog.
 const RETRY_INTERVAL: Duration = Duration::from_secs(1);
@@ -246,7 +247,7 @@ impl Writer {
                 .map_err(fault)?;
             let value = work(&mut transaction).map_err(fault)?;
             failpoint::kill("store-written");
-            if let Some(fault) = failpoint::commit_fault(&self.folder) {
+            if let Some(fault) = commit_fault(&self.folder) {
                 return Err(fault);
             }
             self.connection.execute_batch("COMMIT").map_err(fault)?;

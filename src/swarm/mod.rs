@@ -5,7 +5,6 @@ pub mod checkpoint;
 pub mod command;
 mod controllers;
 pub mod error;
-mod failpoint;
 pub(crate) mod fault;
 pub mod frame;
 pub mod handle;

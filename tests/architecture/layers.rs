@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 /// The modules of the daemon by layer, the lowest first.
 const LAYERS: [&[&str]; 7] = [
-    &["lanes", "metrics", "suspension"],
+    &["failpoint", "lanes", "metrics", "suspension"],
     &["swarm", "store", "auth"],
     &[
         "audit",

@@ -68,7 +68,7 @@ impl Point {
     }
 }
 
-const POINTS: [Point; 12] = [
+const POINTS: [Point; 13] = [
     Point::serving("store-begin", 30, 60),
     Point::serving("store-written", 30, 60),
     Point::serving("store-synced", 30, 60),
@@ -80,8 +80,12 @@ const POINTS: [Point; 12] = [
     Point::serving("swarm-checkpointed", 6, 20),
     Point::recovering("swarm-replayed", 2, 40),
     Point::recovering("swarm-resumed", 2, 6),
+    Point::recovering("daemon-recovered", 0, 1),
     Point::serving("swarm-ended", 1, 4),
 ];
+
+/// Those of the first start after an upgrade: `models::upgrade` arms them.
+const OF_UPGRADE: [&str; 2] = ["store-migrating", "store-migrated"];
 
 /// The swarms: their size, and the steps that they take at the start.
 const SWARMS: [(&str, u64, u64); 4] = [
@@ -174,7 +178,8 @@ fn every_point_of_the_code_is_armed() {
     }
     let mut points = BTreeSet::new();
     read(&Path::new(ROOT).join("src"), &mut points);
-    let armed: BTreeSet<_> = POINTS.map(|point| point.name.to_owned()).into();
+    let armed = POINTS.iter().map(|point| point.name).chain(OF_UPGRADE);
+    let armed: BTreeSet<_> = armed.map(str::to_owned).collect();
     assert_eq!(points, armed);
 }
 

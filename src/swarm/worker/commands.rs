@@ -10,10 +10,10 @@ use jostle_physics::simulation::{
 };
 use tracing::{info, warn};
 
+use crate::failpoint;
 use crate::swarm::command::{Command, Until};
 use crate::swarm::controllers::Input;
 use crate::swarm::error::SwarmError;
-use crate::swarm::failpoint;
 use crate::swarm::frame::{self, EventKind, Stamp};
 use crate::swarm::handle::{CommandMessage, DeferredReply, Outcome, ReplyTo};
 use crate::swarm::journal::Record;

@@ -25,12 +25,12 @@ use jostle_physics::model::MODEL_VERSION;
 use jostle_physics::simulation::{ReserveMemory, Simulation};
 use parking_lot::Mutex;
 
+use crate::failpoint;
 use crate::suspension;
 use crate::swarm::checkpoint::{Checkpoint, EarlierModel};
 use crate::swarm::command::Command;
 use crate::swarm::controllers::{Controllers, Effect, Input};
 use crate::swarm::error::{SwarmError, WriteFault};
-use crate::swarm::failpoint;
 use crate::swarm::fault::Fault;
 use crate::swarm::frame::{Event, EventKind, Stamp, Summary};
 use crate::swarm::handle::{Handle, Message, Outcome, Rejection, ReplyTo, receive};

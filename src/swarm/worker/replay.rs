@@ -19,9 +19,9 @@ use std::time::Duration;
 
 use jostle_physics::simulation::ReserveMemory;
 
+use crate::failpoint;
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::command::{Command, When};
-use crate::swarm::failpoint;
 use crate::swarm::frame::EventKind;
 use crate::swarm::handle::{CommandMessage, Handle, ReplyTo};
 use crate::swarm::history::Entry;

@@ -6,9 +6,9 @@ use std::time::{Duration, Instant, SystemTime};
 use fail::fail_point;
 use tracing::warn;
 
+use crate::failpoint;
 use crate::swarm::controllers::Input;
 use crate::swarm::error::SwarmError;
-use crate::swarm::failpoint;
 use crate::swarm::fault::Fault;
 use crate::swarm::frame::EventKind;
 use crate::swarm::journal::Record;

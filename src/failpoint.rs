@@ -4,7 +4,7 @@ use fail::fail_point;
 use rustix::process::{Signal, getpid, kill_process};
 
 /// Sends SIGKILL to this process if the failpoint `name` is set to `return`.
-pub(super) fn kill(name: &'static str) {
+pub(crate) fn kill(name: &'static str) {
     fail_point!(name, |_| {
         let _ = kill_process(getpid(), Signal::KILL);
     });
