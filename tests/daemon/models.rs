@@ -1,107 +1,24 @@
-//! Data folders of an earlier version of the model: each swarm goes on from its newest checkpoint under
-//! this version, and says so.
-//!
-//! No earlier version can be executed here. A folder of this daemon is written again by the store as one
-//! of version 1 would have written it: with that version in each checkpoint and its hashes of the same
-//! states, and with other hashes in the journal, as of other steps.
+//! Data folders and snapshots of an earlier version of the model: each swarm goes on from its newest
+//! checkpoint under this version, and says so.
 
-use std::collections::BTreeMap;
-use std::path::Path;
+mod experiments;
+mod folders;
+mod lab;
+mod upgrade;
+
 use std::sync::Arc;
 
-use jostle_convert::snapshot;
 use jostle_physics::model::MODEL_VERSION;
-use jostle_proto::{ErrorCode, Snapshot, keys, to_cbor};
-use jostled::persistence::writer;
-use jostled::store::{Checkpoint, Row, Settings, Store, Write};
+use jostle_proto::{ErrorCode, keys};
 use jostled::swarm::journal::Record;
 use serde_json::{Value, json};
-use tempfile::TempDir;
 
 use crate::states::swarms;
 use crate::support::daemon_process::{self, DaemonProcess};
-use crate::support::{Client, Daemon, PREFIX, QueryResult, TIMEOUT, until};
+use crate::support::{Client, Daemon, PREFIX, QueryResult, until};
 
-mod experiments;
-
-/// The version that is said to have written a folder.
-const EARLIER: u32 = 1;
-
-/// A copy of the folder of a daemon that does not run, as the earlier version would have written it. `alter`
-/// changes what the lines of the journals record.
-pub fn aged(folder: &Path, alter: fn(Record) -> Record) -> TempDir {
-    let copy = tempfile::tempdir().unwrap();
-    daemon_process::copy(folder, copy.path());
-    let store = Store::open(copy.path(), Settings::default(), Box::new(|_| {})).unwrap();
-    for (swarm, about) in store.swarms().unwrap() {
-        let marks = store.checkpoints(&swarm).unwrap().into_iter();
-        let read = |number| of_earlier_model(&store.checkpoint(&swarm, number).unwrap());
-        let mut checkpoints: BTreeMap<u64, Checkpoint> =
-            marks.map(|mark| (mark.number, read(mark.number))).collect();
-        let (_, first) = checkpoints.pop_first().unwrap();
-        let rows = store.rows(&swarm, first.number, usize::MAX >> 1).unwrap();
-        assert_eq!(rows.damaged_at, None);
-        let delete = Write::Delete {
-            swarm: swarm.clone(),
-        };
-        let create = Write::Create {
-            swarm: swarm.clone(),
-            about,
-            first,
-        };
-        let mut writes = vec![delete, create];
-        for row in rows.rows {
-            let checkpoint = checkpoints.remove(&row.number);
-            writes.push(Write::Append {
-                swarm: swarm.clone(),
-                row: altered(row, alter),
-            });
-            writes.extend(checkpoint.map(|checkpoint| Write::SaveCheckpoint {
-                swarm: swarm.clone(),
-                checkpoint,
-            }));
-        }
-        store.commit(writes).unwrap();
-    }
-    assert!(store.stop(TIMEOUT));
-    copy
-}
-
-fn of_earlier_model(checkpoint: &Checkpoint) -> Checkpoint {
-    let stored = earlier(Snapshot::from_cbor(&checkpoint.body).unwrap());
-    Checkpoint {
-        body: to_cbor(&stored),
-        ..checkpoint.clone()
-    }
-}
-
-/// A snapshot as the earlier version would have written it.
-fn earlier(mut snapshot: Snapshot) -> Snapshot {
-    assert_eq!(snapshot.model_version, MODEL_VERSION);
-    let (_, state) = snapshot::state(&snapshot).unwrap();
-    snapshot.model_version = EARLIER;
-    snapshot.state_hash = snapshot::hexadecimal(&state.hash_under(EARLIER));
-    snapshot
-}
-
-fn altered(mut row: Row, alter: fn(Record) -> Record) -> Row {
-    let record = match writer::read_record(&row.body).unwrap() {
-        Record::Hash(_) => Record::Hash([7; 32]),
-        record => alter(record),
-    };
-    row.body = writer::record(&record).1;
-    row
-}
-
-/// Starts a daemon, lets `fill` send it commands, and kills it.
-pub async fn killed(fill: impl AsyncFnOnce(&Client)) -> TempDir {
-    let folder = tempfile::tempdir().unwrap();
-    let mut process = DaemonProcess::start(&mut daemon_process::daemon(folder.path())).unwrap();
-    let client = Client::open(&process.endpoint).await;
-    fill(&client).await;
-    process.kill();
-    folder
-}
+use folders::earlier;
+pub use folders::{EARLIER, aged, killed};
 
 /// The mark of a swarm.
 fn mark(epoch: u64, step: u64) -> Value {

@@ -11,7 +11,7 @@ use jostle_proto::{ErrorCode, keys};
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
-use crate::support::daemon_process::{DaemonProcess, daemon};
+use crate::support::daemon_process::{DaemonProcess, copy_all, daemon};
 use crate::support::playback::upload_and_open;
 use crate::support::process::jostled;
 use crate::support::programs::ROOT;
@@ -37,17 +37,6 @@ fn expected(build: &Path) -> Value {
 
 /// A copy of one of a build's folders, since a daemon changes its data.
 fn copy(build: &Path, folder: &str) -> TempDir {
-    fn copy_all(from: &Path, to: &Path) {
-        fs::create_dir_all(to).unwrap();
-        for entry in fs::read_dir(from).unwrap() {
-            let entry = entry.unwrap();
-            let to = to.join(entry.file_name());
-            match entry.path().is_dir() {
-                true => copy_all(&entry.path(), &to),
-                false => drop(fs::copy(entry.path(), to).unwrap()),
-            }
-        }
-    }
     let copy = tempfile::tempdir().unwrap();
     copy_all(&build.join(folder), copy.path());
     copy

@@ -23,17 +23,17 @@ const N: usize = 12;
 const SEED: u64 = 5;
 
 /// Holds for the first time long after the order has exceeded 0.9 for the first time.
-const CONDITION: &str = "order > 0.9 for 4";
+pub const CONDITION: &str = "order > 0.9 for 4";
 
-fn spec() -> Value {
+pub fn spec() -> Value {
     json!({"n": N, "seed": SEED, "rate": null})
 }
 
-fn inform() -> Value {
+pub fn inform() -> Value {
     json!({"select": {"ids": [0, 1, 2, 3, 4]}, "direction": 1.0})
 }
 
-fn pause(condition: &str) -> Value {
+pub fn pause(condition: &str) -> Value {
     json!({"condition": condition, "pause": true})
 }
 
@@ -59,7 +59,7 @@ fn first_step(mut holds: impl FnMut(&[Poses]) -> bool) -> u64 {
 }
 
 /// The first step after which the order was above 0.9 for 4 time units, which are 200 steps.
-fn expected_step() -> u64 {
+pub fn expected_step() -> u64 {
     let mut in_a_row = 0;
     first_step(|states| {
         let sum = |of: fn(f64) -> f64| {

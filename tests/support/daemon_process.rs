@@ -119,6 +119,19 @@ pub fn log(folder: &Path) -> String {
     fs::read_to_string(folder.join("log")).unwrap_or_default()
 }
 
+/// Copies a folder with all that it contains.
+pub fn copy_all(from: &Path, to: &Path) {
+    fs::create_dir_all(to).unwrap();
+    for entry in fs::read_dir(from).unwrap() {
+        let entry = entry.unwrap();
+        let to = to.join(entry.file_name());
+        match entry.path().is_dir() {
+            true => copy_all(&entry.path(), &to),
+            false => drop(fs::copy(entry.path(), to).unwrap()),
+        }
+    }
+}
+
 /// Copies the database and its WAL as they are.
 pub fn copy(from: &Path, to: &Path) {
     fs::create_dir_all(to).unwrap();
@@ -150,5 +163,11 @@ impl StoreCopy {
         let rows = self.0.rows(swarm, after, usize::MAX >> 1).unwrap();
         assert_eq!(rows.damaged_at, None);
         rows.rows
+    }
+
+    /// The epoch and the step of the newest checkpoint of a swarm.
+    pub fn newest_checkpoint(&self, swarm: &str) -> (u64, u64) {
+        let newest = &self.0.checkpoints(swarm).unwrap()[0];
+        (newest.epoch, newest.step)
     }
 }

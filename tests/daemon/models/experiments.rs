@@ -8,7 +8,7 @@ use jostle_physics::model::MODEL_VERSION;
 use jostle_proto::ErrorCode;
 use serde_json::{Value, json};
 
-use super::EARLIER;
+use super::folders::{EARLIER, age_experiment};
 use crate::experiments::{ok, progress, rows, send, submit, wait_for_phase};
 use crate::support::daemon_process::{self, DaemonProcess};
 use crate::support::process::jostled;
@@ -20,16 +20,6 @@ fn half(name: &str) -> String {
 }
 
 const SHORT: &str = "name = \"short\"\nseed = 3\nduration = 5\nreplicates = 2\nspec = { n = 4 }\n";
-
-/// Makes the list of runs of a folder that of the earlier version.
-pub fn age_runs(folder: &Path) {
-    let path = folder.join("runs.jsonl");
-    let list = fs::read_to_string(&path).unwrap();
-    let own = format!("\"model_version\":{MODEL_VERSION}");
-    let aged = list.replacen(&own, &format!("\"model_version\":{EARLIER}"), 1);
-    assert_ne!(aged, list, "{list}");
-    fs::write(path, aged).unwrap();
-}
 
 /// Submits an experiment, and waits until some of its runs are finished.
 async fn begin(client: &Client, name: &str) {
@@ -67,7 +57,7 @@ async fn a_half_done_experiment_ends_and_is_executed_anew_beside_its_finished_ru
     process.kill();
     let names = ["paused", "cancelled", "running"];
     for name in names.into_iter().chain(["short"]) {
-        age_runs(&folder.path().join("experiments").join(name));
+        age_experiment(&folder.path().join("experiments").join(name));
     }
 
     let mut process = DaemonProcess::start(&mut daemon_process::daemon(folder.path())).unwrap();
@@ -160,7 +150,7 @@ fn a_folder_of_an_earlier_version_keeps_its_runs_and_again_executes_all_beside_i
             run(folder.path(), &options.concat())
         };
         assert!(options(&[]).status.success());
-        age_runs(&path(output));
+        age_experiment(&path(output));
         let before = list(output);
         let rejected = options(&[]);
         assert_eq!(rejected.status.code(), Some(1), "{rejected:?}");
