@@ -1,17 +1,29 @@
 //! A daemon on data of an earlier version of the model.
 
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
+use jostle_proto::{keys, to_cbor};
 use serde_json::{Value, json};
 use zenoh::bytes::Encoding;
 
 use super::documents::{Document, Recorded};
-use super::recording_client::RecordingClient;
+use super::recording_client::{FIXTURE_NODE, RecordingClient};
+use crate::experiments::{submit, wait_for_phase};
 use crate::models::{aged, killed};
-use crate::support::{Client, until};
+use crate::states::swarms;
+use crate::support::{Client, PREFIX, until};
+
+/// An experiment of one short run, with a line more.
+fn short(name: &str, line: &str) -> String {
+    format!("name = \"{name}\"\nseed = 3\nduration = 1\n{line}\n")
+}
 
 pub async fn record_fixtures(recorded: &Recorded) {
     let folder = killed(async |client: &Client| {
         client.create("school", json!({"n": 4, "seed": 1})).await;
         client.ok("school", "step", json!({"steps": 50})).await;
+        submit(client, &short("before", "spec = { n = 4 }")).await;
+        wait_for_phase(client, "before", "finished").await;
     })
     .await;
     let folder = aged(folder.path(), |record| record);
@@ -31,6 +43,17 @@ pub async fn record_fixtures(recorded: &Recorded) {
     recorder
         .node_get("node.swarms.reply.earlier_model", "swarms")
         .await;
+    let progress = |name: &str| keys::experiment(PREFIX, FIXTURE_NODE, name, "progress");
+    let earlier = "experiment.progress.earlier_model";
+    recorder.query(earlier, &progress("before"), None).await;
+    let snapshot = swarms::snapshot(&recorder.client, "school").await;
+    let toml = short("after", "start = \"school.snapshot\"");
+    let start = STANDARD.encode(to_cbor(&snapshot));
+    let submitted = json!({"submit": {"toml": toml, "start": start}});
+    recorder.node_cmd("", "experiment", submitted).await;
+    wait_for_phase(&recorder.client, "after", "finished").await;
+    let start = "experiment.progress.earlier_start";
+    recorder.query(start, &progress("after"), None).await;
     let events = recorder.client.get("school", "events?limit=1000").await;
     let events = events["result"]["events"].as_array().unwrap();
     let event: &Value = events
