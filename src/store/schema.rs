@@ -8,6 +8,7 @@ use jostle_physics::model::MODEL_VERSION;
 use rusqlite::config::DbConfig;
 use rusqlite::{Connection, OpenFlags, Result as SqlResult, Transaction, TransactionBehavior};
 
+use super::WAL;
 use super::audit;
 use super::error::StoreError;
 use super::integrity::{self, Extent};
@@ -128,7 +129,13 @@ pub(super) fn open(file: &Path, max_checked_bytes: u64) -> Result<Connection, St
     let fail = |error| StoreError::of_reading(file, &error);
     let mut connection = Connection::open(file).map_err(fail)?;
     connection.busy_timeout(BUSY_TIMEOUT).map_err(fail)?;
-    if check_origin(file, &connection)? {
+    // A file that is rejected keeps its WAL; a connection without one leaves none.
+    let keeps = DbConfig::SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE;
+    let has_wal = fs::metadata(file.with_file_name(WAL)).is_ok_and(|it| it.len() > 0);
+    connection.set_db_config(keeps, has_wal).map_err(fail)?;
+    let is_new = check_origin(file, &connection)?;
+    connection.set_db_config(keeps, false).map_err(fail)?;
+    if is_new {
         // Effective only before the first table.
         connection
             .pragma_update(None, "auto_vacuum", "INCREMENTAL")
