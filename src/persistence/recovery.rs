@@ -12,6 +12,7 @@ use jostle_physics::simulation::Spec;
 use tracing::{error, info, warn};
 
 use crate::convert::commands::CommandError;
+use crate::convert::error::EarlierModelError;
 use crate::convert::{self, Payload};
 use crate::persistence::checkpoints::read_stored;
 use crate::persistence::journal_reader::{
@@ -159,10 +160,13 @@ fn load(
                 step = checkpoint.simulation.state.step,
                 "another version of the model goes on from the last stored state"
             );
+            for line in unreplied(store, swarm, &checkpoint, replies, replied)? {
+                report_accepted(replies, checkpoint.model_version, &line);
+            }
             chosen = Some((checkpoint, tail));
             break;
         }
-        if has_replies(store, swarm, &checkpoint, replies, replied)? {
+        if unreplied(store, swarm, &checkpoint, replies, replied)?.is_empty() {
             chosen = Some((checkpoint, tail));
             break;
         }
@@ -279,39 +283,61 @@ fn truncate(store: &Store, swarm: &str, checkpoint: &Checkpoint, tail: &mut Tail
     }
 }
 
-/// Whether the cache has the reply to every command with a request id on the lines after `replied` up
-/// to a checkpoint.
-fn has_replies(
+/// The lines after `replied` up to a checkpoint whose commands have a request id, and no reply in the
+/// cache.
+fn unreplied(
     store: &Store,
     swarm: &str,
     checkpoint: &Checkpoint,
     replies: &impl ReplyCache,
     replied: u64,
-) -> Result<bool, StoreError> {
+) -> Result<Vec<Line>, StoreError> {
     let after = replied.max(checkpoint.lines.saturating_sub(MAX_REPLY_LINES));
-    let mut missing = Vec::new();
+    let mut missing: Vec<Line> = Vec::new();
     for line in read_lines(store, swarm, after, checkpoint.lines)? {
-        match line.record {
+        match &line.record {
             Record::Input { sender, .. } => {
                 if let Some(id) = &sender.request_id
                     && !replies.contains(&sender.client, id)
                 {
-                    missing.push(line.number);
+                    missing.push(line);
                 }
             }
             Record::Outcome {
                 input, seq: None, ..
-            } => missing.retain(|it| *it != input),
+            } => missing.retain(|it| it.number != *input),
             _ => {}
         }
     }
     // The reply to a pending `step` has not been sent yet.
-    if let Some((_, sender)) = &checkpoint.pending
-        && sender.request_id.is_some()
-    {
-        missing.pop();
+    if let Some((_, pending)) = &checkpoint.pending {
+        let name = (&pending.client, &pending.request_id);
+        missing.retain(|line| match &line.record {
+            Record::Input { sender, .. } => (&sender.client, &sender.request_id) != name,
+            _ => true,
+        });
     }
-    Ok(missing.is_empty())
+    Ok(missing)
+}
+
+/// Replies to retries of a command that an earlier version of the model has accepted. A replay would give
+/// another reply than the one that was lost, and the command must not be executed twice.
+fn report_accepted(replies: &impl ReplyCache, model_version: u32, line: &Line) {
+    let Record::Input { sender, .. } = &line.record else {
+        return;
+    };
+    let Some((id, digest)) = sender.request_id.clone().zip(sender.digest) else {
+        return;
+    };
+    if let Some(slot) = replies.begin_replayed((sender.client.clone(), id), digest) {
+        let step = line.step;
+        let error = EarlierModelError::Accepted {
+            model_version,
+            step,
+        };
+        let error = CommandError::from(error).to_wire(Some(step), &Place::of_verb(sender.verb));
+        slot.write(&Err(Payload::json(&error)));
+    }
 }
 
 /// The commands that were applied according to the lines before a checkpoint, for waits on events.

@@ -2,6 +2,7 @@
 //! `fork`.
 
 use crate::convert::commands::CommandError;
+use crate::convert::error::EarlierModelError;
 use crate::persistence::checkpoints::read_stored;
 use crate::persistence::journal_reader::JournalReader;
 use crate::store::{CheckpointInfo, Store};
@@ -115,10 +116,10 @@ pub(super) fn first_readable(
     for stored in checkpoints {
         match read_stored(store, swarm, stored.number) {
             Ok(checkpoint) if checkpoint.is_of_earlier_model() => {
-                return Err(CommandError::EarlierModel {
+                return Err(CommandError::from(EarlierModelError::Computed {
                     model_version: checkpoint.model_version,
                     step: checkpoint.simulation.state.step,
-                });
+                }));
             }
             Ok(checkpoint) => return Ok(checkpoint),
             Err(error) => problem = error,

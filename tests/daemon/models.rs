@@ -11,12 +11,13 @@ use std::sync::Arc;
 
 use jostle_physics::model::MODEL_VERSION;
 use jostle_proto::{ErrorCode, keys};
+use jostled::store::{Settings, Store, Write};
 use jostled::swarm::journal::Record;
 use serde_json::{Value, json};
 
 use crate::states::swarms;
 use crate::support::daemon_process::{self, DaemonProcess};
-use crate::support::{Client, Daemon, PREFIX, QueryResult, until};
+use crate::support::{Client, Daemon, PREFIX, QueryResult, TIMEOUT, until};
 
 use folders::earlier;
 pub use folders::{EARLIER, aged, killed};
@@ -26,8 +27,8 @@ fn mark(epoch: u64, step: u64) -> Value {
     json!([{"model_version": EARLIER, "epoch": epoch, "step": step}])
 }
 
-async fn get(client: &Client, noun: &str) -> QueryResult {
-    client.query(&keys::get(PREFIX, "school", noun), None).await
+async fn get(client: &Client, swarm: &str, noun: &str) -> QueryResult {
+    client.query(&keys::get(PREFIX, swarm, noun), None).await
 }
 
 /// Checks that a reply is a conflict with the earlier version.
@@ -89,7 +90,7 @@ async fn a_swarm_goes_on_from_its_newest_checkpoint_and_is_marked_until_a_reset(
         assert_eq!(*models, marked, "{status}");
         let listed = client.node("swarms").await["swarms"][0].clone();
         assert_eq!(listed["earlier_models"], marked, "{listed}");
-        assert_earlier(get(&client, "verify").await, "verify");
+        assert_earlier(get(&client, "school", "verify").await, "verify");
         let fork = |name: &str, step: u64| json!({"name": name, "step": step});
         let early = client.cmd("school", "fork", fork("early", 10)).await;
         assert_earlier(early, "an early fork");
@@ -99,7 +100,7 @@ async fn a_swarm_goes_on_from_its_newest_checkpoint_and_is_marked_until_a_reset(
             client.ok("school", "fork", late).await;
             let copy = client.get("late", "status").await;
             assert_eq!(copy["result"]["earlier_models"], marked, "{copy}");
-            assert_earlier(get(&client, "experiment").await, "export");
+            assert_earlier(get(&client, "school", "experiment").await, "export");
             client.ok("school", "reset", json!({})).await;
             let status = client.get("school", "status").await;
             assert_eq!(status["result"]["earlier_models"], Value::Null, "{status}");
@@ -208,4 +209,44 @@ async fn a_snapshot_of_an_earlier_version_is_restored_and_marked_and_one_of_a_la
         assert!(error.message.contains(problem), "{error:?}");
     }
     daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_command_whose_reply_an_earlier_version_lost_is_not_executed_again() {
+    let named = |id: &str, args: Value| json!({"client": "me", "request_id": id, "args": args});
+    let early = named("early", json!({"text": "early"}));
+    let late = named("late", json!({"text": "late"}));
+    let mut first = Value::Null;
+    let folder = killed(async |client: &Client| {
+        client.create("school", json!({"n": 5})).await;
+        client.ok("school", "annotate", early.clone()).await;
+        client
+            .ok("school", "step", named("steps", json!({"steps": 20_000})))
+            .await;
+        first = client.ok("school", "annotate", late.clone()).await;
+    })
+    .await;
+    // As if the daemon had been killed before the replies were durable: one to a command before the newest
+    // checkpoint, one after it.
+    let aged = aged(folder.path(), |record| record);
+    let store = Store::open(aged.path(), Settings::default(), Box::new(|_| {})).unwrap();
+    let newest = store.checkpoints("school").unwrap()[0].clone();
+    assert!(newest.step > 0);
+    let lost = ["early", "late"].map(|id| Write::DeleteReply {
+        client: Some("me".to_owned()),
+        request_id: id.to_owned(),
+    });
+    store.commit(lost.into()).unwrap();
+    assert!(store.stop(TIMEOUT));
+    let (_process, client) = daemon_process::start(aged.path()).await;
+    let seq = client.get("school", "status").await["seq"].clone();
+    assert_eq!(seq, 3);
+    for _ in 0..2 {
+        assert_earlier(
+            client.cmd("school", "annotate", early.clone()).await,
+            "early",
+        );
+        assert_eq!(client.ok("school", "annotate", late.clone()).await, first);
+    }
+    assert_eq!(client.get("school", "status").await["seq"], seq);
 }

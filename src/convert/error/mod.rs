@@ -1,12 +1,12 @@
 //! Why a request is rejected, and the error reply.
 
 mod jobs;
+mod models;
 mod swarm;
 
 use jostle_conditions::ConditionError;
 use jostle_convert::error::{named, object};
 use jostle_convert::{ArgsError, MeasuresError, Place, WireCode, WireError};
-use jostle_physics::model::MODEL_VERSION;
 use jostle_physics::simulation::ChangeError;
 use jostle_proto::contract::selectors::QueryParameter;
 use jostle_proto::role::rejection;
@@ -23,6 +23,8 @@ use crate::store::StoreError;
 use crate::swarm::error::SwarmError;
 use crate::swarm::recovery_progress::still_left;
 use crate::swarm::registry::RegistryError;
+
+pub use models::EarlierModelError;
 
 /// What separates the parameters of a query.
 const SEPARATORS: &str = "separate parameters with `;`, over HTTP with `&`";
@@ -120,17 +122,8 @@ pub enum CommandError {
     NotReached { step: u64, now: u64 },
     #[error("the history of the swarm cannot be replayed: {0}")]
     History(String),
-    /// Another version of the model computed it.
-    #[error(
-        "version {model_version} of the model computed the state of step {step}, and this daemon has \
-         version {MODEL_VERSION}, which computes other steps from there: name a later step"
-    )]
-    EarlierModel {
-        /// The version that computed it.
-        model_version: u32,
-        /// The step from which the history would be replayed.
-        step: u64,
-    },
+    #[error(transparent)]
+    EarlierModel(#[from] EarlierModelError),
     #[error(transparent)]
     Limit(#[from] LimitError),
     #[error("the store cannot be read: {0}")]
@@ -366,7 +359,7 @@ impl WireCode for CommandError {
             CommandError::OtherRequest(_)
             | CommandError::NotReached { .. }
             | CommandError::History(_)
-            | CommandError::EarlierModel { .. } => ErrorCode::Conflict,
+            | CommandError::EarlierModel(_) => ErrorCode::Conflict,
             CommandError::NoToken { .. } => ErrorCode::IncorrectState,
             CommandError::Contested { .. } => ErrorCode::Contested,
             CommandError::Claimed(_) => ErrorCode::AlreadyExists,
@@ -420,10 +413,7 @@ impl WireCode for CommandError {
                 object(json!({"field": "controller", "value": controller, "token": key}))
             }
             CommandError::Claimed(node) => object(json!({"node": node})),
-            CommandError::EarlierModel {
-                model_version,
-                step,
-            } => object(json!({"model_version": model_version, "step": step})),
+            CommandError::EarlierModel(error) => error.details(),
             CommandError::Snapshot(_) => named("snapshot", Value::Null, place.range("snapshot")),
             CommandError::Parameter { name, known } => {
                 object(json!({"field": name, "known": names(known)}))

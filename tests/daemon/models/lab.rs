@@ -14,7 +14,7 @@ use crate::support::{Client, NODE, PREFIX, recording, until};
 use crate::{commands, experiments, when};
 
 /// The steps of a command that is being executed when the daemon is killed.
-pub const LONG: u64 = 200_000;
+pub const LONG: u64 = 300_000;
 
 /// An experiment with three short runs, and one that takes longer than any test.
 const HALF: &str = "name = \"half\"\nseed = 3\nduration = 1000\n[[grid]]\nn = [3, 4, 5, 400]\n";
@@ -22,6 +22,9 @@ const HALF: &str = "name = \"half\"\nseed = 3\nduration = 1000\n[[grid]]\nn = [3
 fn short(name: &str) -> String {
     format!("name = \"{name}\"\nduration = 1\nspec = {{ n = 3 }}\n")
 }
+
+/// The key, the request with a request id, and the reply of a command.
+type Request = (String, Value, Value);
 
 /// A data folder as the earlier version left it when its daemon was killed, and what that daemon said.
 pub struct Lab {
@@ -32,8 +35,7 @@ pub struct Lab {
     /// The commands that were executed, by swarm.
     pub journals: BTreeMap<String, Value>,
     pub controllers: Value,
-    /// The key, the request and the reply of each command with a request id.
-    pub requests: Vec<(String, Value, Value)>,
+    pub requests: Vec<Request>,
     /// The request of a command that is being executed.
     pub pending: (String, Value),
     /// The finished runs of each experiment.
@@ -66,7 +68,7 @@ pub async fn names(client: &Client) -> Vec<String> {
 /// A client that sends commands with request ids, and keeps the replies.
 struct Asking<'a> {
     client: &'a Client,
-    requests: Vec<(String, Value, Value)>,
+    requests: Vec<Request>,
 }
 
 impl Asking<'_> {
@@ -127,33 +129,36 @@ impl Lab {
         still(&mut asking).await;
         driven(&mut asking).await;
         moving(&mut asking).await;
-        let pending = stepping(&mut asking).await;
         filmed(&mut asking).await;
+        let tape = recorded_file(&client).await;
+        upload_and_open(&client, "tape", &tape).await.unwrap();
+        let pending = stepping(&mut asking).await;
         // No command is executed after this one, so that all are durable.
-        for name in names(&client).await {
-            asking
-                .ok(&name, "annotate", json!({"text": "the last"}))
-                .await;
+        let mut swarms = names(&client).await;
+        swarms.retain(|it| it != "tape");
+        for name in &swarms {
+            let last = json!({"text": "the last"});
+            asking.ok(name, "annotate", last).await;
         }
-        upload_and_open(&client, "tape", &recorded_file(&client).await)
-            .await
-            .unwrap();
         let requests = asking.requests;
-        Self::of(folder.path(), process, client, requests, pending).await
+        Self::of(
+            folder.path(),
+            (process, client),
+            swarms,
+            (requests, pending),
+        )
+        .await
     }
 
     /// Observes the daemon, kills it, and writes its folder again.
     async fn of(
         folder: &Path,
-        mut process: DaemonProcess,
-        client: Client,
-        requests: Vec<(String, Value, Value)>,
-        pending: (String, Value),
+        (mut process, client): (DaemonProcess, Client),
+        swarms: Vec<String>,
+        (requests, pending): (Vec<Request>, (String, Value)),
     ) -> Self {
-        let mut names = names(&client).await;
-        names.retain(|it| it != "tape");
         let (mut statuses, mut journals) = (BTreeMap::new(), BTreeMap::new());
-        for name in &names {
+        for name in &swarms {
             statuses.insert(name.clone(), client.get(name, "status").await);
             journals.insert(name.clone(), journal(&client, name).await);
         }
@@ -175,7 +180,7 @@ impl Lab {
         let folder = aged(folder, |record| record);
         let store = StoreCopy::of(folder.path());
         let newest = |name: &String| (name.clone(), store.newest_checkpoint(name));
-        let checkpoints = names.iter().map(newest).collect();
+        let checkpoints = swarms.iter().map(newest).collect();
         Lab {
             folder,
             statuses,
