@@ -3,6 +3,7 @@
 
 mod downgrade;
 mod experiments;
+mod fixtures;
 mod folders;
 mod lab;
 mod upgrade;

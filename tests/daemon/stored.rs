@@ -17,10 +17,10 @@ use crate::support::process::jostled;
 use crate::support::programs::ROOT;
 use crate::support::{Client, NODE, PREFIX, TIMEOUT, until};
 
-mod accepted;
+pub mod accepted;
 
 /// The fixtures, one folder for each build.
-fn builds() -> Vec<PathBuf> {
+pub fn builds() -> Vec<PathBuf> {
     let stored = Path::new(ROOT).join("tests/stored");
     let entries = fs::read_dir(stored).unwrap();
     let folders = entries.map(|entry| entry.unwrap().path());
@@ -31,12 +31,12 @@ fn builds() -> Vec<PathBuf> {
     builds
 }
 
-fn expected(build: &Path) -> Value {
+pub fn expected(build: &Path) -> Value {
     serde_json::from_slice(&fs::read(build.join("expected.json")).unwrap()).unwrap()
 }
 
 /// A copy of one of a build's folders, since a daemon changes its data.
-fn copy(build: &Path, folder: &str) -> TempDir {
+pub fn copy(build: &Path, folder: &str) -> TempDir {
     let copy = tempfile::tempdir().unwrap();
     copy_all(&build.join(folder), copy.path());
     copy
@@ -88,61 +88,69 @@ fn a_missing_field_and_another_value_are_noticed() {
     }
 }
 
+/// Checks that the swarms, their history and the replies of a build are there.
+pub async fn assert_recovered(client: &Client, expected: &Value) {
+    let swarms = expected["swarms"].as_object().unwrap();
+    let listed = client.node("swarms").await["swarms"].clone();
+    assert_eq!(listed.as_array().unwrap().len(), swarms.len());
+    for (name, old) in swarms {
+        // Steps that were not in the checkpoint are taken again.
+        until(&format!("{name} is where it was"), async || {
+            client.get(name, "status").await["step"] == old["status"]["step"]
+        })
+        .await;
+        let status = client.get(name, "status").await;
+        assert!(status["epoch"].as_u64() > old["status"]["epoch"].as_u64());
+        for field in ["step", "seq", "time", "phase"] {
+            assert_eq!(status[field], old["status"][field], "{name} {field}");
+        }
+        let (now, before) = (&status["result"], &old["status"]["result"]);
+        for field in ["state_hash", "n", "seed", "fault"] {
+            assert_eq!(now[field], before[field], "{name} {field}");
+        }
+        assert!(
+            before["when"].is_null() || now["when"] == before["when"],
+            "{name}"
+        );
+        // This version may have more of them.
+        assert_has_all(&now["parameters"], &before["parameters"]);
+        assert_has_all(&client.get(name, "spec").await["result"], &old["spec"]);
+        let journal = client.get(name, "journal?limit=1000").await;
+        assert_has_all(&journal["result"]["entries"], &old["journal"]);
+        // Earlier builds journaled no wall-clock time, and none is made up.
+        if old["journal"][0]["unix_secs"].is_null() {
+            let entries = journal["result"]["entries"].as_array().unwrap();
+            assert!(entries.iter().all(|entry| entry["unix_secs"].is_null()));
+        }
+        let controllers = client.get(name, "controllers").await;
+        assert_has_all(&controllers["result"], &old["controllers"]);
+    }
+    // Each request is known, and its reply is the first one.
+    let requests = expected["requests"].as_array().unwrap();
+    assert!(requests.len() > 20);
+    for request in requests {
+        let key = request["key"].as_str().unwrap();
+        let payload = request["request"].to_string();
+        let reply = client.query(key, Some(payload.as_bytes())).await;
+        assert_eq!(reply.unwrap(), request["reply"], "{payload}");
+    }
+    for (name, old) in swarms {
+        let status = client.get(name, "status").await;
+        assert_eq!(status["seq"], old["status"]["seq"], "{name} executed twice");
+    }
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn swarms_their_history_and_their_replies_are_recovered() {
     for build in builds() {
         let expected = expected(&build);
         let (process, client, _data) = start(&build).await;
-        let swarms = expected["swarms"].as_object().unwrap();
-        let listed = client.node("swarms").await["swarms"].clone();
-        assert_eq!(listed.as_array().unwrap().len(), swarms.len());
-        for (name, old) in swarms {
-            // Steps that were not in the checkpoint are taken again.
-            until(&format!("{name} is where it was"), async || {
-                client.get(name, "status").await["step"] == old["status"]["step"]
-            })
-            .await;
-            let status = client.get(name, "status").await;
-            assert!(status["epoch"].as_u64() > old["status"]["epoch"].as_u64());
-            for field in ["step", "seq", "time", "phase"] {
-                assert_eq!(status[field], old["status"][field], "{name} {field}");
-            }
-            let (now, before) = (&status["result"], &old["status"]["result"]);
-            for field in ["state_hash", "n", "seed", "fault"] {
-                assert_eq!(now[field], before[field], "{name} {field}");
-            }
-            assert!(
-                before["when"].is_null() || now["when"] == before["when"],
-                "{name}"
-            );
-            // This version may have more of them.
-            assert_has_all(&now["parameters"], &before["parameters"]);
-            assert_has_all(&client.get(name, "spec").await["result"], &old["spec"]);
-            let journal = client.get(name, "journal?limit=1000").await;
-            assert_has_all(&journal["result"]["entries"], &old["journal"]);
-            // Earlier builds journaled no wall-clock time, and none is made up.
-            if old["journal"][0]["unix_secs"].is_null() {
-                let entries = journal["result"]["entries"].as_array().unwrap();
-                assert!(entries.iter().all(|entry| entry["unix_secs"].is_null()));
-            }
-            let controllers = client.get(name, "controllers").await;
-            assert_has_all(&controllers["result"], &old["controllers"]);
+        assert_recovered(&client, &expected).await;
+        for name in expected["swarms"].as_object().unwrap().keys() {
             let verified = client.get(name, "verify").await;
             assert_eq!(verified["result"]["differs_at"], Value::Null, "{name}");
-            assert_eq!(verified["result"]["to_step"], status["step"], "{name}");
-        }
-        // Each request is known, and its reply is the first one.
-        let requests = expected["requests"].as_array().unwrap();
-        assert!(requests.len() > 20);
-        for request in requests {
-            let key = request["key"].as_str().unwrap();
-            let payload = request["request"].to_string();
-            let reply = client.query(key, Some(payload.as_bytes())).await;
-            assert_eq!(reply.unwrap(), request["reply"], "{payload}");
-        }
-        for (name, old) in swarms {
             let status = client.get(name, "status").await;
-            assert_eq!(status["seq"], old["status"]["seq"], "{name} executed twice");
+            assert_eq!(verified["result"]["to_step"], status["step"], "{name}");
         }
         stop(process, client).await;
     }
@@ -206,39 +214,45 @@ async fn snapshots_restore_and_the_future_is_the_same() {
     }
 }
 
+/// Checks that the recordings of a build are there, and that the one that was not stopped goes on.
+pub async fn assert_recorded(client: &Client, expected: &Value) {
+    let expected = &expected["recordings"]["recordings"];
+    let recordings = client.node("recordings").await["recordings"].clone();
+    for (new, old) in recordings
+        .as_array()
+        .unwrap()
+        .iter()
+        .zip(expected.as_array().unwrap())
+    {
+        for field in ["recording", "swarm", "format", "every", "phase", "missed"] {
+            assert_eq!(new[field], old[field], "{old}");
+        }
+        assert!(
+            new["frames"].as_u64() >= old["frames"].as_u64(),
+            "{new} {old}"
+        );
+    }
+    assert_eq!(recordings.as_array().unwrap().len(), 3);
+    // The recording that was not stopped continues with another frame.
+    client.ok("filmed", "step", json!({"steps": 20})).await;
+    let key = keys::node_cmd(PREFIX, NODE, "record");
+    let stop_it = json!({"stop": {"recording": "going"}}).to_string();
+    let stopped = client.query(&key, Some(stop_it.as_bytes())).await.unwrap();
+    assert_eq!(stopped["result"]["phase"], "ended");
+    let mut listed = recordings.as_array().unwrap().iter();
+    let before = listed.find(|it| it["recording"] == "going").unwrap();
+    assert!(
+        stopped["result"]["frames"].as_u64() > before["frames"].as_u64(),
+        "{stopped} {before}"
+    );
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn recordings_are_listed_resumed_and_played() {
     for build in builds() {
-        let expected = &expected(&build)["recordings"]["recordings"];
+        let expected = expected(&build);
         let (process, client, data) = start(&build).await;
-        let recordings = client.node("recordings").await["recordings"].clone();
-        for (new, old) in recordings
-            .as_array()
-            .unwrap()
-            .iter()
-            .zip(expected.as_array().unwrap())
-        {
-            for field in ["recording", "swarm", "format", "every", "phase", "missed"] {
-                assert_eq!(new[field], old[field], "{old}");
-            }
-            assert!(
-                new["frames"].as_u64() >= old["frames"].as_u64(),
-                "{new} {old}"
-            );
-        }
-        assert_eq!(recordings.as_array().unwrap().len(), 3);
-        // The recording that was not stopped continues with another frame.
-        client.ok("filmed", "step", json!({"steps": 20})).await;
-        let key = keys::node_cmd(PREFIX, NODE, "record");
-        let stop_it = json!({"stop": {"recording": "going"}}).to_string();
-        let stopped = client.query(&key, Some(stop_it.as_bytes())).await.unwrap();
-        assert_eq!(stopped["result"]["phase"], "ended");
-        let mut listed = recordings.as_array().unwrap().iter();
-        let before = listed.find(|it| it["recording"] == "going").unwrap();
-        assert!(
-            stopped["result"]["frames"].as_u64() > before["frames"].as_u64(),
-            "{stopped} {before}"
-        );
+        assert_recorded(&client, &expected).await;
         // Every complete part is played, and so is the recording of a client.
         let mut frames = 0;
         let mut parts = fs::read_dir(data.path().join("recordings/film"))
@@ -259,7 +273,10 @@ async fn recordings_are_listed_resumed_and_played() {
             assert_eq!(replay["of"], "filmed");
             frames += replay["frames"].as_u64().unwrap();
         }
-        assert_eq!(json!(frames), expected[0]["frames"]);
+        assert_eq!(
+            json!(frames),
+            expected["recordings"]["recordings"][0]["frames"]
+        );
         let file = fs::read(build.join("filmed.mcap")).unwrap();
         let shown = upload_and_open(&client, "client", &file).await.unwrap();
         assert!(shown["result"]["replay"]["frames"].as_u64() > Some(1));

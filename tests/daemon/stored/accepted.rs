@@ -16,16 +16,16 @@ use crate::support::{Client, until};
 
 const WEIGHTLESS: &str = "a weight of 0 informs no individual: set pi2 above 0";
 
-fn fixture() -> PathBuf {
+pub fn fixture() -> PathBuf {
     Path::new(ROOT).join("tests/stored/accepted")
 }
 
-fn replies() -> Value {
+pub fn replies() -> Value {
     serde_json::from_slice(&fs::read(fixture().join("replies.json")).unwrap()).unwrap()
 }
 
 /// The steps and errors of the scheduled commands that were rejected.
-async fn rejected(client: &Client, swarm: &str) -> Vec<(u64, String)> {
+pub async fn rejected(client: &Client, swarm: &str) -> Vec<(u64, String)> {
     let reply = client.get(swarm, "events").await;
     let events: Events = serde_json::from_value(reply["result"].clone()).unwrap();
     let rejected = events.events.into_iter().filter_map(|it| match it.event {
@@ -35,11 +35,8 @@ async fn rejected(client: &Client, swarm: &str) -> Vec<(u64, String)> {
     rejected.collect()
 }
 
-#[tokio::test(flavor = "multi_thread")]
-async fn a_journal_of_weightless_changes_is_replayed_and_the_rest_of_its_schedule_is_not_executed()
-{
-    let expected = replies()["school"].clone();
-    let (process, client, _data) = start(&fixture()).await;
+/// Checks that the swarm is where it was, with all its commands.
+pub async fn assert_replayed(client: &Client, expected: &Value) {
     until("school is where it was", async || {
         client.get("school", "status").await["step"] == expected["status"]["step"]
     })
@@ -50,6 +47,15 @@ async fn a_journal_of_weightless_changes_is_replayed_and_the_rest_of_its_schedul
     assert_eq!(status["seq"], expected["status"]["seq"]);
     let journal = client.get("school", "journal?limit=1000").await;
     assert_has_all(&journal["result"]["entries"], &expected["journal"]);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_journal_of_weightless_changes_is_replayed_and_the_rest_of_its_schedule_is_not_executed()
+{
+    let expected = replies()["school"].clone();
+    let (process, client, _data) = start(&fixture()).await;
+    assert_replayed(&client, &expected).await;
+    let status = client.get("school", "status").await;
     let verified = client.get("school", "verify").await["result"].clone();
     assert_eq!(verified["differs_at"], Value::Null, "{verified}");
     assert_eq!(verified["to_step"], status["step"]);
