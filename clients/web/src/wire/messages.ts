@@ -937,6 +937,8 @@ export interface Progress {
   left_secs: number | null;
   /** Why it failed or the daemon paused it, or a remark on its runs; `null` without one. */
   message: string | null;
+  /** The version of the model that executed its finished runs, if the daemon has another one: no run is added to them, and they remain readable. Left out if the daemon has this one. */
+  model_version?: number | null;
   /** The experiment's name. */
   name: string;
   /** Its phase. */
@@ -947,6 +949,8 @@ export interface Progress {
   runs: number;
   /** The finished share of the work, 0 to 1, with that of the present runs. */
   share: number;
+  /** The earliest version of the model that computed a part of the snapshot from which its runs start, if it is before that of the runs. Left out otherwise. */
+  start_model_version?: number | null;
 }
 
 /** Numbers of a controller's puts, by outcome. */

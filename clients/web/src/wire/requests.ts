@@ -471,6 +471,8 @@ export type Stepping = "position" | "velocity";
 
 /** An experiment to execute. */
 export interface SubmitArgs {
+  /** Execute all runs anew, beside the experiment of this name, if another version of the model executed that one's runs: `school` becomes `school-model2` under version 2. */
+  again?: boolean;
   /** Its name; that in the file if left out. */
   name?: string | null;
   /** The contents of the CSV that `points` in the file names. */

@@ -7,6 +7,7 @@ use serde_json::{Value, json};
 use zenoh::bytes::Encoding;
 
 use super::documents::{Document, Recorded};
+use super::experiments;
 use super::recording_client::{FIXTURE_NODE, RecordingClient};
 use crate::experiments::{submit, wait_for_phase};
 use crate::models::{aged, killed};
@@ -51,7 +52,7 @@ pub async fn record_fixtures(recorded: &Recorded) {
     let start = STANDARD.encode(to_cbor(&snapshot));
     let submitted = json!({"submit": {"toml": toml, "start": start}});
     recorder.node_cmd("", "experiment", submitted).await;
-    wait_for_phase(&recorder.client, "after", "finished").await;
+    experiments::wait_for_phase(&recorder, "after", "finished").await;
     let start = "experiment.progress.earlier_start";
     recorder.query(start, &progress("after"), None).await;
     let events = recorder.client.get("school", "events?limit=1000").await;

@@ -57,7 +57,7 @@ async fn progress(recorder: &RecordingClient<'_>, name: &str) -> Value {
 }
 
 /// Waits until an experiment is in a phase.
-async fn wait_for_phase(recorder: &RecordingClient<'_>, name: &str, phase: &str) {
+pub async fn wait_for_phase(recorder: &RecordingClient<'_>, name: &str, phase: &str) {
     until(&format!("{name} is {phase}"), async || {
         progress(recorder, name).await["phase"] == phase
     })
