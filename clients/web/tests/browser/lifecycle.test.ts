@@ -1,9 +1,13 @@
 /** Swarms and daemons that appear and disappear, and playbacks. */
 import assert from "node:assert/strict";
 import { test } from "node:test";
+import { fileURLToPath } from "node:url";
 import type { Page } from "playwright-core";
 import { until } from "./browser.ts";
 import { number, Site, step } from "./site.ts";
+
+/** Of version 1 of the model, at step 60. */
+const EARLIER = new URL("../../../../../tests/stored/earlier.snapshot", import.meta.url);
 
 const site = new Site();
 
@@ -100,6 +104,40 @@ test("a protected swarm is shown as such, and neither deleted nor reset", async 
   await press("Delete …").click();
   await page.locator("dialog button.danger").click();
   await until("the deletion", async () => !(await site.row("dear")));
+});
+
+test("a swarm with steps of an earlier version of the model is marked until a reset", async () => {
+  await site.daemon.jostle("restore", fileURLToPath(EARLIER), "old");
+  const tab = await site.openTabAt("/");
+  // A thumbnail may be requested while its swarm is deleted.
+  tab.allowsError(/^404 GET \/api\/get\/old\//);
+  const { page } = tab;
+  const mark = (of: string) => page.locator(of).getByText("model 1 until step 60", { exact: true });
+  const card = ".swarm-card[data-swarm=old] .facts";
+  const facts = page.locator(card);
+  const shown = mark(".page-head");
+  await mark(card).waitFor();
+  assert.equal(await page.locator(".facts", { hasText: "until step" }).count(), 1);
+
+  await page.goto(page.url().replace(/#.*/, "#/swarm/old"));
+  await shown.waitFor();
+  await site.daemon.command("old", "step", { steps: 5 });
+  await until("its step", async () => (await number(page, "step").textContent()) === "65");
+  assert(await shown.isVisible());
+  // After a restart it goes on from a checkpoint of this version.
+  tab.allowsError(/net::ERR_(CONNECTION_REFUSED|CONNECTION_RESET|EMPTY_RESPONSE)|code: 429/);
+  await site.daemon.kill("SIGTERM");
+  await page.locator(".view.dimmed").waitFor();
+  await site.daemon.restart();
+  await until("the picture", async () => (await page.locator(".view.dimmed").count()) === 0);
+  await shown.waitFor();
+
+  await site.daemon.command("old", "reset");
+  await shown.waitFor({ state: "hidden" });
+  await page.goto(page.url().replace(/#.*/, "#/"));
+  await facts.getByText("n 12", { exact: true }).waitFor();
+  assert.equal(await mark(card).count(), 0);
+  await site.daemon.command("old", "delete");
 });
 
 for (const verb of ["Delete", "Reset"]) {
