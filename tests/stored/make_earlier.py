@@ -25,7 +25,14 @@ def main() -> None:
     """Writes the fixture."""
     binaries, out = Path(sys.argv[1]).resolve(), Path(sys.argv[2])
     with tempfile.TemporaryDirectory() as folder:
-        serve = [binaries / "jostled", "serve", "--listen", "tcp/127.0.0.1:0", "--http", ""]
+        serve: list[str | Path] = [
+            binaries / "jostled",
+            "serve",
+            "--listen",
+            "tcp/127.0.0.1:0",
+            "--http",
+            "",
+        ]
         daemon = subprocess.Popen(
             [*serve, "--data-dir", folder], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
         )
@@ -37,8 +44,8 @@ def main() -> None:
                 ["step", "school", "60"],
                 ["snapshot", "school", "-o", f"{folder}/school.snapshot"],
             ):
-                jostle = [binaries / "jostle", "--endpoint", endpoint.decode(), *arguments]
-                subprocess.run(jostle, check=True, stdout=subprocess.DEVNULL)
+                jostle: list[str | Path] = [binaries / "jostle", "-e", endpoint.decode()]
+                subprocess.run([*jostle, *arguments], check=True, stdout=subprocess.DEVNULL)
         finally:
             daemon.kill()
             daemon.wait()
