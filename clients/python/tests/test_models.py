@@ -10,6 +10,7 @@ import itertools
 import json
 import re
 import shutil
+import warnings
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
@@ -312,3 +313,30 @@ def test_a_swarm_says_which_of_its_steps_an_earlier_version_computed(client: jos
     assert restored.snapshot().earlier_models == ()
     for it in (swarm, copy, restored):
         it.delete()
+
+
+def test_runs_that_start_from_a_state_of_an_earlier_version_say_so(
+    client: jostle.Client, tmp_path: Path
+) -> None:
+    file = tmp_path / "from.toml"
+    file.write_text('name = "from"\nduration = 1\nstart = "earlier.snapshot"\n', encoding="utf-8")
+    snapshot = client.restore(SNAPSHOT, "old").snapshot()
+    for kind, data in (("earlier", SNAPSHOT.read_bytes()), ("marked", snapshot.data)):
+        (tmp_path / "earlier.snapshot").write_bytes(data)
+        experiment = client.submit(file, name=kind).wait(60.0)
+        progress = experiment.progress()
+        assert (progress.model_version, progress.start_model_version) == (None, 1)
+        assert "from a state of model version 1" in progress._repr_html_()
+        with pytest.warns(RuntimeWarning, match="start from a state of version 1 of the model"):
+            sweep = jostle.sweep(file, folder=tmp_path / kind)
+        assert sweep.wait().rows() == experiment.rows()
+        experiment.delete()
+    swarm = client.swarm("old")
+    swarm.reset()
+    swarm.snapshot().save(tmp_path / "earlier.snapshot", force=True)
+    assert client.submit(file).wait(60.0).progress().start_model_version is None
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        jostle.sweep(file, folder=tmp_path / "now").wait()
+    client.experiment("from").delete()
+    swarm.delete()

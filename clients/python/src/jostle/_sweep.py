@@ -10,6 +10,7 @@ import os
 import shutil
 import tomllib
 import uuid
+import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Executor
@@ -38,6 +39,7 @@ from ._plan import Programs, Task
 from ._progress import Bar
 from ._repr import HtmlList
 from ._results import of_rows
+from ._snapshot import Snapshot
 from ._tasks import DASK, Tasks
 from ._wire import ResultRow
 
@@ -92,7 +94,8 @@ def sweep(
     more than 64 MiB.
 
     Args:
-        source: The experiment: a file, the text of one, or a mapping of its fields.
+        source: The experiment: a file, the text of one, or a mapping of its fields. If an earlier
+            version of the model computed a part of its `start`, there is a warning.
         executor: Any `concurrent.futures.Executor`; a Dask client, not its executor;
             `"dask:tcp://HOST:PORT"`, the address of a Dask scheduler, which needs `jostle[dask]`;
             None is every core of this machine. Workers need this package with its programs, in the
@@ -308,6 +311,18 @@ class Sweep:
             shutil.rmtree(draft, ignore_errors=True)
         self._planned = planned
         self._read_parts()
+        start = self._files.start
+        if planned and start is not None:
+            snapshot = Snapshot.from_bytes(start)
+            earlier = [it.model_version for it in snapshot.earlier_models]
+            first = min(snapshot.model_version, *earlier, planned[0].model_version)
+            if first < planned[0].model_version:
+                warnings.warn(
+                    f"the runs start from a state of version {first} of the model, and are "
+                    f"executed by version {planned[0].model_version}",
+                    RuntimeWarning,
+                    stacklevel=4,
+                )
 
     def _incomplete(self) -> list[Path]:
         """Received parts that lack files, such as those of an earlier version."""
