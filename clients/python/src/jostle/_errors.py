@@ -85,7 +85,10 @@ class Busy(JostleError):
 
 
 class Conflict(JostleError):
-    """The swarm is not at the expected step or epoch, or the id is that of another request."""
+    """The swarm is not at the expected step or epoch, or the id is that of another request.
+
+    Or another version of the model, `details["model_version"]`, computed the steps or the runs.
+    """
 
     code = "conflict"
 
