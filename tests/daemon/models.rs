@@ -1,6 +1,7 @@
 //! Data folders and snapshots of an earlier version of the model: each swarm goes on from its newest
 //! checkpoint under this version, and says so.
 
+mod conditions;
 mod downgrade;
 mod experiments;
 mod fixtures;

@@ -70,7 +70,7 @@ fn has_all(new: &Value, old: &Value) -> bool {
 }
 
 #[track_caller]
-fn assert_has_all(new: &Value, old: &Value) {
+pub fn assert_has_all(new: &Value, old: &Value) {
     assert!(has_all(new, old), "not all of\n{old:#}\n is in\n{new:#}");
 }
 

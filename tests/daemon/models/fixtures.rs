@@ -9,6 +9,7 @@ use serde_json::json;
 
 use super::folders::{EARLIER, aged, earlier};
 use super::{assert_earlier, get};
+use crate::experiments::{progress, rows};
 use crate::stored::{self, accepted};
 use crate::support::daemon_process::{StoreCopy, start};
 use crate::support::{NODE, PREFIX};
@@ -32,6 +33,18 @@ async fn the_folders_of_all_earlier_builds_go_on_marked() {
         // Its `join`, sent again, has declared its token.
         let advance = json!({"expect_step": 50, "args": {"controller": "ada", "steps": 5}});
         assert_eq!(client.ok("led", "advance", advance).await["step"], 55);
+
+        let half = progress(&client, "half").await;
+        assert_eq!(
+            (&half["phase"], &half["model_version"]),
+            (&json!("failed"), &json!(EARLIER)),
+            "{half}"
+        );
+        let readable = rows(&client, "half", 100).await;
+        for old in expected["experiment"]["rows"].as_array().unwrap() {
+            let new = readable.iter().find(|new| new["run"] == old["run"]);
+            stored::assert_has_all(new.unwrap(), old);
+        }
 
         let snapshot = fs::read(build.join("school.snapshot")).unwrap();
         let snapshot = earlier(Snapshot::from_cbor(&snapshot).unwrap()).sealed();
@@ -75,4 +88,21 @@ async fn what_an_earlier_version_accepted_is_applied_again_and_not_rejected() {
         EARLIER
     );
     assert!(accepted::rejected(&client, "school").await.is_empty());
+    for (name, old) in accepted::replies()["experiments"].as_object().unwrap() {
+        let now = progress(&client, name).await;
+        assert_eq!(
+            (&now["phase"], &now["model_version"]),
+            (&json!("failed"), &json!(EARLIER)),
+            "{now}"
+        );
+        let readable = rows(&client, name, 100).await;
+        for old in old["rows"].as_array().unwrap() {
+            assert!(
+                readable
+                    .iter()
+                    .any(|new| new["state_hash"] == old["state_hash"]),
+                "{name}"
+            );
+        }
+    }
 }

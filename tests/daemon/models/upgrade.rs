@@ -12,9 +12,11 @@ use jostled::swarm::journal::Record;
 use rusqlite::{Connection, OpenFlags};
 use serde_json::{Value, json};
 
+use super::downgrade::assert_refused;
 use super::folders::EARLIER;
 use super::lab::{LONG, Lab, audit, journal, names};
 use super::{assert_earlier, get};
+use crate::experiments::{progress, rows, wait_for_phase};
 use crate::support::daemon_process::{DaemonProcess, StoreCopy, copy_all, daemon, log, start};
 use crate::support::{Client, recording, until};
 use crate::when;
@@ -65,30 +67,38 @@ impl Point {
         if self == Point::Checkpointed {
             let mut child = command.stdout(Stdio::null()).spawn().unwrap();
             until("a new checkpoint is durable", async || {
-                has_new_checkpoint(data)
+                number(data, NEW_CHECKPOINTS) > Some(0)
             })
             .await;
             child.kill().unwrap();
             child.wait().unwrap();
         } else {
             // It has no exit code: it was killed, and at the point.
-            assert_eq!(
-                DaemonProcess::start(&mut command).err(),
-                Some(None),
-                "{self:?}"
-            );
+            let ended = DaemonProcess::start(&mut command).err();
+            assert_eq!(ended, Some(None), "{self:?}");
         }
+        // A copy: closing the database would move its log into it.
+        let left = tempfile::tempdir().unwrap();
+        copy_all(data, left.path());
+        let number = |query| number(left.path(), query).unwrap();
+        let is_old = self == Point::Migrating;
+        assert_eq!(number("PRAGMA user_version") == 3, is_old, "{self:?}");
+        let is_early = [Point::Migrating, Point::Migrated, Point::Resumed].contains(&self);
+        assert!(number(NEW_CHECKPOINTS) == 0 || !is_early, "{self:?}");
     }
 }
 
-fn has_new_checkpoint(data: &Path) -> bool {
-    let file = data.join("jostle.sqlite");
+/// A number in the database of a folder; none while the daemon has it locked.
+fn number(folder: &Path, query: &str) -> Option<i64> {
     let flags = OpenFlags::SQLITE_OPEN_READ_WRITE;
-    let query = "SELECT count(*) FROM checkpoint WHERE epoch > 1";
-    let count = Connection::open_with_flags(file, flags)
-        .and_then(|it| it.query_row(query, [], |row| row.get::<_, i64>(0)));
-    count.is_ok_and(|count| count > 0)
+    let file = folder.join("jostle.sqlite");
+    let number = Connection::open_with_flags(file, flags)
+        .and_then(|it| it.query_row(query, [], |row| row.get(0)));
+    number.ok()
 }
+
+/// The number of checkpoints that were written since the upgrade.
+const NEW_CHECKPOINTS: &str = "SELECT count(*) FROM checkpoint WHERE epoch > 1";
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_lab_goes_on_after_an_upgrade_and_after_a_kill_at_each_point_of_its_first_start() {
@@ -133,6 +143,7 @@ async fn assert_upgraded(data: &Path, lab: &Lab, point: Option<Point>) {
     assert_still(&client, lab).await;
     assert_moves(&client, lab).await;
     assert_recorded(&client, lab).await;
+    assert_experiments(&client, lab).await;
     let lines = audit(&client).await;
     assert!(lab.audit.iter().all(|it| lines.contains(it)), "{lines:?}");
     client.session.close().await.unwrap();
@@ -151,6 +162,7 @@ async fn assert_upgraded(data: &Path, lab: &Lab, point: Option<Point>) {
         assert_eq!(status["result"]["earlier_models"], expected, "{status}");
     }
     drop(process);
+    assert_refused(data);
 }
 
 /// The mark of a swarm: the version that stored its newest checkpoint.
@@ -326,6 +338,26 @@ async fn assert_recorded(client: &Client, lab: &Lab) {
         (&json!(7), &json!(6)),
         "{stopped}"
     );
+}
+
+/// Checks that the half-done experiment says why it ends, and that the finished runs are there.
+async fn assert_experiments(client: &Client, lab: &Lab) {
+    for (name, phase) in [("done", "finished"), ("half", "failed")] {
+        let now = progress(client, name).await;
+        assert_eq!(
+            (&now["phase"], &now["model_version"]),
+            (&json!(phase), &json!(EARLIER)),
+            "{now}"
+        );
+        assert_eq!(rows(client, name, 100).await, lab.rows[name], "{name}");
+    }
+    let half = progress(client, "half").await;
+    assert_eq!((&half["finished"], &half["runs"]), (&json!(3), &json!(4)));
+    let why = half["message"].as_str().unwrap();
+    assert!(why.contains("jostle experiment run --again"), "{why}");
+    // One without a finished run begins.
+    let next = wait_for_phase(client, "next", "finished").await;
+    assert_eq!(next["model_version"], Value::Null, "{next}");
 }
 
 /// Checks that each start that recovered a swarm has begun an epoch, and nothing else has.
