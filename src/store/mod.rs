@@ -12,6 +12,7 @@ mod copy;
 mod damaged_copy;
 mod data_id;
 mod error;
+mod examined;
 mod failpoint;
 mod health;
 mod integrity;

@@ -1,6 +1,7 @@
 //! The database file: opening, tables, migrations.
 
 use std::fs;
+use std::os::unix::ffi::OsStrExt as _;
 use std::path::Path;
 use std::time::Duration;
 
@@ -172,6 +173,57 @@ pub(super) fn open_reader(file: &Path) -> Result<Connection, StoreError> {
         Ok(connection)
     };
     open().map_err(|error| StoreError::of_reading(file, &error))
+}
+
+/// Opens a connection that changes no file and creates none.
+///
+/// SQLite creates the WAL and its index, `-shm`, of a file that it only reads, and removes them when the last
+/// connection closes. So it may not open them here but where both exist: it then reads an index that a daemon
+/// keeps, or, if none does, builds one in memory. Without an index no daemon has the file open, and no lock is
+/// needed: exclusive access to the WAL, with a VFS that locks nothing, has an index in memory, too. Without
+/// a WAL the file is complete.
+pub(super) fn open_unchanged(file: &Path) -> Result<Connection, StoreError> {
+    let fail = |error| StoreError::of_reading(file, &error);
+    let beside = |suffix: &str| {
+        let mut path = file.as_os_str().to_owned();
+        path.push(suffix);
+        fs::metadata(path).ok().map(|file| file.len())
+    };
+    let (parameters, is_exclusive) = match (beside("-wal"), beside("-shm")) {
+        (Some(_), Some(_)) => ("mode=ro&readonly_shm=1", false),
+        (Some(1..), None) => ("mode=ro&vfs=unix-none", true),
+        _ => ("mode=ro&immutable=1", false),
+    };
+    let open = || {
+        let flags = OpenFlags::SQLITE_OPEN_READ_ONLY
+            | OpenFlags::SQLITE_OPEN_URI
+            | OpenFlags::SQLITE_OPEN_NO_MUTEX;
+        let connection = Connection::open_with_flags(uri(file, parameters), flags)?;
+        connection.busy_timeout(BUSY_TIMEOUT)?;
+        connection.set_db_config(DbConfig::SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, true)?;
+        if is_exclusive {
+            connection.pragma_update(None, "locking_mode", "EXCLUSIVE")?;
+        }
+        configure(&connection)?;
+        connection.pragma_update(None, "query_only", true)?;
+        Ok(connection)
+    };
+    open().map_err(fail)
+}
+
+/// The URI of a file for SQLite.
+fn uri(file: &Path, parameters: &str) -> String {
+    let absolute = std::path::absolute(file).unwrap_or_else(|_| file.to_owned());
+    let mut uri = "file:".to_owned();
+    for byte in absolute.as_os_str().as_bytes() {
+        match byte {
+            b'a'..=b'z' | b'A'..=b'Z' | b'0'..=b'9' | b'/' | b'.' | b'-' | b'_' => {
+                uri.push(char::from(*byte));
+            }
+            byte => uri.push_str(&format!("%{byte:02X}")),
+        }
+    }
+    format!("{uri}?{parameters}")
 }
 
 fn configure(connection: &Connection) -> SqlResult<()> {
