@@ -40,7 +40,7 @@ use self::error::io_error;
 pub use self::lacking::MissingFiles;
 use self::lacking::lacking;
 use self::list::{Entry, Header, List, RUNS, Record, read_model_version, read_runs, to_line};
-pub use self::part::{Part, parts_in};
+pub use self::part::{Part, parts_in, results_in};
 use self::series::RAW;
 pub use self::series::SeriesSource;
 use crate::files::{EXPERIMENT, Files};
@@ -455,6 +455,17 @@ pub fn unfinished(path: &Path, label: &str) -> PathBuf {
     name.push(path.file_name().unwrap_or(OsStr::new("results")));
     name.push(format!(".{label}"));
     parent(path).join(name)
+}
+
+/// Returns the folder that [`unfinished`] writes in `path`; `path` itself if it is no such folder.
+#[must_use]
+pub fn finished(path: &Path) -> PathBuf {
+    let name = path.file_name().and_then(OsStr::to_str);
+    let name = name.and_then(|it| it.strip_prefix(jostle_atomic_file::PREFIX));
+    match name.and_then(|it| it.rsplit_once('.')) {
+        Some((name, _)) => path.with_file_name(name),
+        None => path.to_owned(),
+    }
 }
 
 #[cfg(test)]

@@ -79,7 +79,10 @@ pub use self::{
     dry_run::{DiskNeed, DryRun, Estimate, Measured},
     execute::{ExecuteError, Execution, Outcome, execute},
     files::{EXPERIMENT, FilesError},
-    folder::{FinishedRuns, Folder, FolderError, MissingFiles, SeriesSource, unfinished},
+    folder::{
+        FinishedRuns, Folder, FolderError, MissingFiles, SeriesSource, finished, results_in,
+        unfinished,
+    },
     merge::{Difference, MergeError, Parts, missing},
     progress::{ExecutionControl, Progress},
 };

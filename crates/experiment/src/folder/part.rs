@@ -190,17 +190,12 @@ impl Part {
 pub fn parts_in(folders: &[PathBuf]) -> Result<Vec<PathBuf>, FolderError> {
     let mut parts = Vec::new();
     for folder in folders {
-        let fail = |source| io_error(folder, source);
-        let mut inner = Vec::new();
-        if !has_runs(folder)? {
-            for entry in fs::read_dir(folder).map_err(fail)? {
-                let entry = entry.map_err(fail)?;
-                let is_hidden = entry.file_name().as_encoded_bytes().starts_with(b".");
-                if !is_hidden && has_runs(&entry.path())? {
-                    inner.push(entry.path());
-                }
-            }
-        }
+        let is_hidden = |it: &PathBuf| {
+            let name = it.file_name().unwrap_or_default();
+            name.as_encoded_bytes().starts_with(b".")
+        };
+        let mut inner = results_in(folder)?;
+        inner.retain(|it| it == folder || !is_hidden(it));
         // A folder without any is returned, and the caller's error names it.
         if inner.is_empty() {
             inner.push(folder.clone());
@@ -209,6 +204,28 @@ pub fn parts_in(folders: &[PathBuf]) -> Result<Vec<PathBuf>, FolderError> {
     }
     parts.sort();
     Ok(parts)
+}
+
+/// Returns the folders of results in `folder`, sorted: itself, or its subfolders with results if it has no
+/// results itself, also unfinished ones, whose names are hidden.
+///
+/// # Errors
+///
+/// [`FolderError::Io`].
+pub fn results_in(folder: &Path) -> Result<Vec<PathBuf>, FolderError> {
+    let fail = |source| io_error(folder, source);
+    if has_runs(folder)? {
+        return Ok(vec![folder.to_owned()]);
+    }
+    let mut results = Vec::new();
+    for entry in fs::read_dir(folder).map_err(fail)? {
+        let path = entry.map_err(fail)?.path();
+        if has_runs(&path)? {
+            results.push(path);
+        }
+    }
+    results.sort();
+    Ok(results)
 }
 
 /// Returns whether a folder contains a list of runs; an error if that cannot be read.

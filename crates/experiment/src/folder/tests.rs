@@ -337,3 +337,14 @@ fn a_line_that_is_written_in_part_is_replaced_by_the_next_one() {
     assert_eq!(fixture.names(&folder), ["#0", "#2"]);
     folder.write_tables(&fixture.plan).unwrap();
 }
+
+#[test]
+fn the_folder_of_an_unfinished_one_is_known() {
+    for (output, label) in [("results", "1-of-2"), ("a/b.c", "runs-0123abcd")] {
+        let path = unfinished(Path::new(output), label);
+        assert_eq!(finished(&path), Path::new(output));
+    }
+    for path in ["results", "a/.hidden.part", ".jostle-results"] {
+        assert_eq!(finished(Path::new(path)), Path::new(path));
+    }
+}
