@@ -46,10 +46,15 @@ impl<T: StatusFile> JobDirectory<T> {
                 let _ = fs::remove_dir(&path);
             }
         }
-        Ok(JobDirectory {
+        Ok(Self::unopened(root))
+    }
+
+    /// The folder as it is: nothing is created or completed in it.
+    pub fn unopened(root: &Path) -> Self {
+        JobDirectory {
             root: root.to_owned(),
             status: PhantomData,
-        })
+        }
     }
 
     /// The name of each job with its status, or why that cannot be read.

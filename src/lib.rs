@@ -8,7 +8,7 @@
 //!    [`backup`], [`config`]
 //! 4. [`api`]: requests of clients
 //! 5. [`transport`]: zenoh and HTTP
-//! 6. [`app`]: start and stop
+//! 6. [`app`]: start and stop; [`doctor`]: what a start would do
 //! 7. [`cli`]: the subcommands of `jostled`
 //!
 //! The path of a command: [`transport`] receives a query, [`api`] parses and checks it, the swarm's
@@ -25,6 +25,7 @@ pub mod backup;
 pub mod cli;
 pub mod config;
 pub mod convert;
+pub mod doctor;
 mod experiments;
 mod failpoint;
 pub mod health;

@@ -8,7 +8,7 @@ use jostled::cli::arguments::{Arguments, Command, Show, command_line, reject_unu
 use jostled::cli::run;
 use jostled::cli::serve::{self, Mode};
 use jostled::cli::settings;
-use jostled::cli::{self, auth, backup, check, explain, man, print, process};
+use jostled::cli::{self, auth, backup, check, doctor, explain, man, print, process};
 use jostled::config::{Config, ConfigError, Resolved, Source};
 use jostled::transport::http;
 use jostled::transport::zenoh::session;
@@ -86,6 +86,10 @@ fn with_settings(
             let done = jostled::backup::restore(source, &config.data_dir);
             let code = backup::EXIT_INCOMPLETE;
             return backup::report("restored", done, &config.data_dir, *json, code);
+        }
+        Command::Doctor(options) => {
+            let is_default = resolved["data_dir"].1 == Source::Default;
+            return doctor::run(options, &config.data_dir, is_default);
         }
         _ => {}
     }

@@ -43,6 +43,6 @@ pub fn other_data(folder: &Path, node: &str) -> Option<String> {
 }
 
 /// Whether the folder has a file of this name that is not empty.
-fn has(folder: &Path, name: &str) -> bool {
+pub fn has(folder: &Path, name: &str) -> bool {
     fs::metadata(folder.join(name)).is_ok_and(|file| file.len() > 0)
 }

@@ -3,7 +3,7 @@
 //! [`start`] lists the steps. No other module knows all parts, and this one contains no logic of
 //! theirs.
 
-mod data_folder;
+pub(crate) mod data_folder;
 mod error;
 mod server;
 mod start;

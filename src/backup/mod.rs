@@ -26,7 +26,8 @@ pub use crate::backup::complete::Incomplete;
 use crate::backup::complete::incomplete;
 pub use crate::backup::error::BackupError;
 use crate::backup::error::io_error;
-use crate::backup::files::{FOLDERS, make_folder, sync_folder};
+pub use crate::backup::files::FOLDERS;
+use crate::backup::files::{make_folder, sync_folder};
 use crate::backup::manifest::FileEntry;
 pub use crate::backup::manifest::Manifest;
 use crate::store::{self, StoreError};
@@ -43,14 +44,7 @@ const NICENESS: i32 = 10;
 /// Takes a backup of `data` into the new or empty folder `target`. If it fails, its files are removed.
 /// What the data folder lacks is in [`Manifest::incomplete`].
 pub fn take(data: &Path, target: &Path) -> Result<Manifest, BackupError> {
-    let database = data.join(store::FILE);
-    match fs::metadata(&database) {
-        Ok(it) if it.is_file() => {}
-        Err(error) if error.kind() != io::ErrorKind::NotFound => {
-            return Err(io_error(&database)(error));
-        }
-        _ => return Err(BackupError::NoData(data.to_owned())),
-    }
+    check_database(data)?;
     if is_within(target, data)? {
         return Err(BackupError::Inside(target.to_owned()));
     }
@@ -89,6 +83,20 @@ pub fn take(data: &Path, target: &Path) -> Result<Manifest, BackupError> {
         }
     }
     taken
+}
+
+/// Checks that a data folder has a database.
+///
+/// # Errors
+///
+/// [`BackupError::NoData`] and [`BackupError::Io`].
+pub fn check_database(data: &Path) -> Result<(), BackupError> {
+    let database = data.join(store::FILE);
+    match fs::metadata(&database) {
+        Ok(it) if it.is_file() => Ok(()),
+        Err(error) if error.kind() != io::ErrorKind::NotFound => Err(io_error(&database)(error)),
+        _ => Err(BackupError::NoData(data.to_owned())),
+    }
 }
 
 /// Whether `target`, which need not exist, is `folder` or inside it.

@@ -9,6 +9,7 @@ use clap::{Arg, ArgMatches, CommandFactory, Parser, Subcommand};
 
 use crate::cli::auth::Auth;
 use crate::cli::check;
+use crate::cli::doctor;
 use crate::cli::duration;
 use crate::cli::run;
 use crate::cli::settings;
@@ -56,6 +57,10 @@ pub enum Command {
         #[arg(long)]
         json: bool,
     },
+    /// Say what this version will do with the swarms, experiments and results of an earlier one.
+    ///
+    /// Reads the data folder and folders of results, and changes nothing in them. The daemon may be running.
+    Doctor(doctor::Options),
     /// Show the settings.
     Config {
         /// What to show.
@@ -94,7 +99,7 @@ fn has_effect(setting: &str, command: &str) -> bool {
     match command {
         "check" | "config default" | "man" | "run" => false,
         // The node's name is part of the data folder's default.
-        "backup" | "restore" => ["config", "data_dir", "node"].contains(&setting),
+        "backup" | "doctor" | "restore" => ["config", "data_dir", "node"].contains(&setting),
         "auth address" | "auth init" => ["auth_dir", "config", "http", "listen"].contains(&setting),
         command if command.starts_with("auth ") => ["auth_dir", "config"].contains(&setting),
         _ => true,
@@ -210,6 +215,7 @@ mod tests {
             "man",
             "backup",
             "restore",
+            "doctor",
             "config explain",
             "config default",
             "auth init",

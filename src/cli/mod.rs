@@ -5,6 +5,7 @@ pub mod auth;
 pub mod backup;
 pub mod check;
 mod demo;
+pub mod doctor;
 mod duration;
 pub mod explain;
 pub mod man;

@@ -51,5 +51,6 @@ pub(crate) use payload::Payload;
 pub(crate) use recordings::{recording, recording_piece, recordings};
 pub(crate) use replies::{created, outcome, reply};
 pub(crate) use states::{
-    attachment, limits, order_sample, origin, parameters, present, replay, state, status, summary,
+    attachment, limits, order_sample, origin, parameters, phase, present, replay, state, status,
+    summary,
 };

@@ -241,7 +241,7 @@ pub fn limits(limits: Limits, max_clients: usize, max_message_bytes: u64) -> pro
     }
 }
 
-pub(super) fn phase(phase: &Phase) -> proto::Phase {
+pub(crate) fn phase(phase: &Phase) -> proto::Phase {
     match phase {
         Phase::Paused(_) => proto::Phase::Paused,
         Phase::Running { .. } | Phase::Stepping { .. } => proto::Phase::Running,

@@ -1,16 +1,44 @@
 //! Loads the experiments of a data folder.
 
+use std::collections::BTreeMap;
+use std::io;
 use std::path::Path;
 use std::sync::Arc;
 
 use jostle_experiment::{Files, Folder, MissingFiles, Plan};
-use jostle_proto::ExperimentPhase as Phase;
+use jostle_proto::{ExperimentPhase as Phase, keys};
 use tracing::warn;
 
 use super::error::ExperimentError;
 use super::models::other_model;
 use super::status::{Entry, Status};
 use crate::jobs::JobDirectory;
+
+/// The file that an experiment is made from, in its folder.
+const PLAN: &str = "experiment.toml";
+
+/// The experiments in a folder that is not opened, and in which nothing changes, by name, each with its phase; a
+/// running one is stored as queued.
+pub fn phases(folder: &Path) -> io::Result<BTreeMap<String, Phase>> {
+    let jobs = JobDirectory::<Status>::unopened(folder);
+    let phase = |status: Option<Status>| status.map_or(Phase::Queued, |it| it.phase);
+    match stored(&jobs) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(BTreeMap::new()),
+        stored => Ok(stored?
+            .map(|(name, status)| (name, phase(status)))
+            .collect()),
+    }
+}
+
+/// The names of the stored experiments, each with its status if that can be read.
+pub(super) fn stored(
+    jobs: &JobDirectory<Status>,
+) -> io::Result<impl Iterator<Item = (String, Option<Status>)>> {
+    let is_experiment = |name: &str| keys::is_name(name) && jobs.folder(name).join(PLAN).is_file();
+    let listed = jobs.list()?.into_iter();
+    let listed = listed.filter(move |(name, _)| is_experiment(name));
+    Ok(listed.map(|(name, status)| (name, status.ok())))
+}
 
 /// Loads an experiment from its folder. Without a status a crash interrupted `submit`.
 pub(super) fn load(name: &str, jobs: &JobDirectory<Status>, status: Option<Status>) -> Entry {

@@ -28,7 +28,8 @@ use parking_lot::{Condvar, Mutex, MutexGuard};
 
 pub use self::disk::DiskUsage;
 pub use self::error::ExperimentError;
-use self::loading::{load, read_files, read_plan};
+pub use self::loading::phases;
+use self::loading::{load, read_files, read_plan, stored};
 use self::results::{Results, ResultsCache, Rows, SeriesCache};
 use self::status::{Entry, Status};
 pub use self::status::{Report, is_finished};
@@ -40,9 +41,6 @@ const MAX_EXPERIMENTS: usize = 1000;
 
 /// How long `cancel` waits for the runs to finish their current step.
 const CANCEL_TIMEOUT: Duration = Duration::from_secs(3);
-
-/// The file that an experiment is made from, in its folder.
-const PLAN: &str = "experiment.toml";
 
 /// The experiments of a daemon. Clones share them.
 #[derive(Clone)]
@@ -98,12 +96,9 @@ impl ExperimentManager {
     ) -> io::Result<Self> {
         let jobs = JobDirectory::open(folder)?;
         let mut state = State::default();
-        for (name, status) in jobs.list()? {
-            let path = jobs.folder(&name);
-            if keys::is_name(&name) && path.join(PLAN).is_file() {
-                let entry = load(&name, &jobs, status.ok());
-                state.entries.insert(name, entry);
-            }
+        for (name, status) in stored(&jobs)? {
+            let entry = load(&name, &jobs, status);
+            state.entries.insert(name, entry);
         }
         let manager = ExperimentManager(Arc::new(Shared {
             jobs,

@@ -4,7 +4,7 @@ use jostle_proto as proto;
 
 use crate::convert::durable;
 use crate::persistence::journal_reader;
-use crate::store::Store;
+use crate::store::{CheckpointInfo, Store};
 use crate::swarm::checkpoint::Checkpoint;
 
 /// Reads the file of a snapshot.
@@ -19,6 +19,24 @@ pub(super) fn read_stored(store: &Store, swarm: &str, number: u64) -> Result<Che
     let stored = store.checkpoint(swarm, number);
     let body = stored.map_err(|error| error.to_string())?.body;
     parse(&proto::Snapshot::from_cbor(&body)?)
+}
+
+/// Reads checkpoints of a swarm in this order; `damaged` gets each that cannot be read, and why.
+pub(super) fn readable<'a>(
+    store: &'a Store,
+    swarm: &'a str,
+    stored: Vec<CheckpointInfo>,
+    mut damaged: impl FnMut(&CheckpointInfo, String) + 'a,
+) -> impl Iterator<Item = Checkpoint> + 'a {
+    stored
+        .into_iter()
+        .filter_map(move |it| match read_stored(store, swarm, it.number) {
+            Ok(checkpoint) => Some(checkpoint),
+            Err(error) => {
+                damaged(&it, error);
+                None
+            }
+        })
 }
 
 fn parse(snapshot: &proto::Snapshot) -> Result<Checkpoint, String> {

@@ -5,6 +5,7 @@ pub mod checkpoints;
 pub(crate) mod journal_page;
 pub(crate) mod journal_reader;
 pub mod limits;
+pub(crate) mod prospect;
 mod recoveries;
 pub(crate) mod recovery;
 pub(crate) mod replay;

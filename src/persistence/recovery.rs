@@ -14,14 +14,14 @@ use tracing::{error, info, warn};
 use crate::convert::commands::CommandError;
 use crate::convert::error::EarlierModelError;
 use crate::convert::{self, Payload};
-use crate::persistence::checkpoints::read_stored;
+use crate::persistence::checkpoints::{read_stored, readable};
 use crate::persistence::journal_reader::{
     self, AppliedInputs, JournalReader, LineError, read_lines,
 };
 use crate::persistence::recoveries::Recoveries;
 use crate::persistence::reply_cache::ReplyCache;
 use crate::persistence::writer::{SwarmMetadata, writes};
-use crate::store::{Store, StoreError, Write};
+use crate::store::{CheckpointInfo, Store, StoreError, Write};
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::error::SwarmError;
 use crate::swarm::frame::Frame;
@@ -41,6 +41,9 @@ const MAX_REPLY_LINES: u64 = 1000;
 
 /// The number of checkpoints after which the reply to a command is certainly stored.
 const SETTLED_CHECKPOINTS: usize = 8;
+
+/// Why a swarm without a readable checkpoint is not recovered, if none is damaged.
+pub(super) const NO_CHECKPOINT: &str = "it has no checkpoint";
 
 /// Called on the thread of each recovered swarm before it continues: with its handle, its state, and the
 /// epochs and steps at which it was reset, oldest first, as far as [`MAX_HISTORY_LINES`] tell. Returns the
@@ -123,10 +126,9 @@ fn load(
     metadata: &[u8],
     progress: &Arc<RecoveryProgress>,
 ) -> Result<Loaded, Box<dyn Error>> {
-    let SwarmMetadata { spec, creation } = ciborium::from_reader(metadata)?;
-    let spec = jostle_convert::spec::from_proto(&spec, jostle_convert::value::count(spec.n))?;
+    let (spec, creation) = read_metadata(metadata)?;
     let mut chosen = None;
-    let mut problem = "it has no checkpoint".to_owned();
+    let mut problem = NO_CHECKPOINT.to_owned();
     let checkpoints = store.checkpoints(swarm)?;
     // A reply is stored soon after its command, so replies to commands before an older checkpoint
     // were stored before the newest one: if the store has ever evicted a reply, a missing one was
@@ -134,15 +136,11 @@ fn load(
     let settled = checkpoints.get(SETTLED_CHECKPOINTS);
     let settled = settled.filter(|_| store.has_evicted());
     let replied = settled.map_or(0, |it| it.number);
-    for stored in checkpoints {
-        let checkpoint = match read_stored(store, swarm, stored.number) {
-            Ok(checkpoint) => checkpoint,
-            Err(error) => {
-                warn!(swarm, step = stored.step, %error, "a checkpoint is damaged: using an older one");
-                problem = error;
-                continue;
-            }
-        };
+    let damaged = |stored: &CheckpointInfo, error: String| {
+        warn!(swarm, step = stored.step, %error, "a checkpoint is damaged: using an older one");
+        problem = error;
+    };
+    for checkpoint in readable(store, swarm, checkpoints, damaged) {
         if chosen.is_some() && checkpoint.is_of_earlier_model() {
             // A replay from it would not give the states that this version of the model has published.
             break;
@@ -199,6 +197,13 @@ fn load(
     Ok(((spec, creation), source, resets))
 }
 
+/// The spec and the creation of a swarm.
+pub(super) fn read_metadata(metadata: &[u8]) -> Result<(Spec, Option<Creation>), Box<dyn Error>> {
+    let SwarmMetadata { spec, creation } = ciborium::from_reader(metadata)?;
+    let spec = jostle_convert::spec::from_proto(&spec, jostle_convert::value::count(spec.n))?;
+    Ok((spec, creation))
+}
+
 /// The epochs and steps at which the swarm was reset, according to these lines.
 fn resets<'a>(lines: impl Iterator<Item = &'a Line>) -> Vec<(u64, u64)> {
     let (mut resets, mut scheduled) = (BTreeMap::new(), BTreeMap::new());
@@ -229,9 +234,9 @@ fn resets<'a>(lines: impl Iterator<Item = &'a Line>) -> Vec<(u64, u64)> {
 }
 
 /// The lines after a checkpoint. If a line is damaged, an error takes its place and ends them.
-type Tail = Vec<Result<ReplayEntry, String>>;
+pub(super) type Tail = Vec<Result<ReplayEntry, String>>;
 
-fn read_tail(store: &Store, swarm: &str, after: u64) -> Result<Tail, StoreError> {
+pub(super) fn read_tail(store: &Store, swarm: &str, after: u64) -> Result<Tail, StoreError> {
     let lines = JournalReader::new(store, swarm, after, u64::MAX);
     let lines = lines.map(|line| match line {
         Ok(line) => Ok(Ok(line)),

@@ -21,7 +21,7 @@ const LAYERS: [&[&str]; 7] = [
     ],
     &["api"],
     &["transport"],
-    &["app"],
+    &["app", "doctor"],
     &["cli", "lib", "main"],
 ];
 
@@ -58,6 +58,7 @@ const LIBRARIES: [(&str, &[&str]); 10] = [
             "cli",
             "config",
             "convert",
+            "doctor",
             "experiments",
             "persistence",
             "recording",

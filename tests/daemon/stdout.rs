@@ -20,7 +20,7 @@ const FULL: &str = "jostled: failed to write to standard output: No space left o
 
 /// Command lines of each command but `serve`, to which [`the_daemon_serves_without`] belongs. `{}` is a
 /// folder with an experiment, a data folder and a backup; `{new}` does not exist.
-const LINES: [(&str, &str); 22] = [
+const LINES: [(&str, &str); 24] = [
     ("auth add", "auth add --auth-dir {}/auth eva=viewer"),
     ("auth address", "auth address --auth-dir {}/auth"),
     ("auth address", "auth address --auth-dir {}/auth --json"),
@@ -40,6 +40,8 @@ const LINES: [(&str, &str); 22] = [
     ("config explain", "config explain"),
     ("config explain", "config explain --json"),
     ("demo", "demo --listen tcp/127.0.0.1:0 --for 0.1s"),
+    ("doctor", "doctor --data-dir {}/data"),
+    ("doctor", "doctor --data-dir {}/data --json"),
     ("man", "man"),
     ("restore", "restore --data-dir {new} {}/backup"),
     ("run", "run {}/order.toml --output {new}"),
