@@ -19,6 +19,7 @@ mod controllers;
 mod copies;
 mod corpora;
 mod crash;
+mod doctor;
 mod experiment;
 mod experiment_space;
 mod experiments;

@@ -21,8 +21,7 @@ use crate::states::swarms;
 use crate::support::daemon_process::{self, DaemonProcess};
 use crate::support::{Client, Daemon, PREFIX, QueryResult, TIMEOUT, until};
 
-use folders::earlier;
-pub use folders::{EARLIER, aged, killed};
+pub use folders::{EARLIER, aged, earlier, killed};
 
 /// The mark of a swarm.
 fn mark(epoch: u64, step: u64) -> Value {
