@@ -96,7 +96,8 @@ pub async fn assert_happens(data: &Path, said: &Said) {
             }]),
         };
         assert_eq!(swarm["earlier_models"], mark, "{said} {swarm}");
-        if let Some(phase) = said.get("phase") {
+        // One that was running may have reached its end.
+        if let Some(phase) = said.get("phase").filter(|it| *it != "running") {
             assert_eq!(swarm["phase"], *phase, "{said} {swarm}");
         }
     }

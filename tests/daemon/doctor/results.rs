@@ -4,6 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use jostle_experiment::unfinished;
+use jostle_physics::model::MODEL_VERSION;
 use jostle_proto::to_cbor;
 use serde_json::{Value, json};
 
@@ -76,17 +77,17 @@ async fn experiments_of_an_earlier_version_are_marked_if_they_have_runs_left() {
     assert_eq!((said.code, said.errors.as_str()), (0, ""));
     let marked = "ends as failed";
     for (name, phase, finished, version, message) in [
-        ("order", "finished", 4, 2, "as before"),
-        ("begun", "queued", 0, 2, "as before"),
-        ("half", "queued", 2, 1, marked),
-        ("alone", "queued", 2, 1, marked),
-        ("paused", "paused", 3, 1, marked),
-        ("cancelled", "cancelled", 1, 1, "stays cancelled"),
-        ("whole", "finished", 4, 1, "readable"),
-        ("tables", "queued", 4, 1, marked),
+        ("order", "finished", 4, MODEL_VERSION, "as before"),
+        ("begun", "queued", 0, MODEL_VERSION, "as before"),
+        ("half", "queued", 2, EARLIER, marked),
+        ("alone", "queued", 2, EARLIER, marked),
+        ("paused", "paused", 3, EARLIER, marked),
+        ("cancelled", "cancelled", 1, EARLIER, "stays cancelled"),
+        ("whole", "finished", 4, EARLIER, "readable"),
+        ("tables", "queued", 4, EARLIER, marked),
     ] {
         let found = find(&said, "experiments", name);
-        let is_marked = version == 1 && name != "whole";
+        let is_marked = version == EARLIER && name != "whole";
         assert_eq!(found["phase"], phase, "{found}");
         assert_eq!(
             (&found["finished"], &found["runs"]),
@@ -94,7 +95,7 @@ async fn experiments_of_an_earlier_version_are_marked_if_they_have_runs_left() {
         );
         assert_eq!(found["model_version"], version, "{found}");
         assert_eq!(found["marked"], is_marked, "{found}");
-        let again = is_marked.then(|| format!("{name}-model2"));
+        let again = is_marked.then(|| format!("{name}-model{MODEL_VERSION}"));
         assert_eq!(found["again"], json!(again), "{found}");
         let text = found["message"].as_str().unwrap();
         assert!(text.starts_with(message), "{found}");
@@ -192,14 +193,14 @@ fn folders_of_results_and_unfinished_parts_beside_them_are_examined_without_a_da
             )
         })
         .collect();
-    let again = |it: &str| Some(name(&out.join(it)));
+    let again = |it: &str| Some(name(&out.join(format!("{it}-model{MODEL_VERSION}"))));
     assert_eq!(
         rows,
         [
-            (name(&hidden), Some(1), again("part-model2")),
-            (name(&out.join("half")), Some(1), again("half-model2")),
-            (name(&out.join("present")), Some(2), None),
-            (name(&out.join("whole")), Some(1), None),
+            (name(&hidden), Some(EARLIER.into()), again("part")),
+            (name(&out.join("half")), Some(EARLIER.into()), again("half")),
+            (name(&out.join("present")), Some(MODEL_VERSION.into()), None),
+            (name(&out.join("whole")), Some(EARLIER.into()), None),
         ]
     );
     assert_eq!(
