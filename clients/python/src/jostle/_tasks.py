@@ -6,7 +6,7 @@ import contextlib
 import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, ThreadPoolExecutor
-from queue import SimpleQueue
+from queue import Empty, SimpleQueue
 from typing import Any, Self
 
 from . import _part
@@ -18,6 +18,10 @@ from ._plan import Task
 
 DASK = "dask:"
 """Prefix of the address of a Dask scheduler."""
+
+# How long a wait may last. Python handles a signal that arrives just before a wait, such as
+# Ctrl-C, only after it.
+_SIGNAL_SECS = 0.5
 
 
 class Tasks:
@@ -108,7 +112,10 @@ class Tasks:
         A Dask worker keeps the files of a task until the next one is taken.
         """
         while self._futures:
-            ended = self._ended.get()
+            try:
+                ended = self._ended.get(timeout=_SIGNAL_SECS)
+            except Empty:
+                continue
             if ended is None:
                 return
             task, future = ended
