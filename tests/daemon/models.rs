@@ -231,7 +231,7 @@ async fn a_command_whose_reply_an_earlier_version_lost_is_not_executed_again() {
     // checkpoint, one after it.
     let aged = aged(folder.path(), |record| record);
     let store = Store::open(aged.path(), Settings::default(), Box::new(|_| {})).unwrap();
-    let newest = store.checkpoints("school").unwrap()[0].clone();
+    let newest = store.checkpoints("school").unwrap()[0];
     assert!(newest.step > 0);
     let lost = ["early", "late"].map(|id| Write::DeleteReply {
         client: Some("me".to_owned()),

@@ -13,8 +13,8 @@ use crate::support::playback::{recorded_file, upload_and_open};
 use crate::support::{Client, NODE, PREFIX, recording, until};
 use crate::{commands, experiments, when};
 
-/// The steps of a command that is being executed when the daemon is killed.
-pub const LONG: u64 = 300_000;
+/// The steps of a command that is being executed when the daemon is killed: they take a minute.
+pub const LONG: u64 = 20_000_000;
 
 /// An experiment with three short runs, and one that takes longer than any test.
 const HALF: &str = "name = \"half\"\nseed = 3\nduration = 1000\n[[grid]]\nn = [3, 4, 5, 400]\n";
@@ -248,9 +248,9 @@ async fn driven(asking: &mut Asking<'_>) {
     asking.at("driven", "advance", request).await;
 }
 
-/// A swarm that runs, 200 steps in a second, with a command for a step to come.
+/// A swarm that runs, 50 steps in a second, with a command for a step to come.
 async fn moving(asking: &mut Asking<'_>) {
-    let spec = json!({"n": 8, "seed": 4, "rate": 4});
+    let spec = json!({"n": 8, "seed": 4, "rate": 1});
     asking.create("running", spec).await;
     let later = json!({"at_step": 1200, "args": {"pi1": 3.0, "make_room": true}});
     asking.at("running", "set", later).await;
