@@ -110,6 +110,56 @@ async fn a_swarm_goes_on_from_its_newest_checkpoint_and_is_marked_until_a_reset(
     }
 }
 
+/// The record with `to` in place of `from` in the arguments, if it is of a command with this verb.
+fn with_args(mut record: Record, verb: &str, from: &str, to: &str) -> Record {
+    if let Record::Input { sender, .. } = &mut record
+        && sender.verb == verb
+    {
+        let args = sender.args.replace(from, to);
+        Arc::make_mut(sender).args = args;
+    }
+    record
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn commands_after_a_step_in_which_only_this_version_faults_are_events() {
+    let folder = killed(async |client: &Client| {
+        let spec = json!({"n": 60, "dt": 0.2497, "seed": 2});
+        client.create("school", spec).await;
+        client.ok("school", "set", json!({"pi4": 5.0})).await;
+        client.ok("school", "step", json!({"steps": 20})).await;
+        client.ok("school", "set", json!({"pi3": 0.9})).await;
+        let later = json!({"at_step": 500, "args": {"pi3": 1.0}});
+        client.ok("school", "set", later).await;
+        client
+            .ok("school", "annotate", json!({"text": "here"}))
+            .await;
+    })
+    .await;
+    let aged = aged(folder.path(), |record| {
+        with_args(record, "set", "5.0", "1e6")
+    });
+    let (process, client) = daemon_process::start(aged.path()).await;
+    let status = client.get("school", "status").await;
+    assert_eq!(
+        (&status["phase"], &status["seq"]),
+        (&json!("faulted"), &json!(4)),
+        "{status}"
+    );
+    let step = &status["step"];
+    assert!(step.as_u64() < Some(20), "{status}");
+    assert_eq!(status["result"]["earlier_models"], mark(1, 0), "{status}");
+    assert!(status["result"]["fault"].is_object(), "{status}");
+    let events = client.get("school", "events?limit=1000").await;
+    let events = events["result"]["events"].as_array().unwrap().clone();
+    let refused = events.iter().filter(|it| it["event"]["kind"] == "refused");
+    let refused: Vec<_> = refused
+        .map(|it| (&it["step"], it["event"]["verb"].as_str().unwrap()))
+        .collect();
+    assert_eq!(refused, [(step, "set"), (step, "set")]);
+    drop(process);
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn a_command_that_this_version_rejects_is_an_event_and_the_swarm_goes_on() {
     let folder = killed(async |client: &Client| {
@@ -122,24 +172,8 @@ async fn a_command_that_this_version_rejects_is_an_event_and_the_swarm_goes_on()
     })
     .await;
     // As if only the earlier version knew such individuals.
-    let aged = aged(folder.path(), |record| match record {
-        Record::Input {
-            at_step,
-            sender,
-            seq,
-            unix_secs,
-        } if sender.verb == "inform" => {
-            let mut sender = (*sender).clone();
-            sender.args = sender.args.replace("[1,3]", "[1,99]");
-            assert!(sender.args.contains("99"), "{}", sender.args);
-            Record::Input {
-                at_step,
-                sender: Arc::new(sender),
-                seq,
-                unix_secs,
-            }
-        }
-        record => record,
+    let aged = aged(folder.path(), |record| {
+        with_args(record, "inform", "[1,3]", "[1,99]")
     });
     let mut process = DaemonProcess::start(&mut daemon_process::daemon(aged.path())).unwrap();
     let client = Client::open(&process.endpoint).await;

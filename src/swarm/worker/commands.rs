@@ -239,14 +239,7 @@ impl Worker {
                 self.simulation.seq = seq;
                 self.annotations = annotations;
                 if let Some(applied) = self.was_applied(input) {
-                    warn!(
-                        swarm = self.output.name, verb = sender.verb, seq = applied,
-                        step = self.simulation.state.step, %error,
-                        "this version of the model rejects a command that an earlier one applied"
-                    );
-                    // The numbers of later commands, and the keys of their draws, stay.
-                    self.simulation.seq = applied - annotations;
-                    self.push_event(EventKind::Rejected(sender, error.clone()));
+                    self.report_refused(sender, Some(applied), error.clone());
                 }
                 if input > 0 {
                     self.record_outcome(input, Err(&error));
@@ -471,6 +464,25 @@ impl Worker {
     fn was_applied(&self, input: u64) -> Option<u64> {
         self.taken_over?;
         self.journal.outcome(input)?.0
+    }
+
+    /// Reports a replayed command that an earlier version of the model applied, under the number `applied`, or
+    /// scheduled. The numbers of later commands, and the keys of their draws, stay.
+    pub(super) fn report_refused(
+        &mut self,
+        sender: Arc<Sender>,
+        applied: Option<u64>,
+        error: SwarmError,
+    ) {
+        warn!(
+            swarm = self.output.name, verb = sender.verb, seq = applied,
+            step = self.simulation.state.step, %error,
+            "this version of the model rejects a command that an earlier one applied"
+        );
+        if let Some(applied) = applied {
+            self.simulation.seq = applied - self.annotations;
+        }
+        self.push_event(EventKind::Rejected(sender, error));
     }
 
     pub(super) fn protected(&self) -> SwarmError {

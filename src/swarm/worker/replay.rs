@@ -26,7 +26,7 @@ use crate::swarm::frame::EventKind;
 use crate::swarm::handle::{CommandMessage, Handle, ReplyTo};
 use crate::swarm::history::Entry;
 use crate::swarm::journal::{GoesOn, JournalWriter, Line, NoWriter, OnProgress, Record, Replayed};
-use crate::swarm::phase::Phase;
+use crate::swarm::phase::{Phase, PhaseError};
 use crate::swarm::schedule::Scheduled;
 use crate::swarm::sender::Sender;
 use crate::swarm::worker::{End, Worker};
@@ -250,6 +250,23 @@ impl Fold {
                     user: None,
                 };
                 worker.applied_at(applied_at, |it| it.command(input, at_step, message))
+            }
+            // The swarm has faulted, as it had not under the earlier version of the model.
+            (
+                Record::Input {
+                    at_step,
+                    sender,
+                    seq,
+                    ..
+                },
+                Some(_),
+            ) if worker.taken_over.is_some() => {
+                let outcome = worker.journal.outcome(line.number);
+                let applied = seq.or_else(|| outcome.and_then(|(applied, _)| applied));
+                if applied.is_some() || at_step.is_some() {
+                    worker.report_refused(sender, applied, PhaseError::Faulted.into());
+                }
+                None
             }
             (Record::Resumed(epoch), _) => {
                 worker.simulation.epoch = epoch;
