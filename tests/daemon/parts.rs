@@ -265,7 +265,14 @@ fn parts_that_do_not_fit_together_are_named_and_rejected() {
         let own = own.split_once('}').unwrap().0.to_owned();
         text.replacen(&format!(":{own}}}"), ":999}", 1)
     });
-    expect(&["one", "two"], 2, &["two has runs of model version 999"]);
+    expect(
+        &["one", "two"],
+        4,
+        &[
+            "different versions of the model: version",
+            "version 999 in two",
+        ],
+    );
     fs::remove_dir_all(fixture.path("two")).unwrap();
 
     // A process is still executing a part in place.

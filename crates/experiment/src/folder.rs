@@ -463,7 +463,10 @@ pub fn finished(path: &Path) -> PathBuf {
     let name = path.file_name().and_then(OsStr::to_str);
     let name = name.and_then(|it| it.strip_prefix(jostle_atomic_file::PREFIX));
     match name.and_then(|it| it.rsplit_once('.')) {
-        Some((name, _)) => path.with_file_name(name),
+        Some((name, _)) => match parent(path) {
+            here if here == Path::new(".") => PathBuf::from(name),
+            parent => parent.join(name),
+        },
         None => path.to_owned(),
     }
 }

@@ -155,6 +155,13 @@ pub fn experiments() -> Vec<Row> {
         row("experiment run <file>{}/order.toml --detach", &[submit]).says("submitted small"),
         row("experiment run <file>{}/order.toml", &[submit, progress]).says("; took 3"),
         row(
+            "experiment run <file>{}/order.toml --again --detach",
+            &[
+                r#"@node/test/cmd/experiment {"submit": {"toml": "name = \"order\"\n",
+                "again": true}}"#,
+            ],
+        ),
+        row(
             "experiment run <file>{}/order.toml --name night --detach",
             &[
                 r#"@node/test/cmd/experiment {"submit": {"toml": "name = \"order\"\n",
