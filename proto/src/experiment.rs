@@ -103,7 +103,7 @@ pub struct SubmitArgs {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(regex(pattern = NAME_RULE))]
     pub name: Option<String>,
-    /// Execute all runs anew, beside the experiment of this name, if another version of the model executed
+    /// Execute all runs again, beside the experiment of this name, if another version of the model executed
     /// that one's runs: `school` becomes `school-model2` under version 2.
     #[serde(default, skip_serializing_if = "crate::is_false")]
     pub again: bool,

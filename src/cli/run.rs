@@ -20,7 +20,7 @@ use jostle_experiment::shell::{operand, quoted};
 use jostle_experiment::stdout::{self, StdoutError};
 use jostle_experiment::{
     DryRun, Execution, ExecutionControl, Files, Folder, FolderError, MODEL_VERSION, Outcome, Plan,
-    PlanError, Progress, Subset, SubsetError, anew_beside, execute, start_remark, unfinished,
+    PlanError, Progress, Subset, SubsetError, execute, folder_again, start_remark, unfinished,
 };
 
 /// The interval between updates of the progress bar, and between checks for a signal.
@@ -66,7 +66,7 @@ pub struct Options {
     /// Number of runs executed in parallel [default: number of cores].
     #[arg(long, value_name = "N")]
     threads: Option<NonZero<usize>>,
-    /// If another version of the model executed the runs in FOLDER: execute all runs anew, in a folder beside
+    /// If another version of the model executed the runs in FOLDER: execute all runs again, in a folder beside
     /// it, `FOLDER-model2` under version 2.
     #[arg(long, conflicts_with = "dry_run")]
     again: bool,
@@ -179,7 +179,7 @@ pub fn run(options: &Options) -> Result<u8, Box<dyn Error>> {
         if !options.again {
             return Err(other_model(options, &output, theirs));
         }
-        (target, folder) = open(anew_beside(&output))?;
+        (target, folder) = open(folder_again(&output))?;
     }
     let mut folder = folder?;
     if let Some(version) = plan.start_model_version() {
@@ -273,16 +273,16 @@ impl Target {
 /// The error of a folder whose runs another version of the model executed; with `--json` also on standard
 /// output, for programs.
 fn other_model(options: &Options, output: &Path, theirs: u32) -> Box<dyn Error> {
-    let again = anew_beside(output);
+    let again = folder_again(output);
     let message = format!(
         "version {theirs} of the model executed the runs in {}, and this program has {MODEL_VERSION}: they remain \
-         readable, and none is added; `{} --again` executes all of them anew, in {}",
+         readable, and none is added; `{} --again` executes all of them again, in {}",
         output.display(),
         command(options, output),
         again.display()
     );
     if options.json {
-        let details = json!({"model_version": theirs, "again": again});
+        let details = json!({"model_version": theirs, "again": again.to_string_lossy()});
         let error = json!({"code": "conflict", "message": message, "details": details});
         let document = format!("{}\n", json!({"error": error}));
         if let Err(error) = stdout::unless_closed(stdout::write(document.as_bytes())) {
@@ -394,7 +394,7 @@ fn describe_outcome(
             .collect();
         let summary = json!({"runs": runs, "finished": finished, "faults": faults,
             "cancelled": outcome.is_cancelled, "elapsed_secs": progress.elapsed_secs,
-            "folder": output});
+            "folder": output.to_string_lossy()});
         return format!("{summary}\n");
     }
     let counted = if finished == runs {

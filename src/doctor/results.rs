@@ -4,7 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use jostle_experiment::{
-    EXPERIMENT, Files, Folder, MODEL_VERSION, Plan, anew, anew_beside, finished, results_in,
+    EXPERIMENT, Files, Folder, MODEL_VERSION, Plan, finished, folder_again, name_again, results_in,
     start_remark,
 };
 use jostle_physics::plural::counted;
@@ -57,7 +57,7 @@ impl Runs {
         Ok(Self {
             runs: plan.runs().len(),
             finished: found.finished,
-            // What has not finished a run begins anew.
+            // What has not finished a run starts from its beginning.
             model_version: match found.has_runs() {
                 true => found.model_version,
                 false => MODEL_VERSION,
@@ -126,8 +126,8 @@ pub(super) fn experiments(folder: &Path, problems: &mut Vec<String>) -> Vec<Resu
         // A running daemon may have deleted it meanwhile.
         let is_there = read.is_ok() || path.exists();
         is_there.then(|| {
-            let again = anew(&name);
-            let command = "`jostle experiment run --again FILE` executes all runs anew as";
+            let again = name_again(&name);
+            let command = "`jostle experiment run --again FILE` executes all runs again as";
             let execute = format!("{command} {again}");
             Results::of((name, Some(phase)), read, || (again, execute))
         })
@@ -193,8 +193,8 @@ fn of_folder(folder: &Path) -> Results {
         (folder.display().to_string(), None),
         Runs::read(folder),
         || {
-            let again = anew_beside(&output).display().to_string();
-            let execute = format!("`jostled run FILE --again` executes all runs anew in {again}");
+            let again = folder_again(&output).display().to_string();
+            let execute = format!("`jostled run FILE --again` executes all runs again in {again}");
             (again, execute)
         },
     )

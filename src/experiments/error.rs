@@ -2,7 +2,7 @@
 
 use std::fmt::Display;
 
-use jostle_experiment::{MODEL_VERSION, PlanError, anew};
+use jostle_experiment::{MODEL_VERSION, PlanError, name_again};
 use jostle_proto::ExperimentPhase as Phase;
 use thiserror::Error;
 
@@ -66,14 +66,14 @@ pub enum ExperimentError {
     Exists(String),
     #[error(
         "version {theirs} of the model executed the finished runs of experiment {name:?}, and this daemon has \
-         {MODEL_VERSION}: they remain readable; `jostle experiment run --again FILE` executes all runs anew, as \
+         {MODEL_VERSION}: they remain readable; `jostle experiment run --again FILE` executes all runs again, as \
          {again}"
     )]
     OtherModel {
         name: String,
         /// The version of the model that executed its runs.
         theirs: u32,
-        /// The name under which they are executed anew.
+        /// The name under which they are executed again.
         again: String,
     },
     #[error("experiment {name:?} is {phase}: {remedy}")]
@@ -154,7 +154,7 @@ impl ExperimentError {
         ExperimentError::OtherModel {
             name: name.to_owned(),
             theirs,
-            again: anew(name),
+            again: name_again(name),
         }
     }
 

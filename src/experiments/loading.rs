@@ -58,7 +58,7 @@ pub(super) fn load(name: &str, jobs: &JobDirectory<Status>, status: Option<Statu
             Ok((plan, missing))
         });
         match read {
-            // One that has not finished a run begins anew.
+            // One that has not finished a run starts from its beginning.
             Ok((plan, missing))
                 if missing.has_runs()
                     && let Some(theirs) = other_model =>

@@ -20,7 +20,7 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
-use jostle_experiment::{Files, Folder, Plan, anew};
+use jostle_experiment::{Files, Folder, Plan, name_again};
 use jostle_proto::{ExperimentPhase as Phase, OccasionalColumns, keys};
 use jostle_results::table::trajectory::{self, About};
 use jostle_results::table::{TableError, Trajectory};
@@ -120,7 +120,7 @@ impl ExperimentManager {
     }
 
     /// Submits an experiment, or resumes an equal one that exists. Returns whether it is new. With `again`, one
-    /// whose runs another version of the model executed is submitted anew beside it.
+    /// whose runs another version of the model executed is submitted again beside it.
     pub fn submit(
         &self,
         name: Option<&str>,
@@ -135,7 +135,7 @@ impl ExperimentManager {
         let _serialized = self.begin_change()?;
         if again && self.other_model(&plan.name)?.is_some() {
             self.check_files(&plan)?;
-            plan.name = anew(&plan.name);
+            plan.name = name_again(&plan.name);
             check_name(&plan.name)?;
         }
         let name = plan.name.clone();

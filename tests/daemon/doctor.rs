@@ -7,7 +7,7 @@ mod results;
 use std::fs;
 use std::path::Path;
 use std::thread::sleep;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use jostle_physics::model::MODEL_VERSION;
 use jostled::store::{Settings, Store, Write};
@@ -130,13 +130,14 @@ fn with_wal(folder: &Path) -> Store {
     };
     store.commit(vec![create]).unwrap();
     // Maintenance of the store.
-    let mut before = files(folder);
+    let (began, mut before) = (Instant::now(), files(folder));
     loop {
         sleep(Duration::from_millis(300));
         let now = files(folder);
         if now == before {
             return store;
         }
+        assert!(began.elapsed() < TIMEOUT, "the store goes on writing");
         before = now;
     }
 }

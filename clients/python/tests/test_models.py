@@ -1,4 +1,4 @@
-"""Results of an earlier version of the model: no run is added, all are executed anew beside them.
+"""Results of an earlier version of the model: no run is added, all are executed again beside them.
 
 No earlier version can be executed here: the header of each list of runs is changed to name one.
 """
@@ -73,7 +73,7 @@ def expect_conflict(folder: Path, theirs: int, again: Path | None) -> list[jostl
     return one.rows()
 
 
-def test_finished_results_of_an_earlier_version_remain_and_all_runs_are_executed_anew(
+def test_finished_results_of_an_earlier_version_remain_and_all_runs_are_executed_again(
     tmp_path: Path,
 ) -> None:
     folder = tmp_path / "results"
@@ -100,7 +100,7 @@ def test_finished_results_of_an_earlier_version_remain_and_all_runs_are_executed
     expect_conflict(folder, theirs, beside)
 
 
-def test_parts_of_an_earlier_version_remain_and_all_runs_are_executed_anew(tmp_path: Path) -> None:
+def test_parts_of_an_earlier_version_remain_and_all_runs_are_executed_again(tmp_path: Path) -> None:
     folder = tmp_path / "results"
     parts = interrupted(folder)
     theirs = of_model(parts, -1)
@@ -110,7 +110,7 @@ def test_parts_of_an_earlier_version_remain_and_all_runs_are_executed_anew(tmp_p
     assert 0 < len(runs) < RUNS
     assert sorted(row.run for row in expect_conflict(folder, theirs, beside)) == runs
     before = contents(tmp_path / "results.parts")
-    # A sweep that executes them anew goes on, too.
+    # A sweep that executes them again goes on, too.
     with jostle.sweep(SMALL, folder=folder, task_secs=TASK_SECS, again=True) as sweep:
         first = next(iter(sweep))
     again = jostle.sweep(SMALL, folder=folder, task_secs=TASK_SECS, again=True)
@@ -152,7 +152,7 @@ def test_a_sweep_of_a_later_version_has_no_remedy(tmp_path: Path) -> None:
     assert expect_conflict(folder, theirs, None)
 
 
-def test_another_experiment_is_not_executed_anew(tmp_path: Path) -> None:
+def test_another_experiment_is_not_executed_again(tmp_path: Path) -> None:
     folder = tmp_path / "results"
     jostle.sweep(SMALL, folder=folder).wait()
     of_model([folder], -1)
@@ -196,10 +196,10 @@ def test_a_search_does_not_compare_values_of_two_versions(tmp_path: Path) -> Non
         assert it.value.details["again"] == str(beside)
     assert contents(folder) == before
     for _ in range(2):
-        anew = jostle.Objective(experiment, "v", folder=folder, again=True)
-        assert anew(pi1=2.0) == value
-        assert repr(anew) == f"Objective('v' in {str(beside)!r})"
-    assert anew(pi1=3.0) != value
+        again = jostle.Objective(experiment, "v", folder=folder, again=True)
+        assert again(pi1=2.0) == value
+        assert repr(again) == f"Objective('v' in {str(beside)!r})"
+    assert again(pi1=3.0) != value
     assert contents(folder) == before
     assert len(list(beside.iterdir())) == 2
     # An interrupted one, too.
@@ -240,7 +240,7 @@ def upgraded(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[tuple[D
     daemon.kill()
 
 
-def test_experiments_of_an_earlier_version_remain_and_are_executed_anew(
+def test_experiments_of_an_earlier_version_remain_and_are_executed_again(
     upgraded: tuple[Daemon, int],
 ) -> None:
     daemon, theirs = upgraded
@@ -270,9 +270,9 @@ def test_experiments_of_an_earlier_version_remain_and_are_executed_anew(
         for _ in range(2):
             assert client.submit(HALF, again=True).name == again
         assert client.submit(WHOLE, again=True).name == f"whole-model{theirs + 1}"
-        anew = jostle.experiment(WHOLE, client=client, again=True).wait(60.0)
-        assert anew.progress().model_version is None
-        assert anew.rows() == whole.rows()
+        again = jostle.experiment(WHOLE, client=client, again=True).wait(60.0)
+        assert again.progress().model_version is None
+        assert again.rows() == whole.rows()
         # Without an earlier one it is an experiment as any other.
         other = WHOLE.replace("whole", "other")
         assert client.submit(other, again=True).name == "other"

@@ -93,7 +93,7 @@ pub struct Folder {
 impl Folder {
     /// Opens and locks the folder of an experiment, or creates it. An incomplete last line of the
     /// list of runs is removed. An experiment that another version of the model has begun, and of which no run
-    /// is finished, begins anew.
+    /// is finished, starts from its beginning.
     ///
     /// # Errors
     ///
@@ -114,8 +114,8 @@ impl Folder {
         let file = path.join(RUNS);
         let fail = |source| io_error(&file, source);
         let mut list = read_runs(path, plan)?;
-        let begins_anew = list.model_version != model_version && list.finished.is_empty();
-        if begins_anew {
+        let starts_over = list.model_version != model_version && list.finished.is_empty();
+        if starts_over {
             list = List::empty(plan);
         } else {
             list.check_model(path, model_version)?;
@@ -153,7 +153,7 @@ impl Folder {
             finished: list.finished,
             _lock: lock,
         };
-        if begins_anew {
+        if starts_over {
             folder.clear();
         }
         Ok(folder)
@@ -470,6 +470,10 @@ pub fn finished(path: &Path) -> PathBuf {
         None => path.to_owned(),
     }
 }
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod fixture;
 
 #[cfg(test)]
 #[expect(clippy::unwrap_used, reason = "tests")]

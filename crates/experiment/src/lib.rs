@@ -30,7 +30,7 @@ pub mod stdout;
 mod subset;
 
 #[cfg(feature = "files")]
-mod anew;
+mod again;
 #[cfg(feature = "files")]
 mod digest;
 #[cfg(feature = "files")]
@@ -74,7 +74,7 @@ pub use subset::{Subset, SubsetError};
 
 #[cfg(feature = "files")]
 pub use self::{
-    anew::{anew, anew_beside},
+    again::{folder_again, name_again},
     disk::DiskWatch,
     dry_run::{DiskNeed, DryRun, Estimate, Measured},
     execute::{ExecuteError, Execution, Outcome, execute},

@@ -43,7 +43,7 @@ async fn assert_conflict(client: &Client, args: Value, again: &str) {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_half_done_experiment_ends_and_is_executed_anew_beside_its_finished_runs() {
+async fn a_half_done_experiment_ends_and_is_executed_again_beside_its_finished_runs() {
     let folder = tempfile::tempdir().unwrap();
     let mut process = DaemonProcess::start(&mut daemon_process::daemon(folder.path())).unwrap();
     let client = Client::open(&process.endpoint).await;
@@ -62,7 +62,7 @@ async fn a_half_done_experiment_ends_and_is_executed_anew_beside_its_finished_ru
 
     let mut process = DaemonProcess::start(&mut daemon_process::daemon(folder.path())).unwrap();
     let client = Client::open(&process.endpoint).await;
-    // Without a finished run, it begins anew.
+    // Without a finished run, it starts from its beginning.
     let short = wait_for_phase(&client, "short", "finished").await;
     assert_eq!(short["model_version"], Value::Null, "{short}");
     for name in names {

@@ -83,7 +83,7 @@ pub struct RunExperimentArguments {
     /// Its name [default: the one in the file]
     #[arg(long, value_name = "NAME", value_parser = values::name)]
     pub name: Option<String>,
-    /// If another version of the model executed the runs of NAME: execute all runs anew beside them, as
+    /// If another version of the model executed the runs of NAME: execute all runs again beside them, as
     /// `NAME-model2` under version 2
     #[arg(long, conflicts_with = "dry_run")]
     pub again: bool,

@@ -313,7 +313,7 @@ class Client(Player, Auditor):
                 in it are relative to the folder of the file, or to the current folder.
             name: The name of the experiment; None is the one in the file.
             again: If an earlier version of the model executed runs of the experiment of this name,
-                execute all of them anew beside it, as `NAME-model2` under version 2:
+                execute all of them again beside it, as `NAME-model2` under version 2:
                 `Experiment.name` is that name.
             timeout: Seconds it may take; None is the client's.
             request_id: The id of the request, see `Options`; None is a new one.

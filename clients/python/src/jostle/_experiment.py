@@ -150,7 +150,7 @@ class Experiment:
             remedy = (
                 f"version {version} of the model executed them, and this daemon has another, which "
                 "adds none; they remain readable, and `submit` with `again=True` executes all runs "
-                "anew"
+                "again"
             )
         raise kind(
             f"experiment {self._name!r} {'was ' if kind is IncorrectState else ''}"

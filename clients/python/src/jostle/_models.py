@@ -29,8 +29,8 @@ def _version(folder: Path) -> int | None:
 def model_conflict(folder: Path, theirs: int, ours: int) -> Conflict:
     """The error if another version of the model executed runs of a sweep or a search.
 
-    `details["again"]` is the folder in which this version executes all of them anew. Nothing is
-    executed anew under an earlier version.
+    `details["again"]` is the folder in which this version executes all of them again. Nothing is
+    executed again under an earlier version.
     """
     problem = f"{folder} has runs of version {theirs} of the model, and this program has {ours}"
     details = {"field": "folder", "model_version": theirs}
@@ -42,6 +42,6 @@ def model_conflict(folder: Path, theirs: int, ours: int) -> Conflict:
     again = folder.with_name(f"{folder.name}-model{ours}")
     return Conflict(
         f"{problem}: they remain readable, and none is added; pass `again=True` to execute all of "
-        f"them anew in {again}",
+        f"them again in {again}",
         details={**details, "again": str(again)},
     )

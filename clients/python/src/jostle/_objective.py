@@ -64,7 +64,7 @@ class Objective:
             task_secs: As in `sweep`.
             jostled: As in `sweep`.
             again: If an earlier version of the model executed runs in the folder, execute all of
-                the search anew beside it, in `FOLDER-model2` under version 2.
+                the search again beside it, in `FOLDER-model2` under version 2.
 
         Raises:
             InvalidArgument: The source is not TOML, has `points`, `setpoints` or `start`, or there

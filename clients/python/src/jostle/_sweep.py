@@ -105,7 +105,7 @@ def sweep(
         jostled: Path of `jostled`, the same on this machine and on every worker, with `jostle`
             beside it; None searches as `local` does.
         again: If an earlier version of the model executed the runs in the folder or in
-            `FOLDER.parts`, execute all of them anew beside it, in `FOLDER-model2` under version 2:
+            `FOLDER.parts`, execute all of them again beside it, in `FOLDER-model2` under version 2:
             `Sweep.folder` names it. Otherwise no run is added to them: `Sweep.rows` has their rows,
             and `Sweep.wait` raises `Conflict`.
 
@@ -220,7 +220,7 @@ class Sweep:
                 are finished.
             Conflict: A worker has another version of the model, or another version executed runs
                 in the folder: `details["model_version"]` is that version, and `details["again"]`
-                the folder in which `again=True` executes all of them anew.
+                the folder in which `again=True` executes all of them again.
             IncorrectState: The sweep was cancelled.
             StorageFull: The disk of this machine is full.
             Unavailable: The executor lost its tasks. A sweep with the same folder resumes.
@@ -240,7 +240,7 @@ class Sweep:
                 are finished.
             Conflict: A worker has another version of the model, or another version executed runs
                 in the folder: `details["model_version"]` is that version, and `details["again"]`
-                the folder in which `again=True` executes all of them anew.
+                the folder in which `again=True` executes all of them again.
             IncorrectState: The sweep was cancelled.
             StorageFull: The disk of this machine is full.
             Unavailable: The executor lost its tasks. A sweep with the same folder resumes.

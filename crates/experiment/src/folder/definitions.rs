@@ -4,10 +4,9 @@ use std::fs;
 
 use jostle_results::Measure;
 
+use super::fixture::Fixture;
 use super::*;
-use crate::execute::{Execution, execute};
 use crate::merge::{MergeError, Parts};
-use crate::progress::ExecutionControl;
 use crate::run::{RunCheckpoint, execute_run, execute_run_from};
 
 /// Two individuals that disagree by π, but for a rounding of it.
@@ -16,43 +15,11 @@ const FILE: &str = "name = \"conflict\"\nduration = 1\nreplicates = 4\nspec = { 
                     inform = [{ select = { ids = [0] }, direction = 0 }, { select = { ids = [1] }, \
                     direction = 3.1416 }]\n[stop]\nwhen = \"drift > -2 for 0.5\"\n";
 
-struct Fixture {
-    directory: tempfile::TempDir,
-    plan: Plan,
-}
-
 impl Fixture {
-    fn new() -> Self {
-        Self {
-            directory: tempfile::tempdir().unwrap(),
-            plan: Plan::parse(FILE).unwrap(),
-        }
-    }
-
-    fn path(&self, name: &str) -> PathBuf {
-        self.directory.path().join(name)
-    }
-
-    fn execute(&self, name: &str, runs: &str) -> Folder {
-        let mut folder = Folder::open(&self.path(name), &self.plan).unwrap();
-        let execution = Execution {
-            plan: &self.plan,
-            subset: &Subset::parse(&self.plan, runs).unwrap(),
-            threads: 1,
-            checkpoint_every: None,
-        };
-        execute(execution, &mut folder, &ExecutionControl::new()).unwrap();
-        folder
-    }
-
     /// Makes the header that of an earlier or later version.
     fn set_definitions(&self, name: &str, number: Option<u32>) {
-        let path = self.path(name).join(RUNS);
-        let list = fs::read_to_string(&path).unwrap();
         let theirs = number.map_or_else(String::new, |it| format!(",\"definitions\":{it}"));
-        let edited = list.replacen(",\"definitions\":2", &theirs, 1);
-        assert_ne!(edited, list, "{list}");
-        fs::write(path, edited).unwrap();
+        self.edit(name, ",\"definitions\":2", &theirs);
     }
 }
 
@@ -71,7 +38,7 @@ fn is_defined(folder: &Folder) -> Vec<[bool; 3]> {
 
 #[test]
 fn an_experiment_goes_on_under_the_definitions_with_which_it_began() {
-    let fixture = Fixture::new();
+    let fixture = Fixture::new(FILE);
     let folder = fixture.execute("new", "1");
     assert_eq!(folder.definitions(), Definitions::Second);
     assert_eq!(is_defined(&folder), [[false; 3]]);
@@ -106,7 +73,7 @@ fn an_experiment_goes_on_under_the_definitions_with_which_it_began() {
 
 #[test]
 fn parts_of_the_same_definitions_are_merged_and_verified_under_them() {
-    let fixture = Fixture::new();
+    let fixture = Fixture::new(FILE);
     let parts = ["one", "other"].map(|name| fixture.path(name));
     for (name, runs) in [("one", "1-2"), ("other", "3-4")] {
         drop(Folder::open(&fixture.path(name), &fixture.plan).unwrap());

@@ -68,7 +68,7 @@ pub enum FolderError {
     /// same seeds.
     #[error(
         "{} has runs of model version {theirs}, this program has {MODEL_VERSION}: they remain readable, and \
-         none is added; execute all runs anew in another folder", folder.display()
+         none is added; execute all runs again in another folder", folder.display()
     )]
     OtherModel {
         /// The folder.

@@ -3,10 +3,9 @@
 
 use std::fs;
 
+use super::fixture::Fixture;
 use super::*;
-use crate::execute::{Execution, execute};
 use crate::merge::{MergeError, Parts, missing};
-use crate::progress::ExecutionControl;
 use crate::run::execute_run_from;
 
 const FILE: &str = "name = \"a\"\nduration = 1\nreplicates = 4\nspec = { n = 4 }\n\
@@ -15,35 +14,7 @@ const FILE: &str = "name = \"a\"\nduration = 1\nreplicates = 4\nspec = { n = 4 }
 /// The version of the model that is said to have executed runs.
 const EARLIER: u32 = 1;
 
-struct Fixture {
-    directory: tempfile::TempDir,
-    plan: Plan,
-}
-
 impl Fixture {
-    fn new() -> Self {
-        Self {
-            directory: tempfile::tempdir().unwrap(),
-            plan: Plan::parse(FILE).unwrap(),
-        }
-    }
-
-    fn path(&self, name: &str) -> PathBuf {
-        self.directory.path().join(name)
-    }
-
-    fn execute(&self, name: &str, runs: &str) -> Folder {
-        let mut folder = Folder::open(&self.path(name), &self.plan).unwrap();
-        let execution = Execution {
-            plan: &self.plan,
-            subset: &Subset::parse(&self.plan, runs).unwrap(),
-            threads: 1,
-            checkpoint_every: None,
-        };
-        execute(execution, &mut folder, &ExecutionControl::new()).unwrap();
-        folder
-    }
-
     /// Executes runs in a folder that is then one of the earlier version.
     fn execute_earlier(&self, name: &str, runs: &str) {
         drop(self.execute(name, runs));
@@ -51,24 +22,14 @@ impl Fixture {
     }
 
     fn age(&self, name: &str) {
-        let list = self.list(name);
-        let aged = list.replacen(
-            &format!("\"model_version\":{MODEL_VERSION}"),
-            &format!("\"model_version\":{EARLIER}"),
-            1,
-        );
-        assert_ne!(aged, list);
-        fs::write(self.path(name).join(RUNS), aged).unwrap();
-    }
-
-    fn list(&self, name: &str) -> String {
-        fs::read_to_string(self.path(name).join(RUNS)).unwrap()
+        let version = |number: u32| format!("\"model_version\":{number}");
+        self.edit(name, &version(MODEL_VERSION), &version(EARLIER));
     }
 }
 
 #[test]
-fn an_experiment_without_a_finished_run_begins_anew_and_uses_no_checkpoint_of_the_other_version() {
-    let fixture = Fixture::new();
+fn an_experiment_without_a_finished_run_starts_over_and_uses_no_checkpoint_of_the_other_version() {
+    let fixture = Fixture::new(FILE);
     let expected = fixture.execute("expected", "1-4").rows();
     let path = fixture.path("a");
     let folder = Folder::open(&path, &fixture.plan).unwrap();
@@ -93,7 +54,7 @@ fn an_experiment_without_a_finished_run_begins_anew_and_uses_no_checkpoint_of_th
 
 #[test]
 fn no_run_is_added_to_finished_ones_of_another_version_which_remain_readable() {
-    let fixture = Fixture::new();
+    let fixture = Fixture::new(FILE);
     fixture.execute_earlier("a", "1-2");
     let (path, before) = (fixture.path("a"), fixture.list("a"));
     let error = Folder::open(&path, &fixture.plan).unwrap_err();
@@ -108,7 +69,7 @@ fn no_run_is_added_to_finished_ones_of_another_version_which_remain_readable() {
 
 #[test]
 fn parts_of_one_earlier_version_are_merged_and_keep_it() {
-    let fixture = Fixture::new();
+    let fixture = Fixture::new(FILE);
     let whole = fixture.execute("whole", "1-4").rows();
     let parts = ["one", "two"].map(|name| fixture.path(name));
     fixture.execute_earlier("one", "1-2");
@@ -134,7 +95,7 @@ fn parts_of_one_earlier_version_are_merged_and_keep_it() {
 
 #[test]
 fn parts_of_two_versions_are_not_merged_and_missing_runs_not_planned() {
-    let fixture = Fixture::new();
+    let fixture = Fixture::new(FILE);
     fixture.execute_earlier("one", "1-2");
     drop(fixture.execute("two", "3-4"));
     let parts = ["one", "two"].map(|name| fixture.path(name));

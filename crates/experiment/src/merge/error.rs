@@ -67,7 +67,7 @@ pub enum MergeError {
     /// Runs are in no part, and the parts are of another version of the model.
     #[error(
         "{} of {of} runs are missing, {}, and version {theirs} of the model executed the others, while this \
-         program has {MODEL_VERSION}: `jostled run --again` executes all of them anew",
+         program has {MODEL_VERSION}: `jostled run --again` executes all of them again",
         runs.indices().len(), shortened(runs)
     )]
     Unfinishable {

@@ -6,55 +6,17 @@ use std::path::PathBuf;
 use jostle_physics::model::MODEL_VERSION;
 
 use super::*;
-use crate::execute::{Execution, execute};
+use crate::folder::fixture::Fixture;
 use crate::folder::{Folder, FolderError, MissingFiles};
 use crate::merge::{MergeError, Parts, missing};
-use crate::progress::ExecutionControl;
 use crate::subset::Subset;
 
 const FILE: &str = "name = \"a\"\nduration = 1\nreplicates = 4\nspec = { n = 4 }\n\
                     measure = { record_every = 10, order_every = 10 }\n";
 
-struct Fixture {
-    directory: tempfile::TempDir,
-    plan: Plan,
-}
-
 impl Fixture {
-    fn new(file: &str) -> Self {
-        Self {
-            directory: tempfile::tempdir().unwrap(),
-            plan: Plan::parse(file).unwrap(),
-        }
-    }
-
-    fn path(&self, name: &str) -> PathBuf {
-        self.directory.path().join(name)
-    }
-
-    fn execute(&self, name: &str, runs: &str) -> Folder {
-        let mut folder = Folder::open(&self.path(name), &self.plan).unwrap();
-        let execution = Execution {
-            plan: &self.plan,
-            subset: &Subset::parse(&self.plan, runs).unwrap(),
-            threads: 1,
-            checkpoint_every: None,
-        };
-        let outcome = execute(execution, &mut folder, &ExecutionControl::new()).unwrap();
-        assert_eq!(outcome.finished, execution.subset.indices().len());
-        folder
-    }
-
     fn missing(&self, name: &str) -> MissingFiles {
         Folder::missing_files(&self.path(name), &self.plan).unwrap()
-    }
-
-    /// Replaces `from` in the list of runs, where it occurs.
-    fn edit(&self, name: &str, from: &str, to: &str) {
-        let path = self.path(name).join("runs.jsonl");
-        let text = fs::read_to_string(&path).unwrap();
-        assert!(text.contains(from), "{text}");
-        fs::write(path, text.replace(from, to)).unwrap();
     }
 }
 
