@@ -7,8 +7,8 @@ use std::process::ExitCode;
 use clap::Args;
 use jostle_physics::plural::counted;
 use serde_json::json;
-use unicode_width::UnicodeWidthStr as _;
 
+use crate::cli::table::aligned;
 use crate::cli::{note, print};
 use crate::doctor::{self, Marked, Report, Results, Swarm};
 
@@ -137,32 +137,16 @@ fn marks(report: &Report) -> String {
     }
 }
 
-/// A table with aligned columns; empty without rows.
+/// A table of the columns that have a value; empty without rows.
 fn table(header: [&str; 5], rows: impl Iterator<Item = [String; 5]>) -> String {
     let rows: Vec<_> = rows.collect();
-    if rows.is_empty() {
-        return String::new();
-    }
-    let rows: Vec<_> = [header.map(str::to_owned)]
-        .into_iter()
-        .chain(rows)
-        .collect();
     // Of folders no phase is known.
-    let is_shown = |column: usize| rows[1..].iter().any(|row| row[column] != NONE);
+    let is_shown = |column: usize| rows.iter().any(|row| row[column] != NONE);
     let columns: Vec<usize> = (0..header.len())
         .filter(|column| is_shown(*column))
         .collect();
-    let width = |column: usize| rows.iter().map(|row| row[column].width()).max();
-    let mut table = String::new();
-    for row in &rows {
-        let cells: Vec<String> = columns
-            .iter()
-            .map(|&column| {
-                let padding = width(column).unwrap_or_default() - row[column].width();
-                format!("{}{}", row[column], " ".repeat(padding))
-            })
-            .collect();
-        let _ = writeln!(table, "{}", cells.join("  ").trim_end());
-    }
-    table
+    let shown = |row: &[String; 5]| columns.iter().map(|&it| row[it].clone()).collect();
+    let header = (!rows.is_empty()).then(|| header.map(str::to_owned));
+    let lines: Vec<Vec<String>> = header.iter().chain(&rows).map(shown).collect();
+    aligned(&lines)
 }

@@ -7,6 +7,7 @@ use jostle_experiment::html::Module;
 use serde_json::json;
 
 use crate::cli::settings::{arguments, default, name};
+use crate::cli::table::aligned;
 use crate::config::{Config, Resolved, Source};
 
 /// The value of a setting; instead of an empty one whose default depends on the machine, the one in
@@ -26,23 +27,20 @@ fn value(resolved: &Resolved, config: &Config, name: &str) -> String {
 
 /// Each setting with its value, source and meaning, as a table.
 pub fn table(resolved: &Resolved, config: &Config) -> String {
-    let mut rows = vec![["setting", "value", "from", "meaning"].map(str::to_owned)];
+    let mut rows = vec![
+        ["setting", "value", "from", "meaning"]
+            .map(str::to_owned)
+            .to_vec(),
+    ];
     for argument in arguments() {
         let name = name(&argument).to_owned();
         let (value, source) = (
             value(resolved, config, &name),
             resolved[&name].1.to_string(),
         );
-        rows.push([name, value, source, meaning(&argument)]);
+        rows.push(vec![name, value, source, meaning(&argument)]);
     }
-    let width = |column: usize| rows.iter().map(|row| row[column].chars().count()).max();
-    let [name, value, source] = [0, 1, 2].map(|column| width(column).unwrap_or_default());
-    let mut table = String::new();
-    for [a, b, c, meaning] in &rows {
-        // Writing to a string does not fail.
-        let _ = writeln!(table, "{a:name$}  {b:value$}  {c:source$}  {meaning}");
-    }
-    table
+    aligned(&rows)
 }
 
 /// The same as JSON, with the defaults.

@@ -15,6 +15,7 @@ pub mod serve;
 pub mod settings;
 mod start_error;
 mod systemd;
+mod table;
 
 use std::fmt::Display;
 use std::io::{self, Write as _};

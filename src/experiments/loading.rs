@@ -5,7 +5,7 @@ use std::io;
 use std::path::Path;
 use std::sync::Arc;
 
-use jostle_experiment::{Files, Folder, MissingFiles, Plan};
+use jostle_experiment::{EXPERIMENT, Files, Folder, MissingFiles, Plan};
 use jostle_proto::{ExperimentPhase as Phase, keys};
 use tracing::warn;
 
@@ -13,9 +13,6 @@ use super::error::ExperimentError;
 use super::models::other_model;
 use super::status::{Entry, Status};
 use crate::jobs::JobDirectory;
-
-/// The file that an experiment is made from, in its folder.
-const PLAN: &str = "experiment.toml";
 
 /// The experiments in a folder that is not opened, and in which nothing changes, by name, each with its phase; a
 /// running one is stored as queued.
@@ -34,7 +31,8 @@ pub fn phases(folder: &Path) -> io::Result<BTreeMap<String, Phase>> {
 pub(super) fn stored(
     jobs: &JobDirectory<Status>,
 ) -> io::Result<impl Iterator<Item = (String, Option<Status>)>> {
-    let is_experiment = |name: &str| keys::is_name(name) && jobs.folder(name).join(PLAN).is_file();
+    let is_experiment =
+        |name: &str| keys::is_name(name) && jobs.folder(name).join(EXPERIMENT).is_file();
     let listed = jobs.list()?.into_iter();
     let listed = listed.filter(move |(name, _)| is_experiment(name));
     Ok(listed.map(|(name, status)| (name, status.ok())))

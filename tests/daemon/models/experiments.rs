@@ -96,6 +96,12 @@ async fn a_half_done_experiment_ends_and_is_executed_again_beside_its_finished_r
     assert_eq!(error.code, ErrorCode::AlreadyExists, "{error:?}");
     let args = json!({"submit": {"toml": half("running"), "again": true}});
     let new = format!("running-model{MODEL_VERSION}");
+    // Nor does one of a user that has the name.
+    let own = json!({"submit": {"toml": SHORT, "name": format!("cancelled-model{MODEL_VERSION}")}});
+    assert_eq!(ok(&client, own).await["created"], true);
+    let taken = json!({"submit": {"toml": half("cancelled"), "again": true}});
+    let error = send(&client, &taken).await.unwrap_err();
+    assert_eq!(error.code, ErrorCode::AlreadyExists, "{error:?}");
     for is_first in [true, false] {
         let reply = ok(&client, args.clone()).await;
         assert_eq!(
@@ -176,6 +182,18 @@ fn a_folder_of_an_earlier_version_keeps_its_runs_and_again_executes_all_beside_i
             "the runs of the earlier version remain"
         );
     }
+    // A folder of the user that has the name stays.
+    let own = path(&format!("taken-model{MODEL_VERSION}"));
+    fs::rename(path(&format!("out-model{MODEL_VERSION}")), &own).unwrap();
+    let toml = own.join("experiment.toml");
+    fs::write(&toml, format!("{SHORT}# another\n")).unwrap();
+    fs::rename(path("out"), path("taken")).unwrap();
+    let rejected = run(folder.path(), &["-o", "taken", "--again"]);
+    let message = String::from_utf8(rejected.stderr).unwrap();
+    assert!(
+        message.contains("results of another experiment.toml"),
+        "{message}"
+    );
     // An interrupted part is in a folder of its own.
     let hidden = jostle_experiment::unfinished(&path("hidden"), "1-of-2");
     fs::rename(path("part"), &hidden).unwrap();
