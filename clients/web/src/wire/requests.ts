@@ -471,7 +471,7 @@ export type Stepping = "position" | "velocity";
 
 /** An experiment to execute. */
 export interface SubmitArgs {
-  /** Execute all runs anew, beside the experiment of this name, if another version of the model executed that one's runs: `school` becomes `school-model2` under version 2. */
+  /** Execute all runs again, beside the experiment of this name, if another version of the model executed that one's runs: `school` becomes `school-model2` under version 2. */
   again?: boolean;
   /** Its name; that in the file if left out. */
   name?: string | null;
