@@ -196,10 +196,10 @@ def test_a_search_does_not_compare_values_of_two_versions(tmp_path: Path) -> Non
         assert it.value.details["again"] == str(beside)
     assert contents(folder) == before
     for _ in range(2):
-        again = jostle.Objective(experiment, "v", folder=folder, again=True)
-        assert again(pi1=2.0) == value
-        assert repr(again) == f"Objective('v' in {str(beside)!r})"
-    assert again(pi1=3.0) != value
+        second = jostle.Objective(experiment, "v", folder=folder, again=True)
+        assert second(pi1=2.0) == value
+        assert repr(second) == f"Objective('v' in {str(beside)!r})"
+    assert second(pi1=3.0) != value
     assert contents(folder) == before
     assert len(list(beside.iterdir())) == 2
     # An interrupted one, too.
@@ -270,9 +270,9 @@ def test_experiments_of_an_earlier_version_remain_and_are_executed_again(
         for _ in range(2):
             assert client.submit(HALF, again=True).name == again
         assert client.submit(WHOLE, again=True).name == f"whole-model{theirs + 1}"
-        again = jostle.experiment(WHOLE, client=client, again=True).wait(60.0)
-        assert again.progress().model_version is None
-        assert again.rows() == whole.rows()
+        second = jostle.experiment(WHOLE, client=client, again=True).wait(60.0)
+        assert second.progress().model_version is None
+        assert second.rows() == whole.rows()
         # Without an earlier one it is an experiment as any other.
         other = WHOLE.replace("whole", "other")
         assert client.submit(other, again=True).name == "other"
